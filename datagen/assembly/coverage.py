@@ -27,14 +27,14 @@ _QUADRANTS = 4
 
 
 def preview_of(camera: Camera) -> Camera:
-    """The camera at the resolution of the checks."""
+    """The camera at the low resolution of the coverage checks."""
     width = min(PREVIEW_WIDTH_PX, camera.width_px)
     return camera.scaled(width, max(8, round(width * camera.height_px / camera.width_px)))
 
 
 @dataclass(frozen=True)
 class Shell:
-    """Walls and ceiling of a scene's room, from ``surfaces`` by slot."""
+    """Walls and ceiling of a room, recognised by the surface of each slot."""
 
     scene: WorldScene
     surfaces: dict[str, Surface]

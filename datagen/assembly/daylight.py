@@ -27,7 +27,9 @@ _SUN_TRIES = 24
 
 
 def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) -> Floats:
-    """World directions (rows, columns, 3) of the cells of an equirectangular image: +Y centre, +Z top."""
+    """World directions (rows, columns, 3) of an equirectangular image's cells; its centre column is +Y, its
+    top +Z.
+    """
     polar = (np.arange(rows) + 0.5) / rows * math.pi
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * math.pi
     sine = np.sin(polar)[:, None]
@@ -42,7 +44,7 @@ def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) 
 
 
 def lookup(table: Floats) -> EnvironmentMap:
-    """Radiance by direction from an equirectangular table (rows, columns, 3), nearest cell."""
+    """A function that looks up radiance in an equirectangular table (rows, columns, 3), nearest cell."""
     rows, columns = table.shape[:2]
 
     def radiance(directions: Floats) -> Floats:
@@ -125,7 +127,7 @@ def sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) along directions of Mitsuba's ``sunsky``, the model that is rendered."""
+    """Radiance (R, 3) along directions, of Mitsuba's ``sunsky`` emitter, as rendered."""
     select_variant()
     import drjit as dr
     import mitsuba as mi

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Free camera positions: inside regions of the environment or in the view of its own cameras, outside of
+"""Free camera positions: inside regions of the environment or in the view of its own cameras, and outside
 solids.
 """
 

@@ -43,7 +43,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """The room of a configuration; None if it comes from the library. Other attempts give other rooms."""
+    """The room of a configuration; None if it comes from the library. Each attempt gives a different room."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):

@@ -111,8 +111,8 @@ class RayScene:
 class AssetGeometry:
     """All parts of an asset as one triangle soup in the asset's frame.
 
-    ``part_of_face`` (M,) indexes ``asset.parts``. ``opaque_part``: whether a part blocks light (constant
-    opacity of at least one half, or a textured one).
+    ``part_of_face`` (M,) indexes ``asset.parts``. ``opaque_part``: whether a part blocks light (opacity
+    textured, or constant and at least one half).
     """
 
     asset: ObjectAsset | EnvironmentAsset
@@ -133,7 +133,7 @@ class AssetGeometry:
 
     @cached_property
     def center_of_mass_m(self) -> Floats:
-        """Centroid of the surface, as if made of sheet of uniform weight, since open surfaces have no
+        """Centroid (3,) of the surface, taken as a shell of uniform density, since open meshes have no
         volume.
         """
         corners = self.vertices[self.faces]

@@ -287,5 +287,5 @@ def _cosine_directions(normals: Floats, draws: Draws) -> Floats:
 
 
 def is_from_outside(light: Light) -> bool:
-    """Whether a light comes from infinity all around (at most one such light a configuration)."""
+    """Whether a light comes from infinity all around (at most one such light per configuration)."""
     return isinstance(light, EnvironmentLight | SkyLight)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Choice and position of lights.
 
-Lights are dimmed in groups: native ones of the assets, each area light, each point light, daylight through
+Lights are dimmed in groups: the assets' own lights, each area light, each point light, and daylight through
 the openings. This module gives them positions and colours; ``light_levels`` sets their brightness.
 """
 
@@ -48,7 +48,7 @@ _PANEL_TRIES = 60
 class PlannedGroup:
     """Lights dimmed together; ``slots`` names emissive slots as (item, slot), item 0 being the environment.
 
-    ``share`` is the range of the group's share of the light, relative to the other groups'.
+    ``share`` is the range of the group's share of the light, relative to the shares of other groups.
     """
 
     name: str

@@ -49,8 +49,8 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """The adjustment at ``where`` in [0, 1]^4; with ``strength`` 0, the smallest one that reaches the
-        range.
+        """The adjustment at the relative position ``where`` in [0, 1]^4 of the ranges; with ``strength`` 0,
+        the smallest adjustment that reaches the look.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:

@@ -8,8 +8,8 @@ handles and taps, one accent colour, white or dark or wooden joinery.
 Sources. EN 12464-1:2021 recommends reflectances of 0.7 to 0.9 for ceilings, 0.5 to 0.8 for walls, 0.2 to 0.6
 for floors and 0.2 to 0.7 for large objects; ranges are wider where practice differs (dark floors, coloured
 walls). Hues, saturations and roughness: ``python -m datagen.assembly.surface_statistics`` over imported
-rooms. Woods: planed wood has CIELAB values of about L* 45 to 85, a* 3 to 13 and b* 16 to 25, which is a
-saturation of 0.45 to 0.75 in linear HSV; oil and lacquer raise it to 0.85, whitewash and weathering lower it.
+rooms. Woods: planed wood has CIELAB values of about L* 45 to 85, a* 3 to 13 and b* 16 to 25, a saturation of
+0.45 to 0.75 in linear HSV; oil and lacquer raise it to 0.85, whitewash and weathering lower it.
 """
 
 from __future__ import annotations

@@ -195,7 +195,7 @@ def is_plain(package: Package) -> bool:
 
 
 def slots_by_material(asset: ObjectAsset | EnvironmentAsset) -> list[tuple[str, ...]]:
-    """The slots of an asset, grouped if they hold bakes of one material, in the order of first slots."""
+    """The slots of an asset in their order; slots that hold bakes of one material form a group."""
     groups: dict[tuple[bool, str], list[str]] = {}
     for slot in sorted(asset.materials):
         origin = asset.materials[slot].baked_from
@@ -216,7 +216,7 @@ def assign_materials(
     ``palette`` holds the material packages in a fixed order. A class is drawn first, then one of its
     materials, so that large classes do not dominate. A slot among ``foreign_slots`` (asset id, slot) never
     keeps its own material: if no material of its classes fits, it gets one without textures. All other slots
-    without a fitting class keep theirs. Bakes of one material (``baked_from``) get the same assignment.
+    without a fitting material keep their own. Bakes of one material (``baked_from``) get the same assignment.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)

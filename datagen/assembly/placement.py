@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Places objects on surfaces: at rest, clear of each other and of the room, tested on the meshes.
 
-A candidate is an object, a surface, a scale, a yaw and a position. It is dropped: points of its underside are
-cast down onto the room's triangles, and the object rests on the highest hit, even if the declared rectangle
-is slightly off. It must be stable (centre of mass above the hull of its contacts), must not intersect the
-room or another object (triangle against triangle, FCL) and must not lie inside one of them.
+A candidate is an object, a surface, a scale, a yaw and a position. The object falls onto the room: points of
+its underside are cast down onto the triangles, and it rests on the highest hit, even if the declared
+rectangle is slightly off. It must be stable (centre of mass above the hull of its contacts), must not
+intersect the room or another object (triangle against triangle, FCL) and must not lie inside one of them.
 """
 
 from __future__ import annotations
@@ -246,9 +246,8 @@ def place_things(
 ) -> list[PlacedThing]:
     """Choose objects by category weight and place them, large ones first.
 
-    ``weight_of_library`` gives the library of each object's id and its weight: the library is drawn first.
-    ``key`` seeds the draws. Raises :class:`InputError` if fewer than ``count[0]`` can be placed.
-    """
+    ``weight_of_library`` maps an object's id to its library and the library's weight; the library is drawn
+    first. ``key`` seeds the draws. Raises :class:`InputError` if fewer than ``count[0]`` can be placed."""
     draws = Draws(*key, "objects")
     target = draws.integer(*recipe.count)
     if target == 0:

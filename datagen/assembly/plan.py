@@ -94,7 +94,7 @@ def configuration_id(recipe: Recipe, index: int) -> str:
 
 
 def check_recipe(recipe: Recipe, library: Library) -> None:
-    """Find faults that would make some configuration fail, before any is started.
+    """Find faults that would make a configuration fail, before work starts.
 
     Raises :class:`InputError` for filters and weights without a match in the library, for splits without
     configurations or assets, and for a library without rooms.
@@ -107,8 +107,8 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
     """The recipe's configuration number ``index``: equal arguments give equal ``canonical_json`` bytes.
 
     With too few objects or views, objects, lights and cameras are drawn again in the same room or, if rooms
-    are generated, in another one, at most :data:`NUM_TRIES` times in all; ``rejections`` counts it as
-    ``configuration.retried``. A generated room is not in ``library``: see
+    are generated, in another one, at most :data:`NUM_TRIES` times in all; ``rejections`` counts these retries
+    as ``configuration.retried``. A generated room is not in ``library``: see
     :func:`datagen.assembly.generated.room_of`. Raises :class:`InputError` if the library cannot satisfy the
     recipe.
     """

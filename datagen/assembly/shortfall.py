@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error of a configuration with too few objects or views, which other draws may avoid."""
+"""The error for a configuration with too few objects or views; another draw may succeed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""User rooms without a sky, reported before work starts with the substitute."""
+"""Finds users' rooms without a sky, to report them and the substitute for daylight before work starts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datagen.library import Library
 
 
 def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
-    """User rooms without a sky, and how daylight is added, or why it cannot be.
+    """A sentence for each user's room without a sky: how daylight is added, or why that is impossible.
 
     Empty if the recipe has no daylight.
     """

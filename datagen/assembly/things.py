@@ -53,7 +53,9 @@ def convex_hull_2d(points: Floats) -> Floats:
 
 
 def margin_inside(hull: Floats, point: Floats) -> float:
-    """Distance of a point to the rim of a convex polygon (K, 2), negative outside; -inf for K < 3."""
+    """Distance from a point (2,) to the boundary of a convex polygon (K, 2), negative outside; -inf for K <
+    3.
+    """
     if len(hull) < 3:
         return -math.inf
     edges = np.roll(hull, -1, axis=0) - hull
@@ -96,7 +98,7 @@ class Thing:
         return points[on_rim | stride]
 
     def can_stand(self, contact_tolerance_m: float) -> bool:
-        """Whether it would stay upright on level ground, at its smallest scale."""
+        """Whether the object would stay upright on level ground, at its smallest scale."""
         points = self.underside
         low = float(self.geometry.minimum_m[2])
         contact = points[points[:, 2] <= low + contact_tolerance_m / self.asset.scale_range[0]]
@@ -157,18 +159,18 @@ class PlacedThing:
 
     @cached_property
     def body(self) -> Any:
-        """FCL object at its pose."""
+        """FCL collision object at the object's pose."""
         return self.thing.collision_at(self.scale).at(rotation_z(self.yaw_rad), self.position_m)
 
     @cached_property
     def rays(self) -> RayScene:
-        """Its triangles in the world."""
+        """The object's triangles in world space, for ray queries."""
         geometry = self.thing.geometry
         return RayScene(world_points(self.world_from_asset, geometry.vertices), geometry.faces)
 
 
 class Room:
-    """An environment as ground and as obstacle for objects."""
+    """An environment that supports objects and that they must not intersect."""
 
     def __init__(self, geometry: AssetGeometry):
         assert isinstance(geometry.asset, EnvironmentAsset)
@@ -198,7 +200,7 @@ class Room:
         return shown > 0 and backs < 0.1 * shown
 
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
-        """Triangles whose bounding boxes intersect a box (2, 3) within the column above a surface."""
+        """Triangles (by index) whose bounds intersect a box (2, 3) in the column above a surface."""
         low, high = self._face_bounds
         if surface.name not in self._near_surface:
             u, v, o = (np.array(x) for x in (surface.edge_u_m, surface.edge_v_m, surface.origin_m))

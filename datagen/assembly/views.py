@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Placement of cameras, as a person would photograph a room.
 
-Candidates are drawn in free space, aimed at objects, and rendered at low resolution by rays on the real
+Candidates are drawn in free space, aimed at objects, and ray-traced at low resolution against the actual
 triangles. Candidates that are too close, show too little, are too dark or overlap too little with other views
 are rejected and counted. The views are then chosen one by one among the rest: each must overlap enough with
 those chosen before, and among those that do, the one that differs most in position and direction is chosen.
@@ -380,8 +380,8 @@ def choose_views(
 def choose_overlapping(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float
 ) -> tuple[list[int], int]:
-    """As :func:`choose_views`, for views that show a room: each next view is the one that overlaps most with
-    those chosen.
+    """Like :func:`choose_views`, for views of a room: the next view is the one with the largest overlap with
+    the chosen views.
 
     The score of a view is its mean overlap with the chosen ones in both directions, plus a small bonus for
     being different; views without walls are used once :data:`_ROOM_SHARE` of the others are chosen.

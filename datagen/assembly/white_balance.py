@@ -2,9 +2,9 @@
 """White balance of lamps in rooms with panoramas.
 
 A panorama is a photograph and already balanced; lamps get the colour that a camera with automatic white
-balance would give them. Such a camera treats the mean light of the room, walls included, as light of a black
-body and shifts it most of the way to white, so that lamps by night are slightly warm, and orange where
-daylight prevails.
+balance would give them. Such a camera treats the mean light of the room, walls included, as blackbody light
+and shifts it most of the way to white, so that lamps by night are slightly warm, and orange where daylight
+prevails.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NO_TINT: Tint = (1.0, 1.0, 1.0)
 def tint_of_lamps(irradiance: Floats) -> Tint:
     """Factors on lamps' red, green and blue for mean ``irradiance`` (3,); 1 in white or bluish light.
 
-    The luminance of the light that the black body represents is preserved.
+    The luminance of the blackbody light is preserved.
     """
     red, _, blue = irradiance.tolist()
     if red <= 0 or blue <= 0:

@@ -42,7 +42,7 @@ def socket(count: int) -> Item:
 def wire(room: Furnisher, draws: Draws) -> None:
     """A switch at the handle of each door, else at its hinges, and two to five sockets where there is space.
 
-    They may be behind furniture.
+    Both may be behind furniture.
     """
     shell = room.shell
     item = switch(draws.choice((1, 1, 2)))

@@ -49,7 +49,7 @@ def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
 def curtains(style: Style, draws: Draws, window: float, height: float, floor: float, off_wall: float) -> Item:
     """Two drawn-back curtains on a rail ``off_wall`` metres from the wall.
 
-    ``height`` is that of the rail above the hem, ``floor`` their length.
+    ``height`` is the rail's height above the item's z = 0, ``floor`` the curtains' length.
     """
     item = Item("curtains", hold="wall")
     open_share = draws.uniform(0.16, 0.34)

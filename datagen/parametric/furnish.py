@@ -18,7 +18,7 @@ _SPACING_M = 2.5  # distance between ceiling lamps of one room
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
-    """Radiators below windows, and curtains or blinds in front of them; one choice per room, with
+    """Place radiators below windows, and curtains or blinds in front of them; one choice per room, with
     exceptions.
     """
     draws, style = room.draws, room.style
@@ -45,7 +45,7 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
 
 
 def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
-    """Chairs at the long sides (``along`` each) and at the ends; fewer than two raise :class:`Unfit`."""
+    """Place chairs at the long sides (``along`` each) and at the ends; raises :class:`Unfit` below two."""
     half = float(table.item.bounds[1, 0])
     made = 0
     for side in SIDES[:2]:
@@ -59,7 +59,7 @@ def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends:
 
 
 def seats(room: Furnisher, count: int) -> list[Placed]:
-    """Armchairs in corners or in the open, facing the room."""
+    """Place armchairs in corners or in the open, facing the room."""
     found = []
     for _ in range(count):
         item = seating.armchair(room.style, room.draws)
@@ -70,26 +70,26 @@ def seats(room: Furnisher, count: int) -> list[Placed]:
 
 
 def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
-    """A lamp on a table."""
+    """Place a lamp on a table."""
     support = host.item.supports[0]
     back = max(0.02, support.size[1] / 2 - 0.16)
     return room.on(lamps.table_lamp(room.draws, room.glow()), host, 0, x, back)
 
 
 def floor_lamp_somewhere(room: Furnisher) -> Placed | None:
-    """A floor lamp in a corner or at a wall."""
+    """Place a floor lamp in a corner or at a wall."""
     if room.draws.chance(0.75):
         return room.at_wall(lamps.floor_lamp(room.draws, room.glow()), where="corner", gap=0.05)
     return None
 
 
 def plant_somewhere(room: Furnisher) -> Placed | None:
-    """A plant in a corner or at a wall."""
+    """Place a plant in a corner or at a wall."""
     return room.at_wall(fittings.plant(room.style, room.draws), where="corner", gap=0.04)
 
 
 def pictures(room: Furnisher, most: int) -> None:
-    """Up to ``most`` pictures on free walls, at eye height, some in rows."""
+    """Hang up to ``most`` pictures on free walls, at eye height, some in rows."""
     draws, style = room.draws, room.style
     for _ in range(most):
         w, h = draws.choice(
@@ -107,7 +107,7 @@ def pictures(room: Furnisher, most: int) -> None:
 
 
 def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
-    """``least`` to ``most`` more items along the walls, from ``names``, as far as there is space."""
+    """Place ``least`` to ``most`` more items from ``names`` along the walls, as far as there is space."""
     draws = room.draws
     wanted = draws.integer(least, most)
     for name in draws.shuffled([*names, *names]):
@@ -120,7 +120,7 @@ def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
 def decorate(
     room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 5, is_home: bool = True
 ) -> None:
-    """Pictures, shelves, plants, and a rug on the free floor."""
+    """Add pictures, shelves, plants, and a rug on the free floor."""
     draws, style = room.draws, room.style
     if draws.chance(0.55):
         room.hang(
@@ -151,7 +151,7 @@ def _free_rug(room: Furnisher, is_round: bool) -> None:
 def ceiling_light(
     room: Furnisher, kinds: Sequence[str], over: Placed | None = None, many: bool = False
 ) -> None:
-    """Identical lamps under the ceiling: one in the middle, a row over a table, or a grid of ``many``."""
+    """Place identical lamps under the ceiling: one in the middle, a row over a table, or a grid."""
     draws, shell = room.draws, room.shell
     kind, look = draws.choice(kinds), draws.integer(0, 2**31)
     places: list[tuple[float, float]] = []
@@ -196,7 +196,7 @@ def _ceiling_lamp(slot: str, kind: str, drop: float, draws: Draws) -> Item:
 
 
 def desk_place(room: Furnisher, needed: bool) -> bool:
-    """A desk at a wall with a chair, a screen and a lamp."""
+    """Place a desk at a wall, with a chair, a screen and a lamp."""
     draws, style = room.draws, room.style
     desk = room.at_wall(tables.desk(style, draws, draws.uniform(1.1, 1.6)), needed=needed)
     if desk is None:

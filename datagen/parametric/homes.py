@@ -20,7 +20,7 @@ from datagen.parametric.layout import LEFT_RIGHT, SIDES, Furnisher, Unfit
 
 
 def bedroom(room: Furnisher) -> None:
-    """A bed with bedside tables, wardrobe, chest."""
+    """Place a bed with bedside tables, a wardrobe and a chest of drawers."""
     draws, style = room.draws, room.style
     bed = seating.bed(style, draws, draws.choice((1.4, 1.6, 1.8)))
     placed = room.at_wall(bed, where="middle", needed=True)
@@ -47,7 +47,7 @@ def bedroom(room: Furnisher) -> None:
 
 
 def childs_room(room: Furnisher) -> None:
-    """Bed, shelf of toys, a table or a tent."""
+    """Place a bed, a shelf of toys, and a table or a tent."""
     draws, style = room.draws, room.style
     room.at_wall(seating.bed(style, draws, 0.9, is_child=True), where="corner", needed=True)
     room.at_wall(storage.cube_shelf(style, draws, draws.integer(2, 4), draws.integer(2, 3)), needed=True)
@@ -69,7 +69,7 @@ def childs_room(room: Furnisher) -> None:
 
 
 def study(room: Furnisher) -> None:
-    """A desk and bookcases."""
+    """Place a desk and bookcases."""
     draws, style = room.draws, room.style
     desk_place(room, True)
     for _ in range(draws.integer(1, 3)):
@@ -87,7 +87,7 @@ def study(room: Furnisher) -> None:
 
 
 def living_room(room: Furnisher) -> None:
-    """A sofa, a table in front of it, a television opposite, seats and shelves."""
+    """Place a sofa, a table in front of it, a television opposite, seats and shelves."""
     draws, style = room.draws, room.style
     sofa = room.at_wall(
         seating.sofa(style, draws, draws.integer(2, 3)),
@@ -134,7 +134,7 @@ def living_room(room: Furnisher) -> None:
 
 
 def dining_room(room: Furnisher) -> None:
-    """A table with chairs and a sideboard."""
+    """Place a table with chairs and a sideboard."""
     draws, style = room.draws, room.style
     is_round = draws.chance(0.3)
     long = draws.uniform(1.4, 2.2)
@@ -163,7 +163,7 @@ def dining_room(room: Furnisher) -> None:
 
 
 def kitchen(room: Furnisher) -> None:
-    """A row of units; a table or a second row."""
+    """Place a row of units, and a table or a second row."""
     draws, style = room.draws, room.style
     wanted = draws.integer(5, 7)
     run = None
@@ -200,7 +200,7 @@ def kitchen(room: Furnisher) -> None:
 
 
 def bathroom(room: Furnisher) -> None:
-    """Bath, basin with a mirror, toilet."""
+    """Place a bath, a basin with a mirror, and a toilet."""
     draws, style = room.draws, room.style
     if max(room.shell.width, room.shell.depth) > 2.1:
         room.at_wall(sanitary.bathtub(style, draws), where="corner", gap=0.016, needed=draws.chance(0.6))
@@ -238,7 +238,7 @@ def bathroom(room: Furnisher) -> None:
 
 
 def hallway(room: Furnisher) -> None:
-    """Console or cabinet with a mirror, coats, shoes."""
+    """Place a console table or cabinet with a mirror, coats and shoes."""
     draws, style = room.draws, room.style
     kind = draws.unit()
     if kind < 0.5:
@@ -278,7 +278,7 @@ def hallway(room: Furnisher) -> None:
 
 
 def bedsit(room: Furnisher) -> None:
-    """Kitchen, bed, table and seats in one room."""
+    """Place a kitchen, a bed, a table and seats in one room."""
     draws, style = room.draws, room.style
     modules = ["fridge", "sink", "drawers", "hob"] if draws.chance(0.6) else ["sink", "hob", "fridge"]
     room.at_wall(units.kitchen_run(style, draws, modules, True), room.blank_walls(), "corner", needed=True)

@@ -96,7 +96,7 @@ class Item:
     _boxes: Floats = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
     def add(self, slot: str, *shapes: Shape) -> None:
-        """Append shapes of a slot; each uses another section of the slot's pattern."""
+        """Append shapes to a slot; each uses a different section of the slot's pattern."""
         for shape in shapes:
             shift = _PATTERN_M * ((len(self.shapes) + 1) * _STEP % 1.0)
             self.shapes.append((slot, shape.shifted_uv(float(shift[0]), float(shift[1]))))
@@ -112,7 +112,7 @@ class Item:
         self.supports.append(Support(kind, middle, size, z, clearance_m))
 
     def boxes(self) -> Floats:
-        """Boxes (k, 2, 3) of its shapes in its own frame."""
+        """Boxes (k, 2, 3) of the item's shapes in its own frame."""
         if len(self._boxes) != len(self.shapes):
             self._boxes = np.stack([shape.bounds for _, shape in self.shapes])
         return self._boxes

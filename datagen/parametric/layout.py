@@ -179,7 +179,7 @@ class Furnisher:
         gap: float = OFF_WALL_M,
         s: float | None = None,
     ) -> Placed | None:
-        """Place with its back to a wall: anywhere, in a corner, or first in the middle of the wall."""
+        """Place an item with its back to a wall: anywhere, in a corner, or preferably in its middle."""
         b = item.bounds
         order = list(walls) if walls is not None else self.draws.shuffled(WALLS)
         for wall in order:
@@ -200,7 +200,7 @@ class Furnisher:
         return None
 
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
-        """Place in the open: first in the middle of the room, later anywhere."""
+        """Place an item in the open: first in the middle of the room, later anywhere."""
         b = item.bounds
         size = b[1] - b[0]
         for k in range(_TRIES):
@@ -224,7 +224,7 @@ class Furnisher:
     def beside(
         self, item: Item, host: Placed, side: Literal["left", "right"], gap: float = 0.04
     ) -> Placed | None:
-        """Place at the same wall as a host, on its left or right (mirrored, as from its front)."""
+        """Place an item at the host's wall, on the left or right as seen from the front."""
         h, b = host.item.bounds, item.bounds
         x = h[0, 0] - gap - b[1, 0] if side == "left" else h[1, 0] + gap - b[0, 0]
         at = host.room_from_item @ np.array([x, 0.0, 0.0, 1.0])
@@ -233,7 +233,7 @@ class Furnisher:
     def before(
         self, item: Item, host: Placed, gap: float, needed: bool = False, turned: bool = False
     ) -> Placed | None:
-        """Place in front of a host, ``gap`` away; ``turned`` makes it face the host."""
+        """Place an item in front of a host, ``gap`` metres away; with ``turned`` it faces the host."""
         h, b = host.item.bounds, item.bounds
         y = h[0, 1] - gap - (b[1, 1] if not turned else -b[0, 1])
         at = host.room_from_item @ np.array([0.5 * (h[0, 0] + h[1, 0]), y, 0.0, 1.0])
@@ -273,7 +273,7 @@ class Furnisher:
         y: float | None = None,
         turn: float = 0.0,
     ) -> Placed | None:
-        """Place on a host's surface: ``x`` from its middle, the item's back at ``y`` in front of the
+        """Place an item on a host's surface: ``x`` from its middle, the item's back at ``y`` in front of the
         surface's back.
         """
         support = host.item.supports[index]
@@ -296,7 +296,7 @@ class Furnisher:
         free: float = 0.12,
         is_slim: bool = False,
     ) -> Placed | None:
-        """Place on a wall, ``free`` metres clear of doors, windows and furniture.
+        """Place an item on a wall, ``free`` metres clear of doors, windows and furniture.
 
         A placement with ``is_slim`` may also be behind furniture and beside its front.
         """
@@ -330,13 +330,13 @@ class Furnisher:
     def before_window(
         self, item: Item, window: Window, z: float, near: Sequence[Placed] = ()
     ) -> Placed | None:
-        """Place on the wall in front of a window, above it or below."""
+        """Place an item on a window's wall: in front of the window, above or below it."""
         passed = [name for name, _ in self.zones if name.startswith("window")]
         at = (*self.shell.point(window.wall, window.s), z)
         return self.offer(item, at, self.shell.yaw(window.wall), near=near, ignores=passed)
 
     def over(self, item: Item, host: Placed, z: float) -> Placed | None:
-        """Place on the wall above a host that stands at it."""
+        """Place an item on the wall above a host that stands there."""
         wall = self.wall_of(host)
         if wall is None:
             return None
@@ -354,7 +354,7 @@ class Furnisher:
         return None
 
     def ceil(self, item: Item, x: float, y: float) -> Placed | None:
-        """Place under the ceiling."""
+        """Place an item under the ceiling."""
         return self.offer(item, (x, y, self.shell.height), 0.0)
 
     def lay(self, rug: Item, x: float, y: float, yaw: float = 0.0) -> Placed | None:

@@ -85,7 +85,7 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
 
 
 def draw_shell(kind: Kind, draws: Draws) -> Shell:
-    """Size, door and windows."""
+    """Draw size, doors and windows of a room."""
     width, depth = draws.uniform(*kind.width), draws.uniform(*kind.depth)
     if draws.chance(0.5):
         width, depth = depth, width

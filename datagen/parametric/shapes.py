@@ -44,7 +44,7 @@ class Shape:
         return replace(self, points=self.points @ matrix.T, normals=self.normals @ matrix.T)
 
     def shifted_uv(self, u: float, v: float) -> Shape:
-        """The same shape on another section of its pattern; prints stay."""
+        """The same shape on a different section of its pattern; prints are unchanged."""
         return self if self.is_print else replace(self, uv=self.uv + np.array([u, v]))
 
     @property
@@ -215,7 +215,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats, is_print: bool = False) -> Shape:
-    """A smooth sheet over a (rows, columns, 3) lattice, seen from where columns run right and rows up."""
+    """A smooth sheet over a (rows, columns, 3) lattice; from its front, columns run right and rows up."""
     rows, columns = points.shape[:2]
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)

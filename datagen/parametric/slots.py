@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The slots of generated rooms: the surface, fitting classes and a plain colour of each.
 
-Plans assign materials of the library to almost all of them; the plain colours remain where none fits.
+Plans assign materials of the library to almost all of them; the plain colours remain where no material fits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot. ``classes``: its own first; any of them may replace it unless it is fixed."""
+    """A slot. ``classes``: the main class first; materials of all of them may replace its own unless it is
+    fixed."""
 
     surface: Surface
     classes: Classes

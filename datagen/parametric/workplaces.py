@@ -20,7 +20,7 @@ from datagen.parametric.shell import WALLS
 
 
 def office(room: Furnisher) -> None:
-    """Desks with screens, cabinets, a board."""
+    """Place desks with screens, cabinets and a board."""
     draws, style = room.draws, room.style
     pods = draws.integer(1, 2) if room.shell.width > 4.8 else 0
     made = 0
@@ -54,7 +54,7 @@ def office(room: Furnisher) -> None:
 
 
 def meeting_room(room: Furnisher) -> None:
-    """A long table with chairs and a board."""
+    """Place a long table with chairs, and a board."""
     draws, style = room.draws, room.style
     length = draws.uniform(1.9, min(3.0, max(room.shell.width, room.shell.depth) - 2.1))
     table = room.in_middle(tables.table(style, draws, length, draws.uniform(0.95, 1.15)), True, 0.15)
@@ -72,7 +72,7 @@ def meeting_room(room: Furnisher) -> None:
 
 
 def reading_room(room: Furnisher) -> None:
-    """Bookcases all around and seats."""
+    """Place bookcases along the walls, and seats."""
     draws, style = room.draws, room.style
     for _ in range(draws.integer(3, 5)):
         room.at_wall(
@@ -92,7 +92,7 @@ def reading_room(room: Furnisher) -> None:
 
 
 def laundry(room: Furnisher) -> None:
-    """Washing machines, racks and baskets."""
+    """Place washing machines, racks and baskets."""
     draws, style = room.draws, room.style
     made = None
     if draws.chance(0.5):
@@ -120,7 +120,7 @@ def laundry(room: Furnisher) -> None:
 
 
 def workshop(room: Furnisher) -> None:
-    """A bench under a board of tools, racks."""
+    """Place a bench under a tool board, and racks."""
     draws, style = room.draws, room.style
     bench = room.at_wall(tables.workbench(style, draws, draws.uniform(1.5, 2.3)), where="middle", needed=True)
     assert bench is not None
@@ -156,7 +156,7 @@ def workshop(room: Furnisher) -> None:
 
 
 def cafe(room: Furnisher) -> None:
-    """A counter with shelves, small tables with chairs, a bench."""
+    """Place a counter with shelves, small tables with chairs, and a bench."""
     draws, style = room.draws, room.style
     width = draws.uniform(1.8, min(2.8, max(room.shell.width, room.shell.depth) - 1.6))
     counter = units.bar_counter(style, draws, width)
