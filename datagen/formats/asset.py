@@ -74,7 +74,7 @@ MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
 
 
 class Material(StrictModel):
-    """The three channels of the project's BSDF, opacity, normal map and emission (method 1).
+    """The three channels of the project's BSDF, opacity, normal map and emission.
 
     ``classes``: the first one is the main class. ``tile_size_m``: side of the square that one UV unit covers
     on a surface, for materials that may be assigned to any object; None for unique UV layouts. ``normal``:
@@ -190,7 +190,7 @@ def lens_of(camera: Camera) -> dict[str, Any]:
 
 
 class AssetCamera(PinholeFields):
-    """A camera of the source of an asset (see ``datagen.foundation.cameras`` for the conventions)."""
+    """A camera from an asset's source file (see ``datagen.foundation.cameras`` for the conventions)."""
 
     asset_from_camera: Matrix4
     clip_m: ClipRange = None

@@ -192,7 +192,7 @@ def read_yaml(model: type[ModelT], path: Path) -> ModelT:
 
 
 def differences(old: Any, new: Any, field: str = "") -> list[tuple[str, str, str]]:
-    """Differences of two trees of plain data: each leaf's field with its old and new value, shortened."""
+    """Differences of two trees of plain data: field, old value and new value of each leaf, shortened."""
     if isinstance(old, dict) and isinstance(new, dict):
         found = []
         for key in dict.fromkeys((*old, *new)):

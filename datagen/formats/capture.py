@@ -4,7 +4,7 @@
 A capture is cameras, images and geometry. In memory it is a :class:`Capture`, whose images are read on
 demand; on disk ``capture.json`` (:class:`CaptureFile`) names images, cameras with their distortion, and the
 mesh. World: metres, right-handed, Z up; ``foundation.cameras`` defines the other conventions. Images are (H,
-W, 3), linear Rec.709, row 0 at the top, all views of a capture under one exposure.
+W, 3), linear Rec.709, row 0 at the top; all views of a capture share one exposure.
 """
 
 from __future__ import annotations

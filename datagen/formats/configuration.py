@@ -118,10 +118,9 @@ class Configuration(StrictModel):
     """Complete input of rendering. ``lights`` lists all lights besides emissive parts.
 
     ``assets`` maps every used asset id (environment, objects, materials, images of lights) to the SHA-256 of
-    its package; rendering refuses a library whose packages differ. ``rejections`` counts the reasons for
-    which candidate placements and cameras were rejected, by stage and reason (``camera.too_close``).
-    ``coverage`` summarises the content of the views; None in configurations from other sources. ``seed``
-    seeds the renderer's sampler.
+    its package; rendering refuses a library whose packages differ. ``rejections`` counts rejected candidate
+    placements and cameras by stage and reason (``camera.too_close``). ``coverage`` summarises the content of
+    the views; None in configurations from other sources. ``seed`` seeds the renderer's sampler.
     """
 
     format: Literal["scene-materials/configuration"] = "scene-materials/configuration"

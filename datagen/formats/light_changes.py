@@ -66,9 +66,7 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
 
 
 def scaled(light: Light, gain: float, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Light:
-    """The light with all its power multiplied by ``gain``, and that of lamps, not of skies, also by
-    ``tint``.
-    """
+    """The light with its power multiplied by ``gain`` and, except for skies, by ``tint`` (RGB)."""
 
     def times(color: tuple[float, float, float]) -> tuple[float, float, float]:
         red, green, blue = (quantized(gain * t * c, 6) for t, c in zip(tint, color, strict=True))

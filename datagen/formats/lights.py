@@ -50,7 +50,9 @@ class SpotLight(StrictModel):
 
 
 class DirectionalLight(StrictModel):
-    """Sun. ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``; diameter 0 = sharp shadows."""
+    """Sunlight. ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``; diameter 0 = sharp
+    shadows.
+    """
 
     type: Literal["directional"] = "directional"
     name: str

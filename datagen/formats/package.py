@@ -168,7 +168,7 @@ def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
 def open_package(path: str | Path, budget: Budget | None = None) -> Package:
     """Open an asset package: a folder, a zip, or the ``asset.json`` inside a folder.
 
-    ``budget`` is that of the enclosing import, if any. Checks the schema and that every named file is
+    ``budget``: the budget of the enclosing import, if any. Checks the schema and that every named file is
     present, inside the package and of a known format. Raises :class:`InputError` with all problems.
     """
     path = Path(path)

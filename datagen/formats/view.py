@@ -55,15 +55,15 @@ _IfAny = Annotated[_T | None, Field(exclude_if=lambda value: value is None)]
 
 
 class RenderRecord(StrictModel):
-    """Record of a view's rendering. ``clipped_pixels`` exceeded the range of half floats.
+    """Record of a view's rendering. ``clipped_pixels``: number of pixels beyond the range of half floats.
 
-    ``path_samples``: mean number of light paths per pixel. If they followed from a target,
-    ``most_path_samples`` is the maximum of a pixel, ``estimated_rel_mse`` the error estimated from
-    independent halves (exposed relMSE of the beauty image), and ``at_ceiling`` tells that the sample limit
-    was reached before the target. ``firefly_clamp_radiance`` is the maximum radiance of a path by two or more
-    bounces, ``clamped_energy`` the share of the luminance removed by it. ``max_energy_left`` bounds the share
-    of the light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the cells in whose cached
-    irradiance paths ended; None if all light was traced.
+    ``path_samples``: mean number of light paths per pixel. If a target error was given, ``most_path_samples``
+    is the maximum of a pixel, ``estimated_rel_mse`` the error estimated from independent halves (exposed
+    relMSE of the beauty image), and ``at_ceiling`` is true if the sample limit was reached before the target.
+    ``firefly_clamp_radiance`` is the maximum radiance of a path of two or more bounces, ``clamped_energy``
+    the share of the luminance removed by it. ``max_energy_left`` bounds the share of the light on paths
+    longer than ``max_depth``. ``irradiance_cell_m``: side of the cells in whose cached irradiance paths
+    ended; None if all light was traced.
     """
 
     variant: str
@@ -98,8 +98,8 @@ class ViewRecord(StrictModel):
 
     ``instances`` and ``materials`` map the ids of the id buffers to names (``object/part``, ``slot`` or
     material id). ``exposure`` brings the 95th percentile of luminance to 0.9. ``exr_sha256`` is the hash of
-    the view's EXR file; ``versions`` those of the software that affects pixels. Version 1, in which names of
-    ids were dictionaries, can be read too.
+    the view's EXR file; ``versions`` are those of the software that affects pixels. Version 1, in which names
+    of ids were dictionaries, can be read too.
     """
 
     format: Literal["scene-materials/view"] = "scene-materials/view"

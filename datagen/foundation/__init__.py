@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The ground floor: modules that every package may import and that import nothing of the project."""
+"""Base modules: every package may import them, and they import nothing else of the project."""

@@ -27,8 +27,8 @@ _REMEDY = "do not use this file"
 
 
 def check_archive(archive: zipfile.ZipFile, path: Path, budget: Budget) -> None:
-    """Refuse members outside of the archive's folder, links, devices, encrypted members, unusual
-    compressions, and more members or bytes than the ``budget``.
+    """Refuse members outside of the archive's folder, links, devices, encrypted members, unusual compression
+    methods, and more members or bytes than the ``budget``.
 
     Raises :class:`InputError`.
     """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Bundled data: library, recipes and a small suite, in a checkout or an installation.
 
-They are ``scenes/`` of the repository, which installs as ``datagen/scenes`` (setup.py).
+The data is the repository's folder ``scenes/``, installed as ``datagen/scenes`` (setup.py).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 LUMINANCE_WEIGHTS = np.array([0.212671, 0.715160, 0.072169])
 """Rec.709 luminance weights of linear RGB, as used by Mitsuba."""
 
-_LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; part of the network's input encoding (method 3)
+_LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; part of the network's input encoding
 
 
 def srgb_from_linear(linear: NDArray[Any]) -> NDArray[Any]:
@@ -50,7 +50,7 @@ def linear_from_log(encoded: NDArray[Any]) -> NDArray[Any]:
 
 
 def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
-    """Factor that maps the 95th percentile of an image's luminance to 0.9 (method 3).
+    """Factor that maps the 95th percentile of an image's luminance to 0.9.
 
     ``linear_rgb`` (..., 3); ``valid_mask`` (...) excludes pixels. 1.0 for a black or empty image.
     """
@@ -72,7 +72,7 @@ MAX_DARK_CLIPPED_SHARE = 0.1  # for images that would look dark otherwise
 def photographic_exposure(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
     """Exposure as a photographer would choose it, for display.
 
-    That of :func:`exposure_for`, but lower if more than :data:`MAX_CLIPPED_SHARE` of the pixels would have a
+    As :func:`exposure_for`, but lower if more than :data:`MAX_CLIPPED_SHARE` of the pixels would have a
     channel above 1, as under a warm lamp or in the sun. If the median luminance is then below
     :data:`MIN_MEDIAN`, as in a room with sky-lit blinds and window sill, the exposure is raised to reach it,
     with at most :data:`MAX_DARK_CLIPPED_SHARE` of clipped pixels. ``linear_rgb`` (..., 3); ``valid_mask``

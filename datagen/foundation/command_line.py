@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Common parts of the commands: options declared as dataclasses, removed verbs, and exit codes.
+"""Common parts of the commands: options declared as dataclasses, removed subcommands, and exit codes.
 
-An option is declared once, as an annotated field of a dataclass: its type, default and help. A verb has the
-dataclass as a parameter, and :func:`with_options` turns its fields into command-line options.
+An option is declared once, as an annotated field of a dataclass: its type, default and help. A subcommand has
+the dataclass as a parameter, and :func:`with_options` turns its fields into command-line options.
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ def run_function(function: Callable[..., None]) -> None:
 
 
 def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
-    """Command class for a group with removed verbs: each ends with code 2 and names its replacement."""
+    """Class of a command with removed subcommands: each ends with code 2 and names its replacement."""
 
     class Group(TyperGroup):
-        """Verbs, and the replacements of removed ones."""
+        """The subcommand of that name; a removed one raises :class:`InputError` with its replacement."""
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args and args[0] in moved:
@@ -99,7 +99,7 @@ def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
 
 
 def with_options(verb: Callable[..., T]) -> Callable[..., T]:
-    """A verb for typer: each parameter that is a dataclass of options becomes those options.
+    """A subcommand for typer: the fields of each parameter that is a dataclass of options become options.
 
     Fields without an annotation of typer's keep their defaults. ``tuple[X, ...]`` is a repeatable option.
     """

@@ -85,7 +85,7 @@ def input_error(
 
 
 class Problems(list[Problem]):
-    """Problems of one source (``where`` of each), to be raised together."""
+    """Problems of one source, named ``where``, to be raised together."""
 
     def __init__(self, where: str | Path):
         super().__init__()

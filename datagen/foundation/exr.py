@@ -34,7 +34,7 @@ _READ_REMEDY = "make the view again (remove it and rerun), or restore the file"
 
 
 def to_storage(buffer: Buffer, array: NDArray[Any]) -> NDArray[Any]:
-    """``array`` (H, W, C) as stored: cast to the buffer's dtype, halves clipped to their range.
+    """``array`` (H, W, C) as stored: cast to the buffer's dtype, half floats clipped to their range.
 
     Stages that compute from a view use stored values, so that a resumed run equals an uninterrupted one.
     Raises ``ValueError`` on a wrong shape.
@@ -71,7 +71,7 @@ def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", n
 
 def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, where: Path | str) -> None:
     """Refuse an image whose header states more pixels than a file of ``num_bytes`` can plausibly contain,
-    before they take memory.
+    before memory is allocated.
 
     Raises :class:`InputError`.
     """

@@ -39,7 +39,7 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
-    """(width, height), without decoding pixels if the format allows; ``formats`` by Pillow's names,
+    """(width, height), without decoding pixels if the format allows; ``formats`` are names of Pillow's,
     recognised by content.
 
     Raises :class:`InputError`.

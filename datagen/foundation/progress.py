@@ -19,9 +19,9 @@ SILENCE_S = 30.0
 class Bars:
     """A progress bar for each stage with its rate and the time left, on a terminal.
 
-    Elsewhere, as in the log of a job: a line at the start of each stage after the first, one every half a
-    minute, and one at the end. ``unit`` names the counted items; with ``is_transient`` a stage's bar
-    disappears when the next begins. With ``is_quiet`` nothing is shown.
+    Elsewhere, as in the log of a job: a line at the start of each stage after the first, every 30 seconds,
+    and at the end. ``unit`` names the counted items; with ``is_transient`` a stage's bar disappears when the
+    next begins. With ``is_quiet`` nothing is shown.
     """
 
     def __init__(self, unit: str = "", *, is_transient: bool = False, is_quiet: bool = False):

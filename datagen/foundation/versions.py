@@ -17,7 +17,9 @@ _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
 def pixel_versions(*, has_light: bool = False) -> dict[str, str]:
-    """Name to version of everything that affects the bytes of a recipe's views, which may record light."""
+    """Name to version of everything that affects the bytes of views; with ``has_light``, of views that record
+    light.
+    """
     found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
     if has_light:
         found["light_revision"] = str(LIGHT_REVISION)

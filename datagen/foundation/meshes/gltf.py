@@ -69,8 +69,8 @@ class PlacedNode:
 class GltfFile:
     """An opened document. Use as a context manager: embedded images are in a temporary folder.
 
-    Python errors raised inside, which malformed trees can cause in many places, become :class:`InputError`.
-    Its files must be in its own folder, or in the ``allowed`` ones.
+    Python errors in its context, which malformed trees can cause in many places, become :class:`InputError`.
+    Referenced files must be in the document's folder or in the ``allowed`` folders.
     """
 
     def __init__(self, path: Path, budget: Budget | None = None, allowed: Sequence[Path] = ()):
@@ -127,7 +127,7 @@ class GltfFile:
         return self._lists[key]
 
     def item(self, key: str, index: object, user: str) -> dict[str, Any]:
-        """Entry ``index`` of a top-level list; ``user`` names the reader."""
+        """Entry ``index`` of a top-level list; messages name ``user`` as the place of the reference."""
         entries = self.items(key)
         if not isinstance(index, int) or not 0 <= index < len(entries):
             raise self.error(user, index, f"an index below {len(entries)} into {key}")
@@ -244,7 +244,8 @@ class GltfFile:
     def weight(self, primitive: dict[str, Any], user: str) -> int:
         """Number of triangles that a primitive charges to a budget, without reading it.
 
-        Its faces or, if more, a third of its vertices. Its attributes must have one entry per vertex.
+        This is the number of its faces or, if more, a third of its vertices. Its attributes must have one
+        entry per vertex.
         """
         attributes = primitive.get("attributes", {})
         if "POSITION" not in attributes:
@@ -340,7 +341,7 @@ class GltfFile:
     # nodes
 
     def placed_nodes(self) -> Iterator[PlacedNode]:
-        """Nodes of the default scene, depth first. Raises :class:`InputError` for a node inside itself."""
+        """Nodes of the default scene, depth first. Raises :class:`InputError` for cycles."""
         nodes = self.items("nodes")
         scenes = self.items("scenes")
         if scenes:

@@ -91,7 +91,7 @@ class MeshFaults:
 
     @property
     def is_unusable(self) -> bool:
-        """Whether it has no surface, or values that would invalidate a rendering."""
+        """Whether the mesh has no surface, or has values that would invalidate a rendering."""
         return self.is_empty or self.non_finite > 0 or self.bad_indices > 0 or self.degenerate == self.total
 
 

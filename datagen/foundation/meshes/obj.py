@@ -71,7 +71,7 @@ def _block(lines: list[bytes], width: int) -> NDArray[np.float64]:
 
 
 def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.int64]:
-    """(M, 3 corners, 3) zero-based indices of position, uv and normal; -1 for those that a corner lacks."""
+    """(M, 3 corners, 3) zero-based indices of position, uv and normal; -1 where a corner lacks one."""
     triangles: list[bytes] = []
     for face in faces:
         if len(face) < 3:
@@ -82,7 +82,7 @@ def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.in
 
 
 def corner_indices(corners: list[bytes], counts: tuple[int, ...]) -> NDArray[np.int64]:
-    """(C, 3) zero-based indices of position, uv and normal; -1 for those that a corner lacks.
+    """(C, 3) zero-based indices of position, uv and normal; -1 where a corner lacks one.
 
     ``counts`` are the numbers of positions, uvs and normals. Raises ValueError for indices out of range.
     """

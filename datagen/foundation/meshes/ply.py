@@ -63,7 +63,7 @@ def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
     """A :class:`Mesh` from PLY bytes (little-endian binary or ASCII; polygons are split into fans).
 
-    ``budget`` is that of the enclosing import. Raises :class:`InputError` if the file is truncated, of
+    ``budget``: the budget of the enclosing import. Raises :class:`InputError` if the file is truncated, of
     another format or without positions. Indices and finiteness are checked by :func:`inspect_mesh`.
     """
     if budget is None:
