@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen``: its verbs, and the replacements of removed ones."""
+"""The command ``datagen``: its subcommands, and the replacements of removed ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOVED = {
     "schema": "python -m datagen.formats.schemas",
     "tradeoff": "python -m datagen.tradeoff",
 }
-"""Removed verbs, and the commands that replace them."""
+"""Removed subcommands, and the commands that replace them."""
 
 app = typer.Typer(
     name="datagen",

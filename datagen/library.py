@@ -190,7 +190,7 @@ def find_packages(root: Path) -> list[Path]:
 
 
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
-    """Material classes of an asset: its own for a material, those of its slots for objects and rooms."""
+    """Material classes of an asset: a material's own, or the classes of the slots of an object or room."""
     if isinstance(asset, PanoramaAsset):
         return ()
     if isinstance(asset, MaterialAsset):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``plan``, ``run`` and ``estimate`` of ``datagen``. Heavy imports are inside them."""
+"""The subcommands ``plan``, ``run`` and ``estimate`` of ``datagen``, which defer heavy imports."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ class RecipeChanges:
     views: Annotated[int | None, typer.Option(help="Views per configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
-        """The recipe's file, which may be a bundled one, and the recipe: flags over file over defaults."""
+        """The recipe's file, which may be a bundled one, and the recipe; flags override the file, which
+        overrides defaults.
+        """
         from datagen.formats.base import parse_model, read_yaml
         from datagen.formats.recipe import Recipe
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``datagen export``; heavy imports are inside it."""
+"""The subcommand ``datagen export``, which defers heavy imports."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Room:
 
     @cached_property
     def exposure(self) -> float:
-        """Exposure shared by all views of the room: the median of theirs."""
+        """Exposure shared by all views of the room: the median of the views' exposures."""
         return float(np.median([view.record.exposure for view in self.views]))
 
     def objects(self) -> dict[str, PlacedAsset]:

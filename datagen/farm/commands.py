@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs of ``datagen farm``; heavy imports are inside them."""
+"""The subcommands of ``datagen farm``, which defer heavy imports."""
 
 from __future__ import annotations
 

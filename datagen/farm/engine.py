@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Interface of a queue for ``datagen farm``: write scripts, submit them, find and stop jobs.
 
-An engine is a module with a class that implements :class:`Engine`, and a line in ``submission.ENGINES``.
-Whatever a queue does (run twice, requeue, forget), the output protocol of ``work_unit`` gives each result
+An engine is a module with a class that implements :class:`Engine`, and a line in ``submission.ENGINES``. Even
+if a queue runs a job twice, requeues or forgets it, the output protocol of ``work_unit`` gives each result
 exactly once.
 """
 
@@ -68,7 +68,7 @@ def with_setup(options: SlurmOptions, root: Path) -> str:
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """Commands of every collecting job; its exit code is that of the last failed step."""
+    """Commands of every collecting job; the exit code is that of the last failed step."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?

@@ -48,15 +48,15 @@ _OURS = {
 
 @dataclass(frozen=True)
 class SlurmOptions:
-    """Resource requests of the job scripts. ``time_limit`` and ``memory`` in Slurm's syntax; ``throttle`` 0:
-    none.
+    """Resource requests of the job scripts. ``time_limit`` and ``memory`` are in Slurm's syntax.
 
-    ``notice_s`` before the time limit the unit is told to finish its view, then requeued. ``setup`` is shell
-    code that makes ``datagen`` callable on a node (``source .venv/bin/activate``). ``max_array`` is the
-    cluster's MaxArraySize: longer plans become several array jobs. ``sbatch_options`` and ``collect_options``
-    are further options of sbatch, NAME or NAME=VALUE, for the units and for the collecting job. The latter
-    has its own size, and inherits account, qos, exclude, mail and, unless it sets one, the partition. Raises
-    :class:`InputError` with all faults.
+    ``throttle``: maximum number of units at a time, 0 for no limit. ``notice_s`` before the time limit the
+    unit is told to finish its view, then requeued. ``setup`` is shell code that makes ``datagen`` callable on
+    a node (``source .venv/bin/activate``). ``max_array`` is the cluster's MaxArraySize: longer plans become
+    several array jobs. ``sbatch_options`` and ``collect_options`` are further options of sbatch, NAME or
+    NAME=VALUE, for the units and for the collecting job. The collecting job has its own size, and inherits
+    account, qos, exclude, mail and, unless it sets one, the partition. Raises :class:`InputError` with all
+    faults.
     """
 
     time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00"
@@ -178,7 +178,7 @@ def is_one_line(text: str) -> bool:
 def can_be_directive(text: str) -> bool:
     """Whether Slurm's reader of directives returns a double-quoted text unchanged.
 
-    It treats a backslash as an escape, and in file names a backslash ends the replacement of ``%a``.
+    Slurm treats a backslash as an escape, and in file names a backslash ends the replacement of ``%a``.
     """
     return is_one_line(text) and '"' not in text and "\\" not in text
 

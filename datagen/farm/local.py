@@ -43,7 +43,7 @@ class LocalOptions:
 
 @dataclass
 class RunSummary:
-    """Outcome of a run: ids of units by outcome, and the records of those that failed."""
+    """Outcome of a run: ids of units by outcome, and the records of failed units."""
 
     done: list[str] = field(default_factory=list)
     already_done: int = 0

@@ -2,8 +2,8 @@
 """Visible geometry of a capture's mesh in each view: depth, normals and faces at the pixel centres, by ray
 tracing.
 
-The same for rendered and photographed rooms: no stored buffers are used, so that the geometry may be coarser
-than the room, as a retopologised mesh is.
+Rendered and photographed rooms are treated alike: no stored buffers are used, so that the geometry may be
+coarser than the room, as a retopologised mesh is.
 """
 
 from __future__ import annotations

@@ -77,8 +77,8 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
 
 
 def visible_faces(traced: TracedCapture) -> NDArray[np.bool_]:
-    """Mask (M,) of the triangles visible in a view or from surface visible in a view; excludes the outside of
-    walls.
+    """Mask (M,) of the triangles visible in a view or from a surface visible in a view; excludes the outside
+    of walls.
     """
     found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)
     places, normals = [], []

@@ -89,8 +89,8 @@ def find_places(
 ) -> RoomPlaces:
     """Annotations of a room of ``triangles`` (M, 3, 3).
 
-    ``classes`` (M,) is one index per triangle, those in ``seat_classes`` are upholstery; ``seeds`` (K, 3) are
-    points known to be inside (cameras), and may be empty.
+    ``classes`` (M,) has one index per triangle; indices in ``seat_classes`` are upholstery; ``seeds`` (K, 3)
+    are points known to be inside (cameras), and may be empty.
     """
     points, owner, spacing = surface_points(triangles)
     grid = RoomGrid.build(points, seeds, max(MIN_CELL_M, 1.4 * spacing))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``datagen import``. Heavy imports are inside it."""
+"""The subcommand ``datagen import``, which defers heavy imports."""
 
 from __future__ import annotations
 

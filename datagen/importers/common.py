@@ -50,8 +50,8 @@ class ImportOptions:
 
     ``dielectric``: transparent materials are refused, or replaced: flat panes and thin dielectrics are
     removed, solid bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent
-    files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file; None is
-    one, or a plausible unit for formats without one. ``defines`` are values for ``$names`` of a Mitsuba
+    files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file; None is 1,
+    or a plausible value for formats that state no unit. ``defines`` are values for ``$names`` of a Mitsuba
     scene. Empty strings are detected or derived. ``allowed`` are folders, in addition to the source's own,
     from which it may read files; ``limits``, by default those of the environment variables, apply to each
     source.
@@ -81,7 +81,7 @@ class ImportOptions:
 
     @property
     def unit_m(self) -> float:
-        """Metres per unit of a format that has one."""
+        """Metres per unit of a format that states its unit."""
         return 1.0 if self.unit_scale is None else self.unit_scale
 
 

@@ -160,7 +160,7 @@ class MaterialConverter(NodeValues):
         return draft
 
     def _principled(self, node: SceneNode, name: str) -> Draft:
-        """D = base (1 - metal)(1 - transmission); S = lerp(F0, base, metal); R = roughness (method 1)."""
+        """D = base (1 - metal)(1 - transmission); S = lerp(F0, base, metal); R = roughness."""
         base = self.color(node, "base_color", 0.5)
         metal, trans = self.scalar(node, "metallic", 0.0), self.scalar(node, "spec_trans", 0.0)
         if "eta" in node.values:

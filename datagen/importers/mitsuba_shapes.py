@@ -29,9 +29,8 @@ _ROUND_SEGMENTS = 64
 def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh, int]:
     """Mesh of a shape before its ``to_world``, and the number of its normals that were repaired.
 
-    ``file`` is the mesh file of ``obj`` and ``ply`` shapes. Normals are always present: those of the file,
-    smooth ones if it has none, flat ones for ``face_normals``. Raises :class:`InputError` for an unreadable
-    file.
+    ``file`` is the mesh file of ``obj`` and ``ply`` shapes. Normals are always present: from the file, else
+    smooth, or flat for ``face_normals``. Raises :class:`InputError` for an unreadable file.
     """
     if node.type in FILE_SHAPES:
         if file is None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Metallic-roughness materials (glTF, texture folders) as D, S and R:
 
-D = base (1 - metallic),  S = F0 (1 - metallic) + base metallic,  R = roughness    (method 1)
+D = base (1 - metallic),  S = F0 (1 - metallic) + base metallic,  R = roughness
 
 A channel given by one plain image is passed through; only true products of images are baked.
 """

@@ -27,7 +27,7 @@ def summary_lines(asset: ImportedAsset) -> list[str]:
 def group_sentences(sentences: Sequence[str]) -> list[str]:
     """Merge sentences ``name: what`` with the same text for many names, the most frequent first.
 
-    Figures may differ among them; those of the first are shown, and the sentence states that others differ.
+    Figures may differ; the first sentence's figures are shown, with a remark that others differ.
     """
     groups: dict[tuple[bool, str], list[tuple[str, str]]] = {}
     for sentence in sentences:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Phong materials (MTL) as D, S and R. Colours are display values, as in Sweet Home 3D: sRGB.
 
-D is ``Kd``, or ``map_Kd`` alone if there is one, as in the program's own renderings. Phong has no F0, which
-follows from a convention: see ``phong_channels`` and docs/importing.md.
+D is ``Kd``, or ``map_Kd`` alone if there is one, as in the program's own renderings. Phong has no F0;
+``phong_channels`` derives it by a convention (docs/importing.md).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class ConvertedMaterial:
 
 
 def phong_roughness(exponent: float) -> float:
-    """R of a Blinn-Phong lobe: that of the Beckmann lobe with an equal peak, alpha^2 = 2 / (Ns + 2)."""
+    """R of a Blinn-Phong lobe, from the Beckmann lobe with an equal peak: alpha^2 = 2 / (Ns + 2)."""
     return float(perceptual_roughness(np.sqrt(2 / (max(exponent, 0.0) + 2)), "beckmann"))
 
 
@@ -79,7 +79,7 @@ def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False
     """Channels of a material without textures.
 
     Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, 1 without a highlight. Metals: D
-    = 0, S = Kd + Ks (at most 0.95); below 0.3 the metal counts as painted, which is a non-metal.
+    = 0, S = Kd + Ks (at most 0.95); below 0.3 the metal counts as painted, hence as a non-metal.
     """
     kd = linear_from_srgb(np.clip(phong.diffuse, 0.0, 1.0))
     ks = np.clip(phong.specular, 0.0, 1.0)

@@ -94,7 +94,7 @@ def check_normals(view: View, where: str) -> list[Fault]:
 def firefly_mask(view: View) -> NDArray[np.bool_]:
     """Isolated bright pixels (H, W): over 20 times the median of their 5x5 neighbourhood.
 
-    That median is at least the frame's; spots have at most 4 pixels and are away from pixels without
+    The median counts as at least the frame's. A firefly has at most 4 pixels, away from pixels without a
     reflecting surface.
     """
     import cv2
@@ -120,7 +120,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 def check_fireflies(view: View, where: str) -> list[Fault]:
     """Fireflies; a small number is a warning, since a small highlight can look like one.
 
-    None on metal and gloss, which have such highlights of lamps and the sun.
+    Metal and gloss are excluded, since they have such highlights of lamps and the sun.
     """
     mask = firefly_mask(view)
     count = int(mask.sum())

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``doctor``, ``library``, ``verify`` and ``report`` of ``datagen``. Heavy imports are inside
-them.
+"""The subcommands ``doctor``, ``library``, ``verify`` and ``report`` of ``datagen``, which defer heavy
+imports.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Contact sheets: one picture per configuration that shows its views.
 
-Rows are views, columns are buffers. Radiance is exposed per view, as a photographer would, who lets
-highlights clip in few pixels, and sRGB-encoded; the exposure is written under the view's name. Albedos are
-sRGB-encoded without exposure; normals are mapped from [-1, 1]; roughness, depth and count use cividis, a
-colour map that looks alike to readers with and without colour blindness, with a scale beneath. Pixels without
-a value (background, emitters) are hatched.
+Rows are views, columns are buffers. Radiance is exposed per view as by a photographer, so that few pixels
+clip, and sRGB-encoded; the exposure is written under the view's name. Albedos are sRGB-encoded without
+exposure; normals are mapped from [-1, 1]; roughness, depth and count use cividis, a colour map perceived
+alike with and without colour blindness, with a scale beneath. Pixels without a value (background, emitters)
+are hatched.
 """
 
 from __future__ import annotations
@@ -230,7 +230,7 @@ def _text_width(text: str, size: int) -> int:
 
 
 def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
-    """Contact sheet of a shard; only the views in it are decoded. Raises :class:`InputError`."""
+    """Contact sheet of a shard; only views on the sheet are decoded. Raises :class:`InputError`."""
     reader = ShardReader(shard)
     records = list(reader.records())
     chosen = [records[index] for index in choose_rows(len(records), max_rows)]
@@ -255,7 +255,7 @@ def write_dataset_sheets(
     """Write ``sheets/<configuration>.png`` for each finished configuration of a dataset folder.
 
     Sheets newer than their shard are kept. ``progress(done, total)`` counts configurations. Returns the paths
-    of those written. Raises :class:`InputError` if the folder has no index or no plan.
+    of the new sheets. Raises :class:`InputError` if the folder has no index or no plan.
     """
     sheets = folder / "sheets"
     written = []

@@ -12,9 +12,9 @@ from datagen.formats.configuration import MIN_GLOSS_SHARE, MIN_METAL_SHARE, Conf
 
 
 def plan_summary(configurations: Iterable[Configuration]) -> str:
-    """Coverage over all configurations, "" where none states any.
+    """Coverage over all configurations, "" if no configuration states any.
 
-    A note says where those of the training split lack metal or gloss.
+    A note states whether the views of the training split lack metal or gloss.
     """
     found = [
         (c.coverage, len(c.cameras), c.split == "train") for c in configurations if c.coverage is not None

@@ -47,8 +47,8 @@ SURE = 3.0
 class Rechecked:
     """A view compared with plain paths.
 
-    ``recorded`` is its record's estimated relMSE, None if it was not rendered to an error; ``rel_mse`` the
-    true one, exposed; ``bias`` the ratio of its mean luminance to that of plain paths, minus 1. The last two
+    ``recorded`` is the estimated relMSE in its record, None if it was not rendered to an error; ``rel_mse``
+    the true relMSE, exposed; ``bias`` the ratio of its mean luminance to that of plain paths, minus 1. Both
     have standard errors, due to the plain paths' noise.
     """
 
@@ -176,7 +176,7 @@ def figures(found: list[Rechecked]) -> list[dict[str, Any]]:
 
 
 def print_rechecked(found: list[Rechecked], samples: int) -> None:
-    """A table of recorded errors and those against plain paths."""
+    """Print a table of recorded errors and of errors against plain paths."""
     from rich.table import Table
 
     from datagen.foundation.console import table_console

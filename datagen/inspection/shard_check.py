@@ -26,8 +26,9 @@ from datagen.inspection.reprojection import Geometry, check_reprojection
 class ShardJob:
     """A shard to verify.
 
-    ``file`` is its name in the report, ``record`` its entry in the index, ``buffers`` those that every view
-    must have, ``textured`` material names to the range of values of their roughness texture (None: unknown).
+    ``file`` is its name in the report, ``record`` its entry in the index, ``buffers`` names the buffers that
+    every view must have, ``textured`` maps material names to the range of values of their roughness texture
+    (None: unknown).
     """
 
     path: Path

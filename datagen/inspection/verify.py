@@ -153,7 +153,7 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
 def expected_roughness(configuration: Configuration, library: Library) -> dict[str, float]:
     """Range of roughness that a texture gives each material, by its name in the views' records.
 
-    Materials of constant roughness are left out. The range is that between the 1st and 99th percentile, after
+    Materials of constant roughness are left out. The range is from the 1st to the 99th percentile, after
     the configuration's own offset. Raises :class:`InputError` if the library lacks an asset or an image.
     """
     ranges: dict[str, float] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Multi-view colour statistics of every pixel (method 2): minimum, median and maximum over the best views.
+"""Multi-view colour statistics of every pixel: minimum, median and maximum over the best views.
 
 One Dr.Jit source runs on CPU and GPU and is compiled once for all views. For each pixel with a surface, its
 point p is unprojected from the view's depth, the views that see p are ranked (``view_selection``), the

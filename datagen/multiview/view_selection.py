@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Choice of the views whose colours a point's statistics use: cost, ranking and the best k (method 2).
+"""Choice of the views whose colours a point's statistics use: cost, ranking and the best k.
 
 cost_i = -n . omega_i + d_ip / max_j d_jp, j over all cameras; the k visible views of least cost are kept. Of
 equal costs the lower view index comes first, so that the choice does not depend on the scheduling of the

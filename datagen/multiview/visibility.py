@@ -4,7 +4,7 @@
 Letters: p a world point with unit normal n, i a view, o_i its centre, omega_i the unit direction from p to
 o_i, d_ip = |o_i - p|, (x, y, z) the point in view i's camera space, (u, v) its projection in pixels.
 
-Point p is visible in a view (method 2) if it projects inside the image, n . omega_i > 0 and nothing occludes
+Point p is visible in a view if it projects inside the image, n . omega_i > 0 and nothing occludes
 it. Occlusion is tested in one of two ways:
 
 - ``depth`` compares with the view's own depth buffer at the pixel that p projects into. With n' the normal in

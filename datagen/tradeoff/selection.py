@@ -76,7 +76,7 @@ def points_of(trials: Iterable[Trial]) -> list[Point]:
 def pareto_front(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
     """Indices of the pairs that no other dominates, cheapest first.
 
-    A pair is dominated by one with at most its cost and at most its error that is better in one of the two.
+    A pair is dominated by another with at most its cost and at most its error, and less of one of them.
     Of equal pairs the first remains.
     """
     order = sorted(range(len(costs)), key=lambda k: (costs[k], errors[k], k))
@@ -101,7 +101,7 @@ def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
 def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) -> Point:
     """The cheapest comparable point whose errors are at most ``limits`` (by field of :class:`Point`).
 
-    Raises :class:`InputError` if there is none, with the best one measured.
+    Raises :class:`InputError` if there is none, stating the best measured point.
     """
     found = comparable(points, base)
     meets = [p for p in found if all(getattr(p, name) <= limit for name, limit in limits.items())]

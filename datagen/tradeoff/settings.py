@@ -4,7 +4,7 @@
 Every field of :class:`Setting` affects time. The base point is the recipe's defaults with a fixed number of
 samples; a sweep changes one field, the factorial crosses the four that interact: auxiliary buffers matter
 only through the denoiser, and both affect the number of samples needed, as does the irradiance cache, which
-makes them cheaper and less noisy.
+makes samples cheaper and less noisy.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Setting:
 
     ``quality`` names a target of the recipe (which then overrides samples, clamp and auxiliary samples given
     here). ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
-    ``texture_shrink``: side in texels of the squares averaged to one. ``image_scale``: factor on the
-    resolution's side; such images are enlarged again for comparison. ``storage`` float keeps every channel in
-    single precision.
+    ``texture_shrink``: side in texels of the squares averaged to one. ``image_scale``: factor on width and
+    height; images are enlarged again for comparison. ``storage`` float keeps every channel in single
+    precision.
     """
 
     quality: str = ""
@@ -57,7 +57,7 @@ class Setting:
         return sha256_hex(canonical_json(parts))[:16]
 
     def recipe(self) -> RenderRecipe:
-        """The part of it used by the renderer."""
+        """The part of the setting that the renderer uses."""
         common = {
             "variant": self.variant,
             "max_depth": self.max_depth,
@@ -72,7 +72,7 @@ class Setting:
         return RenderRecipe.model_validate({**common, **samples, **clamp, **cache})
 
     def differences(self, base: Setting) -> dict[str, Any]:
-        """Fields in which it differs from another setting."""
+        """Fields in which the setting differs from another."""
         theirs = asdict(base)
         return {name: value for name, value in asdict(self).items() if value != theirs[name]}
 

@@ -93,9 +93,7 @@ class Trial:
 
 
 def measure(configuration: Configuration, library: Library, reference: Reference, setting: Setting) -> Trial:
-    """Render, process, store and compare every view of ``configuration`` (the reference's) with
-    ``setting``.
-    """
+    """Render, process, store and compare every view of the reference's ``configuration`` with ``setting``."""
     at_size = _scaled(configuration, setting.image_scale)
     caches = AssetCaches(MeshCache(), TextureCache(shrink=setting.texture_shrink))
     start = time.process_time()

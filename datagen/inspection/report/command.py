@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``report``: prints its plan, its progress and its result."""
+"""Runs ``datagen report`` and prints its plan, progress and result."""
 
 from __future__ import annotations
 

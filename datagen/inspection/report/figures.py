@@ -4,7 +4,7 @@ dataset.
 
 Values beyond a histogram's ends are counted in its outermost bins. Only pixels with a surface are counted:
 those hit by a ray and covered by at least half with reflecting surface. Luminance is Rec.709 of linear
-colour. The chroma of a colour is max(R, G, B) - min(R, G, B), its hue that of the usual hexagon, in degrees.
+colour. The chroma of a colour is max(R, G, B) - min(R, G, B); the hue is that of HSV, in degrees.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
 
 
 def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
-    """Numbers of a view's surface pixels, and of those on metal and on gloss."""
+    """Numbers of surface pixels, metal pixels and glossy pixels of a view."""
     mask = surface_pixels(view)
     return {
         "surface_pixels": int(mask.sum()),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The views behind a pixel's statistics, found again by the kernel that computed them (method 2)."""
+"""The views behind a pixel's statistics, found again by the kernel that computed them."""
 
 from __future__ import annotations
 
