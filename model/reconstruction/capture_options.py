@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options for reading a capture, of the commands and of
+"""Options for reading a capture, for the commands and for
 :func:`~model.reconstruction.captures.read_capture`.
 """
 
@@ -59,7 +59,7 @@ class CaptureOptions(FrameOptions):
 
     ``library``, for rendered captures only: packages of their assets, by default those of their dataset
     folder, else the bundled ones. ``mesh_up`` is the mesh's up axis if it differs. ``exposure`` "exif"
-    applies recorded exposures, "auto" does so if all photographs have one. ``limits`` default to those of the
+    applies recorded exposures, "auto" does so if all photographs have one. ``limits`` default to those in the
     environment variables.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``check``, ``infer`` and ``photos`` of ``materials``. Heavy imports are inside them."""
+"""The subcommands ``check``, ``infer`` and ``photos`` of ``materials``, which defer heavy imports."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Recovered lights of a photographed room, for exports and reports.
 
-Letters: K triangles of a lamp. A *lamp* is emissive surface: triangles, or *panels*, rectangles just in front
-of a partly emissive surface. Light from outside enters through *windows*, through which rays leave the mesh:
-as rectangles if near, as an image of the *sky* if far. Radiance is in the photographs' unit; power is that
-times m^2 sr, hence W for radiance in W/(m^2 sr).
+Letters: K triangles of a lamp. A *lamp* is an emissive surface: triangles, or *panels*, rectangles just in
+front of a partly emissive surface. Light from outside enters through *windows*, through which rays leave the
+mesh: as rectangles if near, as an image of the *sky* if far. Radiance is in the photographs' unit; power is
+in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class FoundLamp:
-    """A lamp: emissive triangles ``faces`` (K,) on ``side`` 1, that of their winding, or -1.
+    """A lamp: emissive triangles ``faces`` (K,); they emit from the front of their winding if
+    ``side`` is 1, from the back if it is -1.
 
     ``radiance`` is 0 if no photograph shows the lamp. ``is_named``: whether the capture's geometry names it
     as a lamp.
@@ -57,7 +58,7 @@ class FoundLamp:
 
     @property
     def is_lit(self) -> bool:
-        """Whether any light of it was recovered."""
+        """Whether any light of the lamp was recovered."""
         return max(self.radiance) > 0
 
 
@@ -99,7 +100,8 @@ class FoundLights:
         """The lights as rows of a report.
 
         ``kind`` (lamp, window, sky), ``slot`` in exports, ``place_m``, ``area_m2``, ``radiance``, and
-        ``power`` = pi area radiance, the diffusely emitted power. The sky's power is that of the windows.
+        ``power`` = pi area radiance, the diffusely emitted power. The sky's power is the power through the
+        windows.
         """
         rows = [
             _row("lamp", lamp.slot, lamp.place_m, lamp.area_m2, lamp.radiance)

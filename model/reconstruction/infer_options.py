@@ -153,8 +153,8 @@ class InferReport:
         return "\n".join(lines)
 
     def costs(self) -> list[tuple[str, float, float, float]]:
-        """(name, seconds, share of all, peak memory in MB so far) of every stage, of the steps of the light
-        stage, indented, and of all.
+        """Rows (name, seconds, share of the total, peak memory so far in MB): stages, indented steps of the
+        light stage, and the total.
         """
         total = sum(self.seconds.values())
         memory = max(self.memory_mb.values(), default=0.0)

@@ -4,7 +4,7 @@
 Points of the mesh in a view, away from depth edges and where its image varies, are looked up in the views
 with the largest overlap; the view's pose is fitted to their median by Gauss-Newton, with Cauchy weights and a
 prior of :data:`SPREAD_M` and :data:`SPREAD_DEG`. All views move at once, in a few rounds. A common transform
-of all cameras is undetermined: their mean stays.
+of all cameras is undetermined: their mean pose is kept.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _ALIKE = 25.0  # neighbouring points with correlated errors
 class MendedPoses:
     """Result of :func:`mended_poses`.
 
-    ``cameras`` in the views' order, unchanged if the corrected ones explain the views hardly better; shifts
+    ``cameras`` in the views' order, unchanged if the corrected ones barely explain the views better; shifts
     ``moved_mm`` and ``turned_deg`` (V,); ``residual`` before and after: the median of |ln value - ln median
     of other views|.
     """
@@ -67,7 +67,7 @@ class _Look:
 
 
 def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
-    """Better poses of ``views``, whose colours are of one exposure."""
+    """Corrected poses of ``views``, whose colours share one exposure."""
     looks = [_look(view, number) for number, view in enumerate(views)]
     given = [view.camera.camera_from_world for view in views]
     poses = [pose.copy() for pose in given]

@@ -32,11 +32,11 @@ class ViewPicture:
 
 @dataclass
 class Found:
-    """Results of stages beside maps; None or empty if no stage provides them.
+    """Results of stages besides maps; None or empty if no stage provides them.
 
-    ``lights``; ``confidence_at`` surface points and normals (both (..., 3)), bytes of D, S and R;
-    ``pictures`` of views; ``doubt_at`` points (N, 3) with normals (N, 3), the luminance (N,) of diffuse
-    shading that is uncertain because its source clips.
+    ``lights``; ``confidence_at``: function from surface points and normals (both (..., 3)) to confidence of
+    D, S and R in bytes; ``pictures`` of views; ``doubt_at``: function from points and normals (both (N, 3))
+    to the luminance (N,) of diffuse shading that is uncertain because its source clips.
     """
 
     lights: FoundLights | None = None
@@ -47,7 +47,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Run:
-    """A run: folder, options, report, ``tell(stage, done, total)``, and results of stages beside maps."""
+    """A run: folder, options, report, ``tell(stage, done, total)``, and results of stages besides maps."""
 
     out: Path
     options: InferOptions
@@ -57,7 +57,7 @@ class Run:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
-        """Time a stage and report its begin and end; yields a callback for (done, total)."""
+        """Time a stage and report its start and end; yields a callback for (done, total)."""
         last = (0, 1)
 
         def advance(done: int, total: int) -> None:

@@ -55,7 +55,7 @@ class TexelSurface:
     ) -> NDArray[np.int32]:
         """Triangle of each texel of a rectangle, (height, width), at ``offset`` inside it; -1 for none.
 
-        Of several triangles, the one with the highest or with the lowest index.
+        Where triangles overlap, the highest index is used or, without ``is_highest``, the lowest.
         """
         face = np.full((height, width), -1, np.int32)
         around = (left, top, *offset, is_highest)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Captures in all supported forms. ``read.py`` recognises a form and calls the module for it."""
+"""Readers of all supported formats of captures. ``read.py`` recognises a format and calls its module."""
 
 from __future__ import annotations
 

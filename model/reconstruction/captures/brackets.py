@@ -35,7 +35,8 @@ class BracketSource:
     photographs: tuple[PhotographSource, ...]
 
     def read(self, camera: Camera) -> ColorImage:
-        """The photographs merged and resampled to ``camera``; ``limit`` is that of the shortest exposure."""
+        """The photographs merged and resampled to ``camera``; ``limit`` is the limit of the shortest
+        exposure."""
         ordered = sorted(self.photographs, key=lambda p: (p.exposure_scale, str(p.path)))
         return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
 
@@ -66,10 +67,10 @@ def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
 
 
 def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
-    """``views`` of photographs with every bracket merged to one view, named after its first, and notes on
-    them.
+    """``views`` of photographs with every bracket merged to one view, named after its first photograph, and
+    notes on the merged views.
 
-    Photographs of one pose without different exposures stay separate, since theirs may not have been
+    Photographs of one pose without different exposures stay separate, since their exposures may not have been
     recorded.
     """
     groups: list[list[CaptureView]] = []

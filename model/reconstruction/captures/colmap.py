@@ -129,7 +129,7 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
 def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
     """(fx, fy, cx, cy) and the distortion of one of COLMAP's models.
 
-    Raises for models without OpenCV's form, naming ``field`` of the file.
+    Raises :class:`InputError`, naming ``field``, for models that are not a form of OpenCV's.
     """
     if model not in _SUPPORTED:
         raise input_error(where, f"{field} model", model, _UNSUPPORTED, _UNDISTORT)

@@ -53,7 +53,7 @@ def up_of(matrix: ArrayLike) -> Axis:
 
 
 def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
-    """The up axis judged by the cameras, and a sentence about it. 'z' if they agree on none."""
+    """The up axis estimated from the cameras ('z' if they agree on none), and a sentence about it."""
     mean = np.mean([-camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     at = int(np.abs(mean).argmax())

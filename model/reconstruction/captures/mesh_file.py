@@ -65,8 +65,9 @@ def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> 
 
 
 def load_mesh(path: Path, budget: Budget | None = None) -> Mesh:
-    """A mesh file in its own frame; ``budget`` is that of the enclosing capture. Raises
-    :class:`InputError`.
+    """A mesh file in its own frame; ``budget``: the budget of the enclosing capture.
+
+    Raises :class:`InputError`.
     """
     budget = budget or Budget(path)
     suffix = path.suffix.lower()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Photographs as files: supported formats with their readers, and messages for the others.
+"""Photographs as files: supported formats with their readers, and messages for unsupported ones.
 
 PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size was checked, EXR by OpenEXR, HEIC by libheif
 (``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
@@ -50,7 +50,7 @@ def can_read(path: Path) -> bool:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether it is a raw photograph."""
+    """Whether a file is a raw photograph, by its suffix."""
     return path.suffix.lower() in RAW_SUFFIXES
 
 
@@ -96,7 +96,7 @@ def read_stored(path: Path) -> Stored:
 
 
 def read_photograph(path: Path) -> NDArray:
-    """Pixels (H, W, C) as stored, in the file's orientation except for HEIC and raw ones, which are upright.
+    """Pixels (H, W, C) as stored, in the file's orientation; HEIC and raw photographs are upright.
 
     Raises :class:`InputError`.
     """
@@ -110,7 +110,7 @@ def read_photograph(path: Path) -> NDArray:
 
 
 def photograph_size(path: Path) -> tuple[int, int]:
-    """(width, height) as stored, HEIC and raw ones upright. Raises :class:`InputError`."""
+    """(width, height) as stored; HEIC and raw photographs are upright. Raises :class:`InputError`."""
     _check(path)
     if is_raw(path):
         from model.reconstruction.captures.raw_photographs import raw_size

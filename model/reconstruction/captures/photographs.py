@@ -109,7 +109,7 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """The image as stored or, if only that has the camera's shape, upright.
+    """The image (H, W, C) as stored or, if only the upright image has the camera's shape, upright.
 
     Calibration tools differ in whether they apply EXIF; the size that they write shows it. If both fit, the
     image is used as stored, as by COLMAP. Raises :class:`InputError` if neither fits.

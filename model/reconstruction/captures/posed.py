@@ -39,7 +39,7 @@ _MAX_SKEW_PX = 0.25  # at the image's border; more would need correction, and no
 
 @dataclass(frozen=True)
 class PosedImage:
-    """An image of a calibration: its file name there, camera with its pose, distortion."""
+    """An image of a calibration: its file name, its camera with pose, and its distortion."""
 
     file: str
     camera: Camera
@@ -56,7 +56,7 @@ class Calibration:
 
 
 class ImageMissing(Exception):
-    """A calibration's image is missing: its reader continues, and reports all of them by
+    """An image of a calibration is missing. Readers continue, and report all missing images by
     :meth:`ImageFinder.absent`.
     """
 
@@ -99,7 +99,7 @@ class ImageFinder:
         return image
 
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
-        """Problems of missing images: one per unsupported format, one for each of the others."""
+        """Problems of missing images: one per unsupported format, one per image otherwise."""
         others = self.unread(names)
         expected = f"this image, once, in {self.folder}"
         return unread_problems(where, list(others.values())) + [
@@ -181,7 +181,10 @@ def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np
 
 
 def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.float64]:
-    """The rotation nearest to a (3, 3) matrix without its uniform scale. Raises if it is no rotation."""
+    """The rotation nearest to a (3, 3) matrix after removing its uniform scale.
+
+    Raises :class:`InputError` if the matrix is not a scaled rotation.
+    """
     rotation = np.asarray(matrix, dtype=np.float64)
     is_finite = rotation.shape == (3, 3) and bool(np.isfinite(rotation).all())
     scale = float(np.cbrt(abs(np.linalg.det(rotation)))) if is_finite else 0.0

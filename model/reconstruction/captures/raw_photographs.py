@@ -2,9 +2,9 @@
 """Raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 under the camera's white balance.
 
 Black level and white level are the file's; values are not brightened, and no curve is applied. Channels are
-scaled so that the weakest in white light reaches 1 at the sensor's limit. A sensor value at the limit makes
-its pixel and the neighbours that are interpolated from it clipped in all channels, since the colour matrix
-mixes them.
+scaled so that the weakest channel in white light reaches 1 at the sensor's limit. A sensor value at the limit
+makes its pixel and the neighbours that are interpolated from it clipped in all channels, since the colour
+matrix mixes them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TURNS = {3: 2, 5: 1, 6: -1}  # libraw's flip: quarter turns counter-clockwise
 
 
 def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Linear pixels (H, W, 3), upright, and the mask (H, W) of clipped ones. Raises :class:`InputError`."""
+    """Linear pixels (H, W, 3), upright, and the mask (H, W) of clipped pixels. Raises :class:`InputError`."""
     import cv2
     import rawpy
 

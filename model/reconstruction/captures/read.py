@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Recognises the form of a capture and reads it.
+"""Recognises the format of a capture and reads it.
 
-A form of calibration is a row of ``FORMS`` and a module with two functions: ``find(path)`` returns the file
-or folder that it would read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. A new
-form needs nothing else. Photographs come with a mesh file; ``CaptureOptions`` gives the axes and units of
+A calibration format is a row of ``FORMS`` and a module with two functions: ``find(path)`` returns the file or
+folder that it would read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. A new
+format needs nothing else. Photographs come with a mesh file; ``CaptureOptions`` gives the axes and units of
 both.
 """
 
@@ -68,7 +68,7 @@ from model.reconstruction.captures.rendered import library_of, read_shard
 
 @dataclass(frozen=True)
 class Form:
-    """A form of calibration: its name, finder and reader."""
+    """A calibration format: its name, finder and reader."""
 
     name: str
     find: Callable[[Path], Path | None]
@@ -89,9 +89,9 @@ FORMS = (
 
 
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
-    """The capture at ``path``. Raises :class:`InputError` if there is no known form, or with its faults.
+    """The capture at ``path``. Raises :class:`InputError` with its faults, or if its format is unknown.
 
-    Known forms: a shard (.tar) or a dataset folder of one shard; ``capture.json`` or its folder; an
+    Known formats: a shard (.tar) or a dataset folder of one shard; ``capture.json`` or its folder; an
     environment package with cameras; and ``FORMS``.
     """
     options = options or CaptureOptions()
@@ -141,7 +141,7 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
 
 
 def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
-    """A calibration of photographs as content of ``capture.json``, with absolute paths, and notes on findings
+    """The content of ``capture.json`` for calibrated photographs, with absolute paths, and notes on findings
     and guesses.
     """
     record, notes, _ = _calibrated(path, options, Budget(path, options.limits))
@@ -209,7 +209,7 @@ def _calibrated(
 
 
 def has_cameras(path: Path) -> bool:
-    """Whether there is a capture of a known form at ``path``; its faults are found when it is read."""
+    """Whether there is a capture of a known format at ``path``; its faults are found when it is read."""
     is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
     return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
 

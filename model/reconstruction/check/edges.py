@@ -4,9 +4,9 @@
 Both are fields of double angles: length is edge strength, direction twice the angle of the normal, so that
 parallel edges agree (+1), perpendicular ones disagree (-1) and textures without direction cancel. The score
 of a shift is the mean agreement over the mesh's edges. A small rotation of the camera shifts the image by
-focal length x angle: the peak of the scores gives the error of the camera, and its height against all other
-shifts the certainty. For a camera that is rolled, or too far forward, the peak is higher with an equally
-rotated or magnified mesh.
+focal length x angle: the peak of the scores gives the error of the camera, and the peak's height above all
+other scores the certainty. For a camera that is rolled, or too far forward, the peak is higher with an
+equally rotated or magnified mesh.
 
 Letters: H, W size; R largest shift in pixels. Image axes: x right, y down; a shift (dx, dy) moves the mesh's
 edges onto the photograph's.
@@ -53,7 +53,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Length of a shift minus the peak's blur in its direction."""
+        """Length of a shift in pixels, minus the peak's blur in its direction."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A reconstruction as an asset package: an environment, usable in ``datagen``.
 
-All surface is one part with one material of three textures; every lamp is a part of its own with its
-radiance. Windows are area lights, or the sky is an image (``found_lights``).
+All surface is one part with one material of three textures; every lamp is a separate part with its radiance.
+Windows are area lights, or the sky is an image (``found_lights``).
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 """A reconstruction as one USDZ file: surfaces as UsdPreviewSurface, lights as UsdLux.
 
 The root's variant set ``workflow`` has two variants. *metallic*, the default, is supported by every program:
-base colour, occlusion-roughness-metalness, and one index of refraction, that of the mean S of texels that are
-no metal. *specular* has exact D, S and R, but some programs misread it (Blender 4.5, AR Quick Look).
+base colour, occlusion-roughness-metalness, and one index of refraction, from the mean S of non-metallic
+texels. *specular* has exact D, S and R, but some programs misread it (Blender 4.5, AR Quick Look).
 
 The stage is in metres with Y up; one root transform rotates the capture's Z up, and everything below it is in
 the capture's frame. Emissive surfaces are mesh lights whose material shows the same radiance
@@ -98,7 +98,7 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
 
 
 def mean_index(atlas: Atlas) -> float:
-    """Index of refraction of the mean S of texels that are no metal; 1.5 if there are none."""
+    """Index of refraction for the mean S of non-metallic texels; 1.5 if there are none."""
     total, num = 0.0, 0
     for top in range(0, atlas.size, _BAND):
         specular = np.asarray(atlas.maps["specular_albedo"][top : top + _BAND], np.float32)

@@ -50,12 +50,12 @@ _CHUNK = 512
 class LevelReport:
     """Result and statistics of the albedo scale.
 
-    ``gain``: the room's, R, G, B; regions vary around it. ``coverage``: mean known share of the points'
-    hemispheres; ``used_share``: mean weight of the points, 1 if covered. ``spread``: half the interquartile
-    range of ln(rho / (D + S)) of points about their region's mode, green; ``region_spread``: the same of the
-    regions' ln gains, weighted by points. ``impossible_share``: weighted share of the points that reflect
-    more than their incident light. ``clipped_share`` of the photographs' pixels. ``reason`` for changing
-    nothing, or empty.
+    ``gain``: the room's gain of R, G and B, around which regions vary. ``coverage``: mean known share of the
+    points' hemispheres; ``used_share``: mean weight of the points, 1 if covered. ``spread``: half the
+    interquartile range of ln(rho / (D + S)) of points about their region's mode, in green; ``region_spread``:
+    half the interquartile range of the regions' ln gains, weighted by points. ``impossible_share``: weighted
+    share of the points that reflect more than their incident light. ``clipped_share`` of the photographs'
+    pixels. ``reason``: why nothing was changed, or empty.
     """
 
     is_applied: bool

@@ -109,7 +109,7 @@ class RadianceCache:
     def at(self, position_m: Floats, normal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Radiance (N, 3) of surface with ``normal`` (N, 3, towards the viewer), and whether it is known.
 
-        That of the point's cube, else of the nearest within reach.
+        Looked up in the point's cube, else in the nearest known cube within reach.
         """
         wanted = self.cubes(position_m, normal)
         index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)

@@ -21,7 +21,7 @@ STEP = 4
 def networks(most: int) -> tuple[Any, Any]:
     """Batcher's networks for lists of up to ``most`` values rounded up to ``STEP``.
 
-    Comparisons (C, 2), and the start of those for k * STEP values, k = 0, 1, ... .
+    Comparisons (C, 2), and the index of the first comparison for k * STEP values, k = 0, 1, ... .
     """
     num_sizes = (most + STEP - 1) // STEP + 1
     starts = np.zeros(num_sizes + 1, np.int64)
@@ -73,7 +73,7 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 @compiled
 def weighted_median(values: Any, weights: Any, lane: Any, num: Any) -> Any:
     """Weighted median of a lane's sorted values: the first at which the cumulative weight exceeds half of the
-    total; if one reaches exactly half, the mean with the next.
+    total; if it is exactly half at a value, the mean of that value and the next.
     """
     total = np.float32(0)
     for k in range(num):

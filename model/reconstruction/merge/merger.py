@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Merges the maps of all views into one atlas (method 7): for each texel, the exact median over the views
+"""Merges the maps of all views into one atlas: for each texel, the exact median over the views
 that show it.
 
 Letters: V views, P pixels of all views. For each covered texel, the point and normal at its centre are
 projected into every view; views in which it is visible (``datagen.multiview.visibility``) contribute their D,
 S and R, and each channel gets the median, the mean of the middle two for even counts, or the weighted median.
 Values are gathered, not scattered, so that an atlas may have more texels than the views have pixels. Threads
-process tiles: memory contains the views' maps and a few tiles, the atlas is on disk. The loop is in
+process tiles: memory holds the views' maps and a few tiles; the atlas is on disk. The loop is in
 ``medians``.
 """
 

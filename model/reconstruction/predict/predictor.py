@@ -2,7 +2,7 @@
 """Maps of views from a checkpoint: inputs by name, both tracks in batches, then the bilateral solver.
 
 All views of a capture share one exposure, which maps the 95th percentile of the luminance of all their
-surface pixels to 0.9 (method 3), so that a surface has the same brightness in every view.
+surface pixels to 0.9, so that a surface has the same brightness in every view.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class CheckpointMaps:
 
 @dataclass(frozen=True)
 class GivenMaps:
-    """Maps of any method: ``read`` returns those of every view."""
+    """Maps of any method: ``read`` returns the maps of every view."""
 
     identity: str
     read: Callable[[TracedCapture], list[Maps]]

@@ -29,7 +29,7 @@ class Completed:
     """Result of :func:`completed_views`.
 
     ``views`` of one exposure, completed; the cameras' calibration; the ``sources`` that clip in every view,
-    their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; shares of clipped pixels, and of those
+    their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; the shares of pixels that clip and
     that remain incomplete.
     """
 
@@ -50,7 +50,7 @@ def completed_views(
     *,
     is_evened: bool = True,
 ) -> Completed:
-    """``views`` with radiance of one exposure and without limit.
+    """``views`` at one exposure, with clipped pixels completed.
 
     ``is_evened``: whether exposures are estimated. Raises ValueError if the views show no extended surface.
     """

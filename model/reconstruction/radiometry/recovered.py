@@ -52,10 +52,10 @@ _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 
 @dataclass(frozen=True)
 class Gathered:
-    """Light of P points.
+    """Light at P points.
 
-    ``radiance`` (P, 3), light ``known`` (P, 3) without the sources', ``form`` (P, S) the contribution of a
-    source of radiance 1, and the ``group`` (P,) of equal albedo.
+    ``radiance`` (P, 3), irradiance ``known`` (P, 3) without the sources, ``form`` (P, S) the contribution of
+    a source of radiance 1, and the ``group`` (P,) of equal albedo.
     """
 
     radiance: NDArray[np.float64]
@@ -153,9 +153,10 @@ def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int3
 def doubt_of(
     field: SourceField, sources: Sources, found: Recovered
 ) -> Callable[[NDArray, NDArray], NDArray[np.float32]]:
-    """Uncertain luminance (N,) of the diffuse shading at positions and normals (N, 3).
+    """A function that returns the uncertain luminance (N,) of diffuse shading at positions and normals (N,
+    3).
 
-    The part from sources of uncertain radiance, weighted by the uncertainty.
+    This is the part from sources of uncertain radiance, weighted by the uncertainty.
     """
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
     return lambda position_m, normal: (
@@ -164,7 +165,7 @@ def doubt_of(
 
 
 def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) -> Recovered:
-    """Radiance of the sources; in channels below the limit, that of the photographs."""
+    """Radiance of the sources; in channels below the limit, the photographed radiance."""
     if prior is None:
         num_groups = int(gathered.group.max(initial=-1)) + 1
         prior = Prior(np.full((num_groups, 3), _ALBEDO), np.full(len(sources), _BRIGHTER))

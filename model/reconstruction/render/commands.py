@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``render`` and ``view`` of ``materials``. Heavy imports are inside them."""
+"""The subcommands ``render`` and ``view`` of ``materials``, which defer heavy imports."""
 
 from __future__ import annotations
 

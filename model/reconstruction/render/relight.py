@@ -263,7 +263,7 @@ def write_renders(
     warn: Callable[[str], None] | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Path]:
-    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views with the first's exposure).
+    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all with the first view's exposure).
 
     ``warn`` is called if the light differs from the requested one (:func:`lit_images`).
     """

@@ -2,8 +2,8 @@
 """Animation of an asset: cameras on a path through it, their frames as a GIF or a video.
 
 ``orbit`` is a turn within the space of the asset's cameras: on an ellipse about their middle, at their mean
-height, looking across if they mostly did, else outwards. ``cameras`` visits them in order, without stopping,
-and returns. Both end at their start, so that the animation can loop.
+height, looking across the room if most of them do, else outwards. ``cameras`` visits them in order, without
+stopping, and returns. Both end at their start, so that the animation can loop.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def write_turntable(
 ) -> list[Camera]:
     """Render an environment package along a path into ``out``; returns the cameras.
 
-    ``.mp4`` contains VP9, which browsers and common players support. All frames have the first one's
+    ``.mp4`` contains VP9, which browsers and common players support. All frames have the first frame's
     exposure. Raises :class:`InputError` for another suffix, bad packages, no light.
     """
     options = options or TurntableOptions()
