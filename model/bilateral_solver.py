@@ -12,8 +12,7 @@ The 10 on B's diagonal cancels against m, so that the smoothness term is stored 
 Laplacian: row i is the sum over neighbours j of n_i n_j (y_i - y_j). Computed from m and B in float32 it
 would have a rounding error of the size of lambda, which is larger than a small confidence.
 
-Images of a batch share no cell, so that A is block-diagonal and one solve serves them all. The constants are
-those of method 6.
+Images of a batch share no cell, so that A is block-diagonal and one solve serves them all.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ _BLUR_DIAGONAL = 10.0  # two per dimension of the grid
 
 
 class SolverConfig(StrictModel):
-    """The solver's parameters; the defaults are the method's."""
+    """The solver's parameters."""
 
     sigma_xy: float = Field(default=8.0, gt=0)
     """Side of a cell in pixels."""
@@ -208,7 +207,7 @@ class SolveReport:
 def solve(
     grid: BilateralGrid, config: SolverConfig, weights: Tensor, rhs: Tensor, start: Tensor
 ) -> tuple[Tensor, SolveReport]:
-    """y of A y = rhs by preconditioned conjugate gradients; all (V, C), ``weights`` = S c.
+    """Solve A y = rhs for y by preconditioned conjugate gradients; all are (V, C), ``weights`` is S c.
 
     Every (image, channel) is a separate system; converged systems are not updated while others continue.
     """

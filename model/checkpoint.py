@@ -43,9 +43,9 @@ class DataRecord(StrictModel):
 class CheckpointCard(StrictModel):
     """Content and provenance of a checkpoint.
 
-    ``loss`` names the terms and the perceptual distance of the training; ``phase`` and ``step`` its state
-    when the checkpoint was saved; ``metrics`` its validation figures by name; ``training`` the resolved
-    training configuration.
+    ``loss`` names the terms and the perceptual distance of the training; ``phase`` and ``step`` are the
+    training's state when the checkpoint was saved; ``metrics`` its validation figures by name; ``training``
+    its resolved configuration.
     """
 
     format: Literal["scene-materials/checkpoint"] = "scene-materials/checkpoint"
@@ -72,7 +72,7 @@ class Checkpoint:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of the software that affects numbers."""
+    """Versions of the software that affects results, by name."""
     from importlib.metadata import version
 
     names = ("scene-materials", "numpy", "safetensors")

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``materials``: parses, calls one function per verb, prints. Heavy imports are inside the
-verbs.
-"""
+"""The command ``materials`` and its subcommands, which defer heavy imports."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ MOVED = {
     "publish": "python -m model.publish",
     "schema": "python -m model.schemas",
 }
-"""Removed verbs, and the commands that replace them."""
+"""Removed subcommands, and the commands that replace them."""
 
 app = typer.Typer(
     name="materials",

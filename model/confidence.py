@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The confidence networks and the filter that they control (method 6; network of Li et al. 2020).
+"""The confidence networks and the filter that they control (network of Li et al. 2020).
 
 A network estimates, from the image and a predicted map, the reliability of each pixel's prediction. The
 bilateral solver then smooths the map, guided by the predicted diffuse albedo, from reliable pixels to

@@ -3,9 +3,9 @@
 
     materials train rooms --out run --listener my_hooks:to_wandb
 
-A listener is a function of one :class:`Event`. It is called in the training process (of several ranks, in the
-first) and should therefore be quick. A listener that raises is reported on standard error and not called
-again, so that a lost connection does not end days of training.
+A listener is a function of one :class:`Event`. It is called in the training process (rank 0 of several) and
+should therefore be quick. A listener that raises is reported on standard error and not called again, so that
+a lost connection does not end days of training.
 """
 
 from __future__ import annotations

@@ -4,10 +4,10 @@
     loader = DataLoader(ViewStream(["rooms"], ["beauty", "diffuse_albedo"], crop_px=128), 8, num_workers=4)
 
 Every view of a split is used once per epoch, whatever the numbers of ranks and of loader processes: an
-epoch's order is a pure function of (seed, epoch), each rank takes every n-th view of it, each process every
-m-th of those. A sample is a dictionary: each buffer as float32 (C, H, W), ids as int64, ``intrinsics`` (3, 3)
-in pixels of the crop, ``world_from_camera`` (4, 4), ``exposure`` (), ``configuration`` and ``view``. Images
-are linear; ``beauty`` times ``exposure`` has its 95th percentile at 0.9.
+epoch's order is a pure function of (seed, epoch), each rank takes every n-th view, and each loader process
+every m-th view of its rank. A sample is a dictionary: each buffer as float32 (C, H, W), ids as int64,
+``intrinsics`` (3, 3) in pixels of the crop, ``world_from_camera`` (4, 4), ``exposure`` (), ``configuration``
+and ``view``. Images are linear; ``beauty`` times ``exposure`` has its 95th percentile at 0.9.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class ViewStream(IterableDataset[dict[str, Any]]):
     ``crop_px`` None and views of several sizes, a loader needs ``batch_size`` 1. Crops are shuffled within
     groups of eight views. ``rank`` and ``num_ranks`` come from ``torch.distributed`` if it is running; all
     ranks yield equally many samples, for which the last few views of an epoch may be dropped. Raises
-    :class:`InputError` for paths that are no dataset, if there are no views, and, with shard and view, for
-    damaged ones.
+    :class:`InputError` for paths that are no dataset, if there are no views, and for damaged views, with
+    shard and view.
     """
 
     def __init__(

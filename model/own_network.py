@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Custom networks in place of the two tracks: ``package.module:Class``.
 
-The class is a ``torch.nn.Module`` with ``inputs``, names out of :data:`~model.networks.INPUTS`. ``forward``
-accepts them by name, encoded to [-1, 1], (B, C, H, W) of any H and W, and returns the three maps by name:
-``diffuse_albedo`` and ``specular_albedo`` (B, 3, H, W), ``roughness`` (B, 1, H, W), all in [0, 1].
+The class is a ``torch.nn.Module`` with ``inputs``, a tuple of names from :data:`~model.networks.INPUTS`.
+``forward`` accepts them by name, encoded to [-1, 1], (B, C, H, W) of any H and W, and returns the three maps
+by name: ``diffuse_albedo`` and ``specular_albedo`` (B, 3, H, W), ``roughness`` (B, 1, H, W), all in [0, 1].
 ``arguments`` of the configuration are passed to its constructor. docs/howto/network.md has an example.
 """
 

@@ -8,7 +8,7 @@ viewer, i the direction to the light, h their half vector. All directions point 
 unit length; the reflectance for a zero vector (background) is 0. Any frame can be used, if all vectors share
 it.
 
-The BRDF is that of Walter et al. 2007 with Beckmann's distribution, the exact separable Smith term and
+The BRDF follows Walter et al. 2007, with Beckmann's distribution, the exact separable Smith term and
 Schlick's Fresnel term. Everything is differentiable, with finite gradients also at grazing angles and zero
 vectors.
 """
@@ -211,7 +211,7 @@ def shade_spherical_gaussians(
 
     The lobe D_b is one spherical Gaussian, warped to the light's domain; the remaining factors are evaluated
     at the lobe's centre. A surrogate for training only: relative to the exact lobe it is off by 1 % at alpha
-    0.1 and by 50 % at alpha 1 (method 5). Maps must be (B, C, H, W) or (B, C).
+    0.1 and by 50 % at alpha 1. Maps must be (B, C, H, W) or (B, C).
     """
     alpha = alpha_from_roughness(roughness)
     cos_o = dot(normal, view_dir)

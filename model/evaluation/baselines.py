@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps from other sources than a checkpoint, merged like predicted ones."""
+"""Maps from sources other than a checkpoint, merged like predicted maps."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod
 def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: Sequence[str]) -> GivenMaps:
     """The maps of a method for the views of ``capture``.
 
-    Those of ``judged`` views are written to ``kept`` as ``VIEW.exr`` when they are read, for comparison with
-    the truth. Raises :class:`InputError` listing every view for which ``maps`` has no file, or one of another
-    size.
+    Maps of ``judged`` views are also written to ``kept`` as ``VIEW.exr`` when read, for comparison with the
+    truth. Raises :class:`InputError` listing every view without a map file, or with one of another size.
     """
     identity, read = _source(method, scene, capture)
 

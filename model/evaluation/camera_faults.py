@@ -2,15 +2,15 @@
 """Simulated faults of cameras, applied to rendered photographs: what each fault costs a method, alone and
 combined.
 
-In the order of a camera's pipeline. The lens distorts (``distortion``, k1 on normalised coordinates, left
-over by calibration) and darkens the corners (``vignetting_stops``). Exposures vary between images by a normal
-distribution of ``exposure_stops``, which methods are not told. Photon noise (``white_electrons`` at the
-limit) and read noise (``read_electrons``) are added. Values beyond the limit are clipped: ``clipped_share``
-of all pixels of all images at the common exposure, which are lamps and windows first. A curve steeper than
-sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG of quality ``jpeg``. The
-reader assumes sRGB for 8 bits and linear values for 14, as ``materials infer`` does. The poses given to
-methods are off by ``pose_mm`` along each axis and by an angle of ``pose_deg`` about a random one (standard
-deviations), and the mesh has the errors of ``geometry`` unless the method sets its own.
+The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the k1 on
+normalised coordinates that calibration left uncorrected) and darkens the corners (``vignetting_stops``).
+Exposures, unknown to methods, vary between images by a normal distribution of ``exposure_stops``. Photon
+noise (``white_electrons`` at the limit) and read noise (``read_electrons``) are added. Values beyond the
+limit are clipped: ``clipped_share`` of all pixels of all images at the common exposure, lamps and windows
+first. A curve steeper than sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG
+of quality ``jpeg``. The reader assumes sRGB for 8 bits and linear values for 14, as ``materials infer`` does.
+The poses given to methods are off by ``pose_mm`` along each axis and by an angle of ``pose_deg`` about a
+random one (standard deviations), and the mesh has the errors of ``geometry`` unless the method sets its own.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve is not monotonic
 
 
 class CameraFaults(StrictModel):
-    """Faults of the photographs; the module's docstring explains each field. ``seed``: of noise, exposures
-    and poses.
+    """Faults of the photographs; the module's docstring explains each field. ``seed`` is that of noise,
+    exposures and poses.
     """
 
     name: Slug
@@ -144,7 +144,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 
 
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
-    """The capture with photographs and poses of a camera with ``faults``; its mesh and true maps stay."""
+    """The capture as photographed and posed by a camera with ``faults``; mesh and true maps are unchanged."""
     scale = 1.0 / _limit(capture, faults.clipped_share)
     views = tuple(
         replace(
@@ -203,7 +203,7 @@ class _Taken:
 
 
 def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str = "") -> NDArray[np.float64]:
-    """An image (H, W, 3), linear with the sensor's limit at 1, as read after all faults."""
+    """``color`` (H, W, 3), linear with the sensor's limit at 1, as read back after all faults."""
     random = _random(faults, view, "image")
     if faults.distortion:
         color = _bent(color, camera, faults.distortion)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``evaluate`` of ``materials``. Heavy imports are inside it."""
+"""The subcommand ``materials evaluate``, which defers heavy imports."""
 
 from __future__ import annotations
 

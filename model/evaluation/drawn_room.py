@@ -26,7 +26,7 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 
 def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """A library imported from ``sources`` once; none without sources."""
+    """The folder of a library imported from ``sources`` once, as a tuple; empty without sources."""
     if not sources:
         return ()
     if not folder.is_dir():

@@ -75,7 +75,7 @@ class Evaluation:
 def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: None) -> Evaluation:
     """Measure every method on every scene.
 
-    Before any is rendered, scenes are imported and compared with the training data of the checkpoints. A
+    Before any rendering, all scenes are imported and compared with the training data of the checkpoints. A
     scene that fails (a bad source, faulty maps, a checkpoint trained on it) is listed in the result's
     ``failures`` with the reason; the other scenes are not affected.
     """

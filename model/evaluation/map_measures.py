@@ -8,9 +8,9 @@ scene, which leaves the error within regions. ``level error``: median over surfa
 
 ``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which also
 gives FIPT's figures: 8-bit values, PSNR of every whole view with emitters (and for kd everything of a
-roughness other than 1) at zero in both, mean of the decibels. Our kd is D and a' is (1 - S) D + S; theirs are
-the diffuse colour and the integrated reflectance of Disney's lobe. Emission: pixels of surfaces that emit and
-have no material.
+roughness other than 1) set to zero in both images, and the mean of the decibels. Our kd is D and our a' is (1
+- S) D + S; those of IRIS are the diffuse colour and the integrated reflectance of Disney's lobe. Emission:
+pixels of surfaces that emit and have no material.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ class MapMeasures:
 
 
 def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
-    """Scale figures of D (N, 3) in regions (N,): the best gain, errors after it and after each region's own,
-    and the level error.
+    """Scale figures of D (N, 3) in regions (N,): the best gain, the errors after it and after one gain per
+    region, and the level error.
     """
     gain = _best_gain((estimate * truth).sum(), (estimate**2).sum())
     index = np.unique(region, return_inverse=True)[1]

@@ -37,7 +37,7 @@ PUBLISHED_OTHERS = (
 
 
 def measure_tables(result: SuiteResult) -> list[Table]:
-    """All tables that have rows, and always that of kinds."""
+    """All tables with rows, and always the table of surface kinds."""
     tables = [_levels(result), _kinds(result), _others(result), _noise(result)]
     tables += [_calibration(result), _cameras(result)]
     return [table for table in tables if table.rows or table.name == "kinds"]
@@ -121,7 +121,7 @@ def _noise(result: SuiteResult) -> Table:
 
 
 def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
-    """Rows of light, views, and PSNR with its noise."""
+    """Rows (light, views, PSNR with its noise)."""
     found = []
     for light in LIGHTS:
         for views in VIEW_SETS:

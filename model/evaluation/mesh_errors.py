@@ -23,9 +23,9 @@ _MAX_HOLES = 10_000
 class GeometryError(StrictModel):
     """Errors of a mesh, applied in this order.
 
-    Edges are split to at most ``edge_m``, vertices moved by a normal distribution of ``noise_m`` along each
-    axis, triangles reduced to ``keep_share`` of them, and round holes of ``hole_radius_m`` cut until
-    ``hole_share`` of the area is removed.
+    Edges are split to at most ``edge_m``, vertices moved along each axis by a normal distribution of standard
+    deviation ``noise_m``, triangles decimated to a share of ``keep_share``, and round holes of
+    ``hole_radius_m`` cut until ``hole_share`` of the area is removed.
     """
 
     noise_m: NonNegative = 0.0

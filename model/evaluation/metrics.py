@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Image metrics, each with its convention; those of maps are in ``map_measures``.
+"""Image metrics, each with its convention; metrics of maps are in ``map_measures``.
 
 Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR with data range 1; SSIM
 with an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), mean over channels; DSSIM = 1 - SSIM;

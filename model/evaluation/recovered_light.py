@@ -35,7 +35,7 @@ def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
 def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emission:
     """Radiance by slot of the lamps of a reconstruction (``export.slots``), as in the scene.
 
-    That of the emissive ``parts`` times ``gain``; surfaces found to emit are off.
+    The emissive ``parts`` have their radiance times ``gain``; surfaces found to emit are off.
     """
     true = [part.emission for part in parts if part.emission is not None]
     lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(true)}

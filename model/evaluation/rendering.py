@@ -90,7 +90,7 @@ class EnoughOf:
     share: float
 
     def decides(self, names: Sequence[str]) -> IsEnough:
-        """The stopping criterion for views with these ``names``, as argument of the renderer."""
+        """The stopping criterion for views with these ``names``, as an argument of the renderer."""
 
         def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
             apart = relative_mse(image, self.truth[names[index]].color, exposed=True) - estimate.rel_mse

@@ -23,7 +23,7 @@ Figures = dict[str, float | None]
 
 
 class MethodResult(StrictModel):
-    """A method on a scene.
+    """Results of a method on a scene.
 
     ``skipped``: reason for missing figures, else ''. ``camera``: the faults of its photographs, '' for none.
     ``maps_per_view`` and ``maps_merged``: mean squared error by map, of the maps as predicted and of the
@@ -71,7 +71,7 @@ class MethodResult(StrictModel):
 
 
 class SceneResult(StrictModel):
-    """A scene and its methods.
+    """Results of all methods on a scene.
 
     ``exposures`` by light; ``figure_views``: views in the pictures, input and novel; ``renders``: by light,
     folders of the true views that are not in the capture.

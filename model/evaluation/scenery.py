@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The true scene and its reconstructions as configurations: same lights, same cameras, other surface.
+"""The true scene and its reconstructions as configurations with the same lights and cameras but different
+surfaces.
 
-Own light: the scene's lamps and lights unchanged. Modified light: these times a gain, and further lights.
+Own light: the scene's lamps and lights unchanged. Modified light: the same times a gain, and further lights.
 """
 
 from __future__ import annotations
@@ -46,13 +47,13 @@ class Scenery:
     library: tuple[Path, ...]
 
     def seen_by(self, cameras: Sequence[str]) -> Scenery:
-        """The same from these cameras only, in this order."""
+        """The scenery from these cameras only, in this order."""
         by_name = {camera.name: camera for camera in self.configuration.cameras}
         chosen = tuple(by_name[name] for name in cameras)
         return self._with({"cameras": chosen})
 
     def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
-        """The same under its own lights times a gain, and ``added`` ones."""
+        """The scenery under its own lights times a gain, and the ``added`` lights."""
         own = () if modified.own_gain == 0 else self.configuration.lights
         lights = (*(scaled(light, modified.own_gain) for light in own), *added)
         with Library(self.library) as library:
@@ -63,7 +64,7 @@ class Scenery:
         return self._with({"lights": lights, "environment": placed[0], "objects": tuple(placed[1:])})
 
     def with_object(self, inserted: InsertedObject, position_m: NDArray) -> Scenery:
-        """The same with an inserted object."""
+        """The scenery with an inserted object."""
         package = open_package(Path(inserted.package))
         if not isinstance(package.asset, ObjectAsset):
             raise input_error(package.path, "kind", package.asset.kind, "an object package to insert")
@@ -85,7 +86,7 @@ class Scenery:
         )
 
     def with_seed(self, seed: int) -> Scenery:
-        """The same with other samples."""
+        """The scenery with another seed of the renderer's samples."""
         return self._with({"seed": seed})
 
     def _with(self, changes: dict[str, Any]) -> Scenery:
@@ -102,8 +103,8 @@ def recovered_scenery(
 ) -> Scenery:
     """Recovered surfaces in place of the scene's.
 
-    ``asset`` is the package of a reconstruction, with surface and lamps, the latter with ``emission`` by slot
-    in place of their own; all other lights and inserted objects are the scene's.
+    ``asset`` is the package of a reconstruction, with surface and lamps; ``emission`` by slot replaces the
+    lamps' radiance; all other lights and inserted objects are the scene's.
     """
     package = open_package(asset)
     configuration = truth.configuration

@@ -32,8 +32,8 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """A checkpoint. A missing one is left out of the tables, with a note. ``weights`` of the medians over
-    views, ``is_leveled`` and ``materials`` as for ``materials infer``.
+    """Maps of a checkpoint. A missing checkpoint is left out of the tables, with a note. ``weights`` of the
+    medians over views, ``is_leveled`` and ``materials`` as for ``materials infer``.
     """
 
     kind: Literal["network"]
@@ -97,7 +97,7 @@ Method = Annotated[
 class ModifiedLight(StrictModel):
     """Another light: the scene's own lights times ``own_gain``, and ``lights``.
 
-    "ceiling" is a downward rectangle of 0.6 m below the ceiling over the camera nearest to the middle of all.
+    "ceiling" is a square of 0.6 m just below the ceiling, above the camera nearest to the centre of all.
     """
 
     own_gain: NonNegative = 0.0

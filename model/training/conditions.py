@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Random viewing and lighting conditions of the rendering loss (method 5), drawn from seeded generators.
+"""Random viewing and lighting conditions of the rendering loss, drawn from seeded generators.
 
 Maps are (B, C, H, W). Positions and normals are in camera space (metres; x right, y down, z forward; the
 camera at the origin), so that a pixel's original view direction is -position/|position|. Every draw is made
@@ -119,7 +119,7 @@ def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
     """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
 
     The draw is a point of a disc in a frame that rotates with each pixel's original view direction and keeps
-    the camera's x axis, so that the new views vary smoothly over the image, like those of one camera.
+    the camera's x axis, so that the new directions vary smoothly over the image, as from one camera.
     """
     original = normalize(-geometry.position)
     uv = draws.uniform(2).to(original)
@@ -154,8 +154,8 @@ def _pick(image: Tensor, index: Tensor) -> Tensor:
 def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondition:
     """A view, and a point light in the mirror direction of that view at a random anchor pixel.
 
-    The light is exp N(0.5, 0.75) scene scales away from the anchor. Its intensity gives a white Lambertian
-    surface at the anchor that faces it the radiance 1, so that exposure does not depend on the distance.
+    The light is exp N(0.5, 0.75) scene scales away from the anchor. Its intensity gives radiance 1 to a white
+    Lambertian surface at the anchor that faces the light, so that exposure does not depend on the distance.
     """
     view_dir = sample_views(geometry, draws)
     anchor = _anchor_pixels(geometry, draws)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Training of the confidence networks: the filtered maps are compared with the truth; everything else is
-frozen (method 6).
+frozen.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ _INIT_PURPOSE = 0x11
 
 
 class Ranks:
-    """This process among those that train together; a single process without ``torchrun``."""
+    """This process's rank among the processes that train together; one rank without ``torchrun``."""
 
     def __init__(self) -> None:
         self.count = int(os.environ.get("WORLD_SIZE", "1"))

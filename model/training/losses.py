@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The training loss (method 5): re-renderings and maps, each under an L1 and a perceptual distance.
+"""The training loss: re-renderings and maps, each under an L1 and a perceptual distance.
 
     L = L_E(I) + L_1(I) + sum over the predicted maps M of (L_E(M) + lambda L_1(M)),  lambda = 0.1
 
@@ -35,7 +35,7 @@ _LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the log
 
 
 class LossConfig(StrictModel):
-    """Weights and counts of the loss; the defaults are the method's."""
+    """Weights and counts of the loss."""
 
     num_point_lights: int = Field(default=3, ge=0)
     num_area_lights: int = Field(default=3, ge=0)

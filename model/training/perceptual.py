@@ -166,8 +166,8 @@ def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor
 
 
 class Elpips(nn.Module):
-    """E-LPIPS on VGG16: 14 layers and average pooling with its own heads, or 5 and max pooling with LPIPS'
-    heads.
+    """E-LPIPS on VGG16, with 14 layers, average pooling and its own heads, or with 5 layers, max pooling and
+    LPIPS' heads.
     """
 
     def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):

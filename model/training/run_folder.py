@@ -75,7 +75,7 @@ class RunFolder:
         return state
 
     def save(self, progress: RunProgress, phase: Phase | None = None) -> None:
-        """Write the state; without a phase between phases."""
+        """Write the state; between phases, ``phase`` is None."""
         if self.context.ranks.is_first:
             optimizer, average = (phase.optimizer, phase.average) if phase else (None, None)
             averages = average.tensors() if average else {}

@@ -96,7 +96,8 @@ def save_state(
     optimizer: torch.optim.Optimizer | None,
     averages: Mapping[str, Tensor] | None = None,
 ) -> None:
-    """Write the state of a run atomically; ``averages`` are of a phase's weights."""
+    """Write the state of a run atomically; ``averages`` are the phase's averaged
+    weights."""
     from safetensors.torch import save
 
     tensors = {f"module.{name}": value for name, value in module.state_dict().items()}

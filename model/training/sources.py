@@ -31,9 +31,7 @@ class TrainingData:
 
 
 def validation_note(data: TrainingData, num_views: int) -> str:
-    """Warning if the user asked for ``num_views`` views of validation but there is no such data; ""
-    otherwise.
-    """
+    """Warning if the user asked for ``num_views`` validation views but there are none; "" otherwise."""
     if data.validation or not num_views:
         return ""
     return (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Signals that stop a training."""
+"""Signals that stop training."""
 
 from __future__ import annotations
 
