@@ -65,7 +65,7 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
 
 
 def settings_from(arguments: argparse.Namespace) -> ExportSettings:
-    """Settings of the arguments, which are named after them."""
+    """Settings from the arguments of the same names."""
     names = {field.name for field in fields(ExportSettings)}
     given = {name: value for name, value in vars(arguments).items() if name in names}
     return ExportSettings(**{**given, "only": tuple(arguments.only)})
@@ -88,7 +88,7 @@ def quiet_stdout() -> Iterator[None]:
 
 
 class ProgressLine:
-    """Progress on standard error: a bar on a terminal; otherwise, as in a log, a line every half a minute."""
+    """Progress on standard error: a bar on a terminal; otherwise, as in a log, a line every 30 seconds."""
 
     def __init__(self) -> None:
         self.is_terminal = sys.stderr.isatty()
@@ -166,7 +166,7 @@ def run(arguments: argparse.Namespace) -> int:
 def leave(code: int) -> NoReturn:
     """End the process with ``code``, without Blender's own clean-up.
 
-    If the open file has a scripted driver, that clean-up waits for ever for the finished Python interpreter.
+    If the open file has a scripted driver, that clean-up waits forever for the finished Python interpreter.
     """
     try:
         sys.stdout.flush()

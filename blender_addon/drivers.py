@@ -21,7 +21,7 @@ _REMEDY = (
 
 
 def refuse_unevaluated_drivers(problems: ProblemList) -> None:
-    """Add an error for each data-block that has drivers which were not evaluated."""
+    """Add an error for each data-block with drivers that were not evaluated."""
     bpy.context.view_layer.update()
     for collection in _BLOCKS:
         for block in getattr(bpy.data, collection):

@@ -41,7 +41,7 @@ def import_package(path: Path) -> Imported:
 
     An environment's own light becomes the scene's world, and its first camera the scene's camera if it had
     none. A zip's images are packed. Raises ``ValueError`` with the file and the field for an invalid package,
-    and in too old a Blender.
+    and if Blender is too old.
     """
     fault = fault_of_version()
     if fault is not None:

@@ -47,7 +47,7 @@ class ProblemList:
         self._entries.setdefault(Problem(severity, message, remedy, **place))
 
     def extend(self, problems: Iterable[Problem]) -> None:
-        """Append several, skipping those already there."""
+        """Append several problems, without duplicates."""
         for problem in problems:
             self._entries.setdefault(problem)
 

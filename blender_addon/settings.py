@@ -14,12 +14,12 @@ class ExportSettings:
 
     ``kind``: ``auto`` follows the ``sm_role`` tags, and exports the scene as one environment if there are
     none. ``tolerance``: mean absolute change of a channel below which a texture is not doubled again.
-    ``max_texture_px``: its maximum side in any case (a power of two). ``bake_normals``: bump and normal maps
+    ``max_texture_px``: maximum side of a texture (a power of two). ``bake_normals``: bump and normal maps
     become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects, collections or
     materials to export (empty: all tagged ones). ``license``, ``author``, ``source``: provenance where the
     asset has no such tags. ``apply_box_uv``: meshes without UVs get box-projected ones at one unit per metre,
     so that other materials can be assigned to them. ``report``: write the fidelity report. ``report_python``:
-    Python executable that has this project, for it.
+    Python executable for the report, with this project installed.
     """
 
     kind: str = "auto"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Assets of a file by its tags."""
+"""Finds the assets of a file by its tags."""
 
 from __future__ import annotations
 

@@ -4,9 +4,9 @@
 f(wi, wo) = (1 - S) D / pi  +  F(S, wi.h) D_b(h; alpha) G1(wi) G1(wo) / (4 cos_i cos_o)
 
 D is ``diffuse_albedo``, S ``specular_albedo`` (the reflectance F0 at normal incidence), R ``roughness``
-(perceptual; alpha = R^2), F Schlick's Fresnel, D_b and G1 those of :mod:`mitsuba_plugins.beckmann`. ``wi``
-points to the viewer, ``wo`` is sampled, both are unit and local (z is the shading normal); ``eval`` includes
-cos_o. Component 0 is diffuse, component 1 glossy.
+(perceptual; alpha = R^2), F Schlick's Fresnel term, D_b and G1 are from :mod:`mitsuba_plugins.beckmann`.
+``wi`` points to the viewer, ``wo`` is sampled, both are unit and local (z is the shading normal); ``eval``
+includes cos_o. Component 0 is diffuse, component 1 glossy.
 
 The surface is two-sided unless ``two_sided`` is false: its back is the mirror image of its front.
 """
@@ -115,7 +115,7 @@ class CookTorrance(mi.BSDF):
     def eval_pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """Value and density together: they share everything but a few multiplications."""
+        """Value and density together, which share all but a few multiplications."""
         return _Lobes(self, ctx, si, active).eval_pdf(wo)
 
     def sample(

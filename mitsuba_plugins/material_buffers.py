@@ -319,7 +319,7 @@ def render_material_buffers(
     float32 except for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers it
     contains ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to
     (instance id, material id); a :class:`SceneMaterials` made once serves all views of a scene.
-    ``hide_emitters`` must equal that of the beauty image's integrator. Raises :class:`InputError` if a
+    ``hide_emitters`` must be as in the beauty image's integrator. Raises :class:`InputError` if a
     shape's material has no D, S and R or a shape is missing from ``ids``.
     """
     _check_spp(spp)

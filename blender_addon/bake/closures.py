@@ -87,7 +87,7 @@ class Lobe:
 class Closures:
     """Closures of a surface graph, combined.
 
-    ``transparency`` is the weight that transmits light straight; ``emission`` is radiance per unit strength;
+    ``transparency`` is the weight of straight transmission; ``emission`` is radiance per unit strength;
     ``normals`` are linked Normal inputs (stack, socket).
     """
 

@@ -67,7 +67,7 @@ class Dependencies:
 
     @property
     def detail_px(self) -> tuple[int, int] | None:
-        """Texels per unit of the single frame, along u and v, that preserve all detail: those of the images.
+        """Texels per unit of the single frame, along u and v, that preserve all detail of the images.
 
         None if anything but images varies, or if they are read in several frames.
         """
@@ -85,7 +85,7 @@ class Dependencies:
         return self.world or self.object_info
 
     def merge(self, other: Dependencies) -> None:
-        """Add the dependencies of another."""
+        """Add other dependencies."""
         self.uv_layers |= other.uv_layers
         self.named |= other.named
         self.frames |= other.frames

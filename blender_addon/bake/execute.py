@@ -154,7 +154,7 @@ class BakeSession:
     def make_single(
         self, path: tuple[str, ...], node: bpy.types.Node, single_user: set[tuple[str, ...]]
     ) -> None:
-        """Give a group node its own tree, once."""
+        """Give a group node a copy of its tree that no other node uses, once."""
         if path not in single_user:
             node.node_tree = self.own(bpy.data.node_groups, node.node_tree.copy())
             node.node_tree.name = f"{_PREFIX}group"

@@ -42,7 +42,7 @@ class PlainImage:
 class MaterialPlan:
     """Export plan of one material.
 
-    ``constants`` need no bake except for a value; ``images`` are used unchanged, including a normal map if
+    ``constants`` need at most the bake of one value; ``images`` are used unchanged, including a normal map if
     normals are exported and ``bakes_normal`` is not needed for them; ``varying`` are baked on a plane, or on
     the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
     """
@@ -60,7 +60,7 @@ class MaterialPlan:
 
     @property
     def needs_mesh(self) -> bool:
-        """Whether a part with its own mesh must be baked."""
+        """Whether a channel must be baked on each mesh."""
         return (bool(self.varying) or self.bakes_normal) and self.dependencies.needs_mesh
 
     @property
@@ -69,7 +69,7 @@ class MaterialPlan:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether one UV unit contains everything."""
+        """Whether every channel repeats with the UV unit square."""
         return self.dependencies.is_periodic
 
 
@@ -212,7 +212,7 @@ def _strip_clamp(expression: Expression) -> tuple[Expression, bool]:
 
 
 def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
-    """The image of an expression that is nothing but an image read through an affine UV map, else None."""
+    """The image of an expression that only reads an image through an affine UV map, else None."""
     bare, _ = _strip_clamp(expression)
     is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
     if is_luminance:

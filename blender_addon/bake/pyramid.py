@@ -23,7 +23,7 @@ _BLOCK_ROWS = 64
 class Level:
     """An image that replaces a finer one.
 
-    ``error`` is the mean absolute difference over covered texels between the finer one and this one
+    ``error`` is the mean absolute difference over covered texels between the finer image and this one,
     interpolated linearly.
     """
 
@@ -81,7 +81,7 @@ def _shifted(values: NDArray, rows: int, columns: int) -> NDArray:
 
 
 def dilate(image: Image, mask: Mask) -> tuple[Image, Mask]:
-    """Give the texels around the mask the mean of their covered neighbours, one ring."""
+    """Grow the mask by a ring of texels, each with the mean of its covered neighbours."""
     covered = np.where(mask[..., None], image, 0)
     total = np.zeros_like(image)
     count = np.zeros((*mask.shape, 1), np.float32)
@@ -151,7 +151,7 @@ def smallest_level(
 
 
 def level_error(level: Image, image: Image, mask: Mask, enough: float = math.inf) -> float:
-    """Mean absolute difference over covered texels, of the worst component.
+    """Mean absolute difference over covered texels, in the worst component.
 
     Rows are added in cache-sized blocks until the sum alone brings the mean above ``enough``; the result is
     then a lower bound.

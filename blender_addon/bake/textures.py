@@ -34,7 +34,7 @@ UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
 class BakedTexture:
     """``pixels`` (H, W, C) float32, row 0 at v = 0, linear.
 
-    ``error``: mean absolute difference to twice the resolution (or to the finest bake).
+    ``error``: mean absolute difference from the bake at twice the resolution (or from the finest bake).
     """
 
     pixels: Array
@@ -82,7 +82,7 @@ class BakedMaterial:
     """Baked ``channels`` of a material by name.
 
     The mesh's UVs become texture coordinates by ``frame``; then the window (u0, v0, u1, v1) is mapped to the
-    unit square. ``uv`` (C, 2) replaces them if the mesh has a new layout.
+    unit square. ``uv`` (C, 2) replaces the UVs if the mesh has a new layout.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)

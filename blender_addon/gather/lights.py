@@ -3,8 +3,8 @@
 
 With P = energy * colour * 2^exposure (the light's own exposure): point of radius 0, I = P / 4 pi; sphere, L =
 P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi; without Normalize L
-= P / pi for spheres and areas. Lengths are converted to metres by ``m`` (metres per unit), under which
-radiance stays and intensity grows by m^2. Tests compare all of them with Cycles.
+= P / pi for spheres and areas. Lengths are converted to metres by ``m`` (metres per unit), which leaves
+radiance unchanged and multiplies intensity by m^2. Tests compare every case with Cycles.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def slug(name: str) -> str:
 def check_words(
     values: tuple[str, ...], allowed: tuple[str, ...], tag: str, problems: ProblemList, **place: str
 ) -> tuple[str, ...]:
-    """The values that are allowed; each other one is an error."""
+    """The allowed values; every other value is an error."""
     for value in values:
         if value not in allowed:
             problems.add(ERROR, f"{tag} = {value!r}", f"use one of {', '.join(allowed)}", **place)

@@ -29,7 +29,8 @@ img { display: block; image-rendering: auto; }
 
 @dataclass(frozen=True)
 class Comparison:
-    """A material or light rendered by both: linear images (H, W, 3), or None without the second renderer.
+    """A material or light as rendered by Cycles and by Mitsuba: linear images (H, W, 3), or None if Mitsuba
+    is not available.
 
     ``limit``: acceptable relative error.
     """
@@ -48,7 +49,7 @@ class Comparison:
 
     @property
     def mean_ratio(self) -> float:
-        """Mean radiance of the exported, relative to the original."""
+        """Mean radiance of the exported image, relative to the original image."""
         assert self.mitsuba is not None
         return float(self.mitsuba.mean() / max(float(self.cycles.mean()), 1e-9))
 
