@@ -2,7 +2,7 @@
 """The packages; everything else is in pyproject.toml.
 
 The bundled library, recipes and small suite lie in ``scenes/`` of the repository and are installed inside
-of the package ``datagen``, as ``datagen/scenes``: pyproject.toml cannot say that of found packages.
+of the package ``datagen``, as ``datagen/scenes``: pyproject.toml cannot express that for discovered packages.
 """
 
 from setuptools import find_packages, setup

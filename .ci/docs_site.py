@@ -2,7 +2,7 @@
 """Generated parts of the site: the API reference and the index of decisions.
 
 MkDocs calls the ``on_...`` functions (``hooks`` in mkdocs.yml), mkdocstrings the extension. Both lists are
-made from what is there, so that no module and no decision is left out.
+made from the files, so that no module and no decision is left out.
 """
 
 from __future__ import annotations
@@ -107,7 +107,9 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 class PlainDocstrings(griffe.Extension):
-    """Docstrings are written for readers of the code: ``[m]`` is a unit and no link, ``:class:`` is noise."""
+    """Rewrites docstrings, written for readers of the code: ``[m]`` is a unit, not a link, and ``:class:`` is
+    noise.
+    """
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         """Rewrite an object's docstring before it becomes Markdown."""

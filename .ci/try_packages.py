@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Builds the sdist and the wheel into dist/, and tries each where nothing of the checkout can be found.
+"""Builds the sdist and the wheel into dist/, and tries each outside the checkout.
 
 The wheel is built from the sdist. It is installed with its dependencies into a new environment, first the
 base alone, then the extra `train`; the sdist into a second one, which takes the dependencies from the first.
@@ -45,11 +45,11 @@ class Environment:
 
     @property
     def packages(self) -> Path:
-        """Its site-packages."""
+        """The site-packages of the environment."""
         return next((self.folder / "venv" / "lib").glob("python*/site-packages"))
 
     def run(self, program: str, *arguments: str | Path) -> str:
-        """Run one of its programs; what it prints. Raises where that fails."""
+        """Run a program of the environment; returns its output. Raises if the program fails."""
         return self._call([str(self.bin / program), *map(str, arguments)])
 
     def _call(self, command: list[str]) -> str:
@@ -66,7 +66,7 @@ class Environment:
 
 
 def build() -> tuple[Path, Path]:
-    """(sdist, wheel) in dist/, which held nothing before, as an index would take them."""
+    """Build sdist and wheel into dist/, replacing older ones, and check them; returns both paths."""
     for old in DIST.glob("scene_materials-*"):
         old.unlink()
     command = [sys.executable, "-m", "build", "--outdir", str(DIST), str(REPOSITORY)]
@@ -79,7 +79,7 @@ def build() -> tuple[Path, Path]:
 
 
 def try_dataset(environment: Environment) -> None:
-    """Commands that run without torch: a dataset from the bundled library by a bundled recipe."""
+    """Run the commands that need no torch: a dataset from the bundled library by a bundled recipe."""
     environment.run("python", "-c", IS_ISOLATED, REPOSITORY)
     assert environment.run("datagen", "--version").startswith("scene-materials ")
     assert "bundled library" in environment.run("datagen", "doctor")
@@ -89,7 +89,7 @@ def try_dataset(environment: Environment) -> None:
 
 
 def try_inference(environment: Environment) -> None:
-    """Materials of a configuration's views by the bundled checkpoint."""
+    """Infer materials of a configuration's views with the bundled checkpoint."""
     assert environment.run("materials", "--version").startswith("scene-materials ")
     shard = min((environment.folder / "smoke" / "shards").rglob("*.tar"))
     environment.run("materials", "infer", shard, "--out", "asset", "--atlas", "512")
@@ -98,7 +98,7 @@ def try_inference(environment: Environment) -> None:
 
 
 def main() -> None:
-    """Build, and try both."""
+    """Build both packages and try each."""
     constraints = Path(sys.argv[1]).resolve()
     sdist, wheel = build()
     install = ("install", "--quiet", "--disable-pip-version-check")

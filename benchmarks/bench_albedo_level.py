@@ -4,7 +4,7 @@
     python -m benchmarks.bench_albedo_level SUITE --cache DIR [--views 12 25] [--clip 0.02] [--always]
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
-of their photographs with the suite's networks, for all photographs or the first ``--views`` ones. ``--clip``:
+of their photographs with the suite's networks, for all photographs or for the first ``--views``. ``--clip``:
 share of the pixels that are first raised to the sensor's limit. Errors are over all surface pixels; "best
 gain" is the factor for the room that minimises them.
 """

@@ -18,9 +18,9 @@ exported configuration, which is not counted. It has no roughness, no multi-view
 control.
 
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
-renderer against two independent converged images of its own, because the materials differ by more than the
-target error (the agreement of the two is measured and reported; if it is poor the command ends with 1). The
-references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so that the
+renderer against two independent converged images by the same renderer, because the materials differ by more
+than the target error (the agreement of the two is measured and reported; if it is poor, the exit code is 1).
+The references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so that the
 energy removed by these counts as an error. Cycles' sample count is found by doubling until the error is at
 most ours and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count,
 with Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest or, if none
@@ -136,7 +136,7 @@ class Comparison:
     # ---------------------------------------------------------------- the same room for both
 
     def prepare(self) -> None:
-        """Plan, export, .blend."""
+        """Plan, export, and convert the export to a .blend."""
         plan = self.folder / "plan"
         if not (plan / "plan.json").is_file():
             path = self.folder / "recipe.yaml"
@@ -150,7 +150,7 @@ class Comparison:
             timed("benchmarks.cycles_baseline", "build", str(export), str(blend), log=log)
 
     def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Views rendered by Cycles in ``folder/name``, with their seconds."""
+        """Render views with Cycles into ``folder/name``; returns their seconds."""
         out = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -264,7 +264,7 @@ class Comparison:
     # ---------------------------------------------------------------- time
 
     def ours(self, name: str, *, is_cold: bool) -> dict[str, Any]:
-        """One ``datagen run --unit`` on a fresh copy of the plan."""
+        """Run ``datagen run --unit`` on a fresh copy of the plan."""
         root = self.folder / name
 
         def make() -> dict[str, Any]:

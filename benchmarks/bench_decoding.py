@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views per second decoded for training by one core: three buffers of each, as stored and as tensors.
+"""Views per second decoded for training by one core: three buffers per view, as stored and as tensors.
 
     python -m benchmarks.bench_decoding DATASET [--buffers beauty diffuse_albedo roughness] [--views 40]
 

@@ -99,7 +99,7 @@ def _shard(configuration: str) -> bytes:
 
 
 def finish_folder(folder: DatasetFolder, plan: Plan) -> None:
-    """Markers and shards as if every unit were done."""
+    """Write markers and shards as if every unit were done."""
     for unit in plan.units:
         shard = _shard(unit.id)
         digest = sha256_hex(shard)

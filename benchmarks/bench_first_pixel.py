@@ -7,7 +7,7 @@
 
 A separate process follows the steps of ``datagen run --unit``: imports, opens the library, reads plan and
 configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view with one path
-and one auxiliary sample per pixel: the result in memory are the first pixels. Warm means that the operating
+and one auxiliary sample per pixel: the result in memory is the first pixels. Warm means that the operating
 system has the files, and Dr.Jit the kernels, in its cache from one earlier run. Medians of --repeats runs;
 the target is 10 s on 2 cores.
 """
@@ -78,7 +78,7 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 def passes(renderer: Any) -> dict[str, float]:
     """Wall seconds of a pass of one path for each of 1,024 cells, replayed and recorded anew; medians of 5.
 
-    The latter is the cost of every pass without recordings.
+    Without recordings every pass costs the latter.
     """
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}

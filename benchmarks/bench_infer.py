@@ -9,8 +9,8 @@ Without ``--capture`` the capture is an analytic room of 24 triangles with a blo
 nothing, so that the work per pixel, view and texel is measured. With a rendered capture and ``--views`` its
 cameras are used in turn, moved by up to 0.3 m and rotated by up to 20 degrees; their images look up the
 capture's true albedo, shaded from the camera: any number of photographs of the same room, without rendering.
-Weights are random unless ``--checkpoint`` is given; time does not depend on them except for the solver, whose
-grid follows the predicted albedo. Writes JSON with ``--json``.
+Weights are random unless ``--checkpoint`` is given; time does not depend on weights except in the solver,
+whose grid follows the predicted albedo. Writes JSON with ``--json``.
 
 Memory is counted twice: memory of the process itself, and all resident memory, including pages of the atlas's
 files that the system may drop at any time.
@@ -133,7 +133,7 @@ class MemoryWatch:
 def measure(
     capture: Capture, options: InferOptions, checkpoint: Path | None, scratch: Path | None
 ) -> InferReport:
-    """One run into a temporary folder."""
+    """Run inference once, into a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="bench-infer-", dir=scratch) as folder:
         source = CheckpointMaps(checkpoint or random_checkpoint(Path(folder)))
         return infer(capture, Path(folder) / "out", source, options)

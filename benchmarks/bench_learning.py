@@ -45,7 +45,7 @@ Rows = dict[str, dict[str, float]]
 
 
 def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
-    """The validation views, or those of one dataset folder; ``SystemExit`` if there are none."""
+    """The validation views, or the views of one dataset folder; ``SystemExit`` if there are none."""
     root = judge.resolve() if judge else Path("/")
     places = [place for place in data.validation if place.shard.resolve().is_relative_to(root)]
     if not places:
@@ -56,7 +56,7 @@ def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
 def compare(
     config: TrainingConfig, datasets: list[Path], checkpoints: dict[str, Path], judge: Path | None = None
 ) -> Rows:
-    """Metrics by method on the validation views; the training mean is that of all ``datasets``."""
+    """Metrics by method on the validation views; the training mean is over all ``datasets``."""
     device = torch.device("cpu")
     data = open_data(datasets, config.network, config.data.crop_px)
     read = {path: load_checkpoint(path) for path in checkpoints.values()}

@@ -48,8 +48,8 @@ from model.training.validation import (
 
 
 def part_of(dataset: Path, count: int, judge: Path, out: Path) -> Path:
-    """A dataset folder with ``count`` training configurations of ``dataset`` and the validation ones of
-    ``judge``.
+    """A dataset folder with ``count`` training configurations of ``dataset`` and the validation
+    configurations of ``judge``.
 
     Shards are linked, or copied if that is impossible. Raises ``SystemExit`` for too few.
     """

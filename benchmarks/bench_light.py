@@ -6,11 +6,11 @@ method.
         [--worse-mesh] [--ablate] [--checkpoint FILE]
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
-of their first ``--views`` photographs with the bundled network, or with that of ``--checkpoint``. Mean
-squared errors are over all surface pixels, and over those of metal (S above 0.2), of white (D above 0.6) and
-of glossy surfaces (R below 0.4). Sheets, one per room, show D of the network, from light and true, and R from
-light and true, of three views. ``--worse-mesh`` uses vertices that are off by 1 cm, three tenths of the
-triangles and 5 % holes. ``--ablate`` adds a row for each omitted step.
+of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. Mean squared errors
+are over all surface pixels, and over metal (S above 0.2), white (D above 0.6) and glossy pixels (R below
+0.4). Sheets, one per room, show D of the network, from light and true, and R from light and true, of three
+views. ``--worse-mesh`` uses vertices that are off by 1 cm, three tenths of the triangles and 5 % holes.
+``--ablate`` adds a row for each omitted step.
 """
 
 from __future__ import annotations

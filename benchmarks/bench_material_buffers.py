@@ -5,7 +5,7 @@
 
 Each BSDF of the scene is replaced by a ``cook_torrance`` with the same diffuse reflectance, which preserves
 the texture lookups. Both passes run in turn on the same view; ``aov`` gives albedo, shading normal, depth and
-shape index, the ground-truth pass all its 17 channels. Writes JSON with medians and quartiles.
+shape index, the ground-truth pass gives all 17 channels. Writes JSON with medians and quartiles.
 """
 
 from __future__ import annotations

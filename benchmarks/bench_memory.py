@@ -67,7 +67,7 @@ def write_library(root: Path) -> Library:
 
 
 def draw_configuration(library: Library, index: int, views: int, size: tuple[int, int]) -> Configuration:
-    """Configuration ``index``: other scales, materials, colours, lights, and number of objects."""
+    """Configuration ``index``, with its own scales, materials, colours, lights and number of objects."""
     rng = np.random.default_rng(1000 + index)
 
     def assignment() -> MaterialAssignment:

@@ -6,12 +6,12 @@
     python -m benchmarks.bench_merge_quality seams SHARD ...
 
 ``weights``: mean squared error of predicted maps after merging with each choice of weights, and before
-(``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x: twice the
-side of ``auto``). ``seams``: the mean step of merged D between neighbouring texels of smooth true D, where
-the number of views differs (``border``) and where it does not (``inside``), by weights; printed without the
-other figures. An atlas is evaluated in the views: at the surface under each pixel's centre, between texels,
-against the pixel's truth; all surface pixels of all views of all shards have equal weight. ``--json`` stores
-the figures.
+merging (``views``). ``sizes``: the error of the ground truth itself after merging into atlases of several
+sides (2x: twice the side of ``auto``). ``seams``: the mean step of merged D between neighbouring texels of
+smooth true D, where the number of views differs (``border``) and where it does not (``inside``), by weights;
+printed without the other figures. An atlas is evaluated in the views: at the surface under each pixel's
+centre, between texels, against the pixel's truth; all surface pixels of all views of all shards have equal
+weight. ``--json`` stores the figures.
 """
 
 from __future__ import annotations

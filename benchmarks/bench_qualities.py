@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Whether the named qualities are still on the front of error against time (docs/decisions/0071).
+"""Checks that the named qualities lie on the Pareto front of error and time (docs/decisions/0071).
 
     python -m benchmarks.bench_qualities                      3 rooms, 4 views of 320x192; exit code 1 if not
     python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
 
 Plans configurations of the bundled library and compares ``draft`` and ``standard`` (with ``--reference`` also
 ``reference``, which takes long) with fixed sample counts, both with all light traced and with the irradiance
-cache and the clamp of these two. A quality's excess is its cost divided by the cost at which the front of the
-fixed counts reaches the same error, in processor seconds and in light paths. Qualities estimate the error of
-each view, fixed counts do not: over rooms that differ, an excess below 1 is expected; on the other hand a
-quality needs one or two more denoiser runs per pass. Allowed: --slack in light paths (independent of the
-machine), --time-slack in processor seconds. Trials are stored in --out and not repeated.
+cache and the clamp of these two qualities. A quality's excess is its cost divided by the cost at which the
+front of the fixed counts reaches the same error, in processor seconds and in light paths. Qualities estimate
+the error of each view, fixed counts do not: over rooms that differ, an excess below 1 is expected; on the
+other hand a quality needs one or two more denoiser runs per pass. Allowed: --slack in light paths
+(independent of the machine), --time-slack in processor seconds. Trials are stored in --out and not repeated.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Whether the recorded error of a view is its true one: `standard` against plain paths, ten rooms, four
-views.
+"""Compares the recorded error of views with their true error: `standard` against plain paths, ten rooms, four
+views each.
 
     python -m benchmarks.bench_recorded_error                      96x64: references, views, figures, picture
     python -m benchmarks.bench_recorded_error --size 320 192 --views 1 --samples 128

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Cost and variety of generated rooms: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
 
-For N seeds of every kind: processor seconds of a room with its package, tries, bytes; minimum, median and
+For N seeds of every kind: processor seconds and bytes of a room's package, and tries; minimum, median and
 maximum of the number of pieces, floor area, proportion, number of windows and their width; the share of
 windows with curtains, blind and radiator.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Savings by the sky guide (docs/decisions/0073): variance and time, room by room.
+"""Savings from the sky guide (docs/decisions/0073): variance and time, room by room.
 
     python -m benchmarks.bench_sky_guide                  6 rooms, 4 views of 160x96; 4 minutes
 

@@ -56,7 +56,7 @@ def scene_from_file(path: Path):
 
 
 def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
-    """Surface interaction through one position in every pixel, and depth along the optical axis (H W,)."""
+    """Surface interaction through one position in every pixel, and depth along the optical axis (H * W,)."""
     import drjit as dr
     import mitsuba as mi
 

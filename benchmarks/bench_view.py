@@ -78,7 +78,7 @@ def lit_views(
 ) -> list[Camera]:
     """The first valid candidates, judged on images of a tenth of the size.
 
-    Those inside walls are left out: images must be at least a fifth as bright as the first, with nothing
+    Cameras inside walls are left out: images must be at least a fifth as bright as the first, with nothing
     nearer than 0.3 m in more than a twentieth of the image.
     """
     recipe = RenderRecipe(path_samples=64, auxiliary_samples=4, denoise=False)
@@ -154,7 +154,7 @@ def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) 
 
 
 def measure(renderer: SceneRenderer, configuration: Configuration, compression: str) -> dict[str, Any]:
-    """Times of the stages, run one after the other so that they are separate."""
+    """Times of the stages, which run one after the other to be measured separately."""
     watch = Stopwatch()
     count = len(configuration.cameras)
     renderer.render_view(0)  # warm-up: compiles kernels

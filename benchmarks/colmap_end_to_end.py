@@ -233,7 +233,7 @@ class EndToEnd:
     # ---------------------------------------------------------------- inference and comparison
 
     def infer(self) -> None:
-        """Run the command as a user would."""
+        """Run ``materials infer`` as a user would."""
         mesh, log = str(self.out / "retopology.ply"), self.out / f"infer-{self.cameras}.log"
         options = ("--mesh", mesh, "--out", str(self.result), "--atlas", self.atlas, "--quiet")
         run("model.cli", "infer", str(self.capture), *options, log=log)

@@ -11,7 +11,7 @@ to the room's median exposure, since each scene has its own unit of radiance.
 Writes ``distributions.png`` (D, S, R, luminance, exposure), ``beside.jpg`` (imported rooms left, generated
 ones right) and ``page.jpg`` (a view of each of the first ``--page`` rooms of DATASET), all at the exposure of
 contact sheets, and prints a table: shares of S > 0.3 and R < 0.3, clipped pixels at that exposure, with and
-without those of windows' frames, sills, blinds and curtains, and the variation of exposures within a room.
+without frames, sills, blinds and curtains of windows, and the variation of exposures within a room.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ _LOGARITHMIC = ("brightest channel of S", "luminance, exposed", "exposure / room
 class RoomFigures:
     """Figures of one room.
 
-    ``densities`` by the names of :data:`BINS`, each with the sum 1; for its views exposure, clipped share of
-    all surfaces, and of those outside of windows; a picture of the view with most instances.
+    ``densities`` by the names of :data:`BINS`, each with the sum 1; for each view its exposure, and the
+    clipped shares of all surfaces and of surfaces outside windows; a picture of the view with most instances.
     """
 
     name: str

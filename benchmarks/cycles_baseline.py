@@ -27,7 +27,7 @@ SENSOR_MM = 36.0
 
 
 def build(export: Path, out: Path) -> None:
-    """A .blend of the exported room with its lights, its sky, and the cameras in a text block."""
+    """Write a .blend of the exported room with its lights, its sky, and the cameras in a text block."""
     import bpy
 
     from blender_addon.import_package import import_package

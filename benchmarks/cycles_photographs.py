@@ -5,7 +5,7 @@
     python -m benchmarks.cycles_photographs retopology BLEND OUT.ply --triangles 20000
 
 ``render`` writes one linear EXR (half) per camera of the .blend of ``cycles_baseline build``, with the depth
-of field of a full-frame camera; existing ones are kept. ``retopology`` joins the contents of the room, welds
+of field of a full-frame camera; existing files are kept. ``retopology`` joins the contents of the room, welds
 vertices and collapses edges; the result has no UVs.
 """
 
@@ -23,7 +23,7 @@ _WELD_M = 2e-4
 
 
 def render(arguments: argparse.Namespace) -> None:
-    """All cameras, one after the other."""
+    """Render all cameras, one after the other."""
     import bpy
 
     bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
@@ -49,7 +49,7 @@ def render(arguments: argparse.Namespace) -> None:
 
 
 def retopology(arguments: argparse.Namespace) -> None:
-    """One triangle mesh of about ``--triangles``, as PLY in the world's frame."""
+    """Write one mesh of about ``--triangles`` triangles, as PLY in the world's frame."""
     import bpy  # isort: split
     import bmesh
 

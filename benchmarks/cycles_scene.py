@@ -62,7 +62,7 @@ class RoomExport:
         self._meshes: dict[tuple[str, str, float], str] = {}
 
     def write(self) -> None:
-        """Meshes, textures and ``asset.json``."""
+        """Write meshes, textures and ``asset.json``."""
         for folder in ("meshes", "textures"):
             (self.out / folder).mkdir(parents=True, exist_ok=True)
         problems: list[Problem] = []
@@ -188,7 +188,9 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
 
 
 def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
-    """Two independent converged images of each missing view, ``view_000.npz``, without cached irradiance."""
+    """Write two independent converged images of each missing view, ``view_000.npz``, without cached
+    irradiance.
+    """
     configuration, library, planned = open_folder(folder)
     recipe = planned.read_recipe().render.model_copy(update={"irradiance_cache": False})
     renderer = SceneRenderer(configuration, library, recipe)

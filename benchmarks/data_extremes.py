@@ -119,7 +119,7 @@ def spread_of_alike_views(num_views: int) -> float:
 
 
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """Views of the boxes from positions beside the usual ones, each rendered anew."""
+    """Views of the boxes from positions near the usual cameras, each rendered anew."""
     rng = np.random.default_rng(3)
     base = make_views((size,))
     found = []

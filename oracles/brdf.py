@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The material model in float64 NumPy, written from its equations: slow, plain, and right.
+"""The material model in float64 NumPy, written from its equations: slow, plain and exact.
 
 Letters: ``wi`` viewer, ``wo`` light, unit (..., 3), local frame with z the normal; ``alpha`` the slope width;
 D, S, R the material's channels, D and S (..., 3) or broadcastable, R (...). Directions are used as given:
-rounding them to float32 first shows the error of an implementation, not that of its input.
+rounding them to float32 first shows the error of an implementation without that of its input.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def smith_g1(w: Array, alpha: Array) -> Array:
 
 
 def schlick(specular_albedo: Array, one_minus_cos: Array) -> Array:
-    """Schlick's Fresnel with the fifth power, of 1 - cos (which is what must not cancel)."""
+    """Schlick's Fresnel term with the fifth power, from 1 - cos, so that nothing cancels."""
     return specular_albedo + (1.0 - specular_albedo) * one_minus_cos**5
 
 
@@ -72,7 +72,7 @@ def specular_lobe(wi: Array, wo: Array, alpha: Array) -> Array:
 
 
 def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
-    """f(wi, wo) cos_o, (..., 3), for the upper side: method.md section 1."""
+    """f(wi, wo) cos_o, (..., 3), for the upper side (docs/bsdf.md)."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     alpha = alpha_from_roughness(roughness)
     lobe = specular_lobe(wi, wo, alpha) * smith_g1(wo, alpha)

@@ -3,7 +3,7 @@
 
 A floor, one wall and two boxes: rays past them hit the background. The cameras include one behind the wall's
 front, one that looks away from everything, and one that grazes the floor. Colours are white noise, so that a
-fetch from any wrong place shows.
+fetch from a wrong place is detected.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def make_views(
     seed: int = 5,
     is_noise: bool = True,
 ) -> list[StatisticsView]:
-    """Views of the scene; ``sizes`` are (width, height) and taken in turn. Some pixels are not surface."""
+    """Views of the scene; ``sizes`` are (width, height), used in turn. Some pixels are not surface."""
     rng = np.random.default_rng(seed)
     views = []
     for index, (position, target) in enumerate(POSES[:num_views]):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
-The loops follow method 2 literally and are correct by inspection. The vectorised version must equal them; it
-also returns how close every pixel is to a decision that float32 could take differently, and is the baseline
-for speed. Both are independent of the kernels that they check. A view is any object with ``camera``,
+The loops follow the definitions literally and are correct by inspection. The vectorised version must equal
+them; it also returns how close every pixel is to a decision that float32 could take differently, and is the
+baseline for speed. Both are independent of the kernels that they check. A view is any object with ``camera``,
 ``color`` (H, W, 3), ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
 
@@ -23,7 +23,7 @@ Occlusion = Callable[[NDArray, NDArray], NDArray]
 
 @dataclass(frozen=True)
 class OracleOptions:
-    """As the project's own; ``occlusion`` replaces the depth test by an exact one."""
+    """Options as of the project's kernels; ``occlusion`` replaces the depth test by an exact one."""
 
     best_views: int = 12
     include_self: bool = True

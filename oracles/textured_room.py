@@ -52,7 +52,7 @@ def room_mesh() -> Mesh:
 
 
 def materials_at(uv: NDArray) -> dict[str, NDArray[np.float32]]:
-    """Maps (..., 3 or 1) at UVs (..., 2). Waves of at most one period a cell; values within [0.05, 0.95]."""
+    """Maps (..., 3 or 1) in [0.05, 0.95] at UVs (..., 2): waves of at most one period per cell."""
     u, v = uv[..., 0] * 4 * 2 * np.pi, uv[..., 1] * 3 * 2 * np.pi
     diffuse = np.stack([0.5 + 0.3 * np.sin(u), 0.5 + 0.3 * np.cos(v), 0.4 + 0.2 * np.sin(u + v)], axis=-1)
     specular = np.stack([0.1 + 0.05 * np.cos(u), 0.1 + 0.05 * np.sin(v), 0.2 + 0.1 * np.cos(u - v)], axis=-1)

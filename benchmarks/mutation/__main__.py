@@ -4,10 +4,10 @@
     python -m benchmarks.mutation [TARGET ...] [--number N] [--seed S] [--again] [--work DIR] [--out FILE]
 
 For each target (targets.py) the tests run once with line tracing; then a seeded sample of the mutants on
-those lines is tried, each with the tests that run its line, fastest first, until one fails. All of it happens
-in a copy of the project below ``--work``. Results are written after each mutant to ``--out``; the same
-command resumes after them, and ``--again`` repeats the survivors. A mutant is identified by its statement and
-its function, so that results remain valid when other code changes.
+those lines is tried, each with the tests that run its line, fastest first, until one fails. Everything
+happens in a copy of the project below ``--work``. Results are written after each mutant to ``--out``; the
+same command resumes after them, and ``--again`` repeats the survivors. A mutant is identified by its
+statement and its function, so that results remain valid when other code changes.
 
 ``--list`` prints the survivors, ``--table`` the counts in Markdown; both try nothing.
 """
@@ -127,7 +127,7 @@ def trace(copy: Copy, target: Target) -> dict[str, Any]:
 def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
     """Tests that run a mutant's line, fastest first.
 
-    All tests, if the line runs on import, or in compiled code, which cannot be traced.
+    If the line runs on import, or in compiled code, which cannot be traced, these are all tests.
     """
     lines = set(range(mutant.first_line, mutant.last_line + 1))
     chosen = [name for name, test in tests.items() if lines & test["lines"].get(module, set())]

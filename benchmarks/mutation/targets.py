@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files to mutate and the tests that cover each, by the smallest sufficient files."""
+"""Files to mutate, and for each the smallest set of test files that covers it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """Modules to mutate, the tests that should detect it, and the number of mutants."""
+    """Modules to mutate, the tests that should detect the mutants, and their number."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]

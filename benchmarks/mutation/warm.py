@@ -57,7 +57,7 @@ def _run(request: dict[str, Any]) -> None:
 
 
 def outcome_of(process: int, timeout_s: float) -> int:
-    """Exit code of a process that is killed after ``timeout_s`` of processor time, or ten times that of wall
+    """Exit code of a process that is killed after ``timeout_s`` of processor time, or ten times as much wall
     time.
 
     Processor time excludes delays by other work; wall time covers tests that sleep.

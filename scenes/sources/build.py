@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds one asset in an empty file: sources to tagged Blender data to a package, by the project's add-on."""
+"""Builds one asset in an empty file: its source makes tagged Blender data, which the add-on exports."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def make(name: str) -> str:
 
 
 def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
-    """Export one asset below ``out``; ``quality`` 2 doubles the side of the textures, and so on.
+    """Export one asset below ``out``; ``quality`` multiplies the side of the textures.
 
     Returns the package's folder and the export's remarks.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One picture a kind with a preview of every asset: the pictures of docs/library.md."""
+"""One picture per kind of asset, with previews of all assets: the pictures of docs/library.md."""
 
 from __future__ import annotations
 

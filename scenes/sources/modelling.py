@@ -21,7 +21,7 @@ LICENSE = "CC0-1.0"
 
 
 def new_file() -> None:
-    """An empty file in metres."""
+    """Open an empty file with metres as its unit."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.scene.unit_settings.system = "METRIC"
     bpy.context.scene.unit_settings.scale_length = 1.0
@@ -47,7 +47,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Pieces:
-    """A part's shapes (pairs of slot and shape, of all its slots), to which one slot adds."""
+    """The shapes of a part, as pairs of slot and shape, to which shapes of one slot can be added."""
 
     shapes: list[tuple[str, Shape]]
     slot: str
@@ -81,7 +81,7 @@ class Workshop:
         """The second half of ``+=``, which has added the shapes already."""
 
     def place(self, part: str, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> None:
-        """Show a part here, turned about z; without any call it is shown once at the origin."""
+        """Place a part, rotated about z; a part that is never placed appears once at the origin."""
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         matrix = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
         self.places.setdefault(part, []).append(matrix)
@@ -109,7 +109,7 @@ class Workshop:
         return 1.0 / MATERIALS[source].tile_size_m if source else 1.0
 
     def mesh(self, part: str) -> bpy.types.Mesh:
-        """One mesh of a part's shapes, a material slot for each of its materials."""
+        """One mesh of a part's shapes, with a material slot for each material."""
         pieces = self.parts[part]
         names = list(dict.fromkeys(slot for slot, _ in pieces))
         points, faces, uvs, indices, offset = [], [], [], [], 0
@@ -222,7 +222,7 @@ def tagged_collection(role: str, identity: str, title: str, **tags: object) -> b
 
 
 def tag_material(material: bpy.types.Material, identity: str) -> None:
-    """Tags that make a library material a package of its own."""
+    """Tag a material for export as a separate package."""
     source = MATERIALS[identity]
     tags: Iterable[tuple[str, object]] = (
         ("sm_role", "material"), ("sm_id", identity), ("sm_title", source.title), ("sm_license", LICENSE),

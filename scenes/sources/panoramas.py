@@ -40,7 +40,7 @@ class Source:
 
     @property
     def provenance(self) -> Provenance:
-        """Licence, author and where the map comes from."""
+        """Licence, author and origin of the map."""
         if self.is_blender:
             where = f"Blender, datafiles/studiolights/world/{self.file}; hdrihaven.com"
             return Provenance(license="CC0-1.0", author="Greg Zaal, HDRI Haven", source=where)
@@ -88,7 +88,7 @@ def write_panoramas(folder: Path, blender: Path, out: Path) -> list[Path]:
 
 
 def radiance_of(path: Path) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) of a Radiance or EXR file; infinite texels are brought to the largest half float."""
+    """Radiance (H, W, 3) of a Radiance or EXR file; infinite texels become the largest half float."""
     if path.suffix == ".exr":
         pixels = read_image(path)[..., :3]
     else:
@@ -106,7 +106,7 @@ def reduced(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def encoded(pixels: NDArray[np.float32]) -> bytes:
-    """EXR of half floats, none of which reads as negative: lossy compression overshoots near black."""
+    """EXR of half floats without negative values, which lossy compression produces near black."""
     floor = _FLOOR
     while True:
         data, least = _encoded(np.maximum(pixels, floor))

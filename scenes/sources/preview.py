@@ -17,7 +17,7 @@ from scenes.sources.build import make
 def render_preview(
     name: str, out: Path, samples: int = 24, width: int = 480, camera: Sequence[float] | None = None
 ) -> None:
-    """Render one source. ``camera``: eye and target; by default an object is seen from the front above."""
+    """Render one source. ``camera``: eye and target; by default an object is seen from above its front."""
     kind = make(name)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"

@@ -33,11 +33,11 @@ class Shape:
         return replace(self, points=self.points + np.array([x, y, z]))
 
     def turned(self, axis: str, degrees: float) -> Shape:
-        """Rotated about a coordinate axis through the origin, counter-clockwise."""
+        """The shape rotated counter-clockwise about a coordinate axis through the origin."""
         return replace(self, points=self.points @ rotation(axis, degrees).T)
 
     def scaled(self, x: float, y: float | None = None, z: float | None = None) -> Shape:
-        """Scaled about the origin; UVs keep their metres for uniform scales only."""
+        """The shape scaled about the origin; UVs remain in metres for uniform scales only."""
         factors = np.array([x, x if y is None else y, x if z is None else z])
         uvs = self.uvs if self.unit_uv else self.uvs * abs(np.prod(factors)) ** (1 / 3)
         shape = replace(self, points=self.points * factors, uvs=uvs)
@@ -52,11 +52,11 @@ class Shape:
         return replace(self, faces=[face[::-1] for face in self.faces], uvs=np.concatenate(corners))
 
     def bent(self, mapping: Callable[[NDArray], NDArray]) -> Shape:
-        """Points sent through ``mapping`` (n, 3) -> (n, 3); UVs stay."""
+        """The points mapped by ``mapping``, (n, 3) -> (n, 3); UVs are unchanged."""
         return replace(self, points=mapping(self.points))
 
     def uv_turned(self) -> Shape:
-        """u and v exchanged, for a grain across."""
+        """The shape with u and v exchanged, for a grain across it."""
         return replace(self, uvs=self.uvs[:, ::-1] * np.array([1.0, -1.0]))
 
     def __add__(self, other: Shape) -> Shape:
@@ -82,7 +82,7 @@ def rotation(axis: str, degrees: float) -> NDArray:
 
 
 def join(shapes: Sequence[Shape]) -> Shape:
-    """All shapes as one."""
+    """All shapes joined into one."""
     result = shapes[0]
     for shape in shapes[1:]:
         result = result + shape
@@ -90,7 +90,7 @@ def join(shapes: Sequence[Shape]) -> Shape:
 
 
 def face_normals(points: NDArray, faces: Sequence[Face]) -> NDArray:
-    """Unit normals (f, 3) by Newell's sum, which any polygon has."""
+    """Unit normals (f, 3) of arbitrary polygons, by Newell's method."""
     normals = np.zeros((len(faces), 3))
     for i, face in enumerate(faces):
         corners = points[list(face)]
@@ -144,7 +144,7 @@ def box(
 
 
 def smooth_curve(points: ArrayLike, per_span: int = 6, closed: bool = False) -> NDArray:
-    """Centripetal-free Catmull-Rom through ``points`` (k, d), ``per_span`` steps between neighbours."""
+    """A uniform Catmull-Rom spline through ``points`` (k, d), ``per_span`` steps between neighbours."""
     p = np.asarray(points, dtype=float)
     if closed:
         p = np.concatenate([p[-1:], p, p[:2]])
@@ -185,7 +185,7 @@ def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shap
 
 
 def without_degenerate(shape: Shape) -> Shape:
-    """Corners that fall together merged, faces that keep fewer than three dropped."""
+    """The shape with coincident corners merged, without faces of fewer than three distinct corners."""
     keys = np.round(shape.points, 7) + 0.0
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces, uvs, start = [], [], 0
@@ -204,7 +204,7 @@ def without_degenerate(shape: Shape) -> Shape:
 
 
 def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
-    """Turned about z: ``profile`` rows (radius, z) from the bottom outside to the top, then down the inside.
+    """A body of revolution about z: ``profile`` rows (radius, z) run up the outside, then down the inside.
 
     Points on the axis close the shape. ``smooth`` > 0 puts a curve through the profile's points.
     """
@@ -221,7 +221,9 @@ def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
 def vessel(
     outside: list[tuple[float, float]], wall: float, *, foot: float = 0.0, smooth: int = 3, segments: int = 34
 ) -> Shape:
-    """Turned hollow: ``outside`` runs from the edge of the base up to the rim; the inside follows at ``wall``."""
+    """A hollow body of revolution: ``outside`` runs from base to rim; the inside follows at a distance of
+    ``wall``.
+    """
     curve = smooth_curve(outside, smooth) if smooth else np.array(outside, dtype=float)
     tangent = np.gradient(curve, axis=0)
     inward = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
@@ -245,7 +247,7 @@ def vessel(
 
 
 def outward(shape: Shape) -> Shape:
-    """The shape turned so that it encloses a positive volume about its own middle."""
+    """The shape, flipped if necessary so that it encloses a positive volume."""
     points = shape.points - shape.points.mean(axis=0)
     volume = 0.0
     for face in shape.faces:
@@ -266,7 +268,7 @@ def sphere(radius: float, at: Point = (0.0, 0.0, 0.0), segments: int = 24, squas
 def cylinder(
     radius: float, height: float, at: Point = (0.0, 0.0, 0.0), bevel: float = 0.002, segments: int = 24
 ) -> Shape:
-    """A drum standing at ``at`` with bevelled rims."""
+    """A cylinder standing at ``at``, with bevelled rims."""
     b = min(bevel, 0.45 * radius, 0.45 * height)
     profile = [(0, 0), (radius - b, 0), (radius, b), (radius, height - b), (radius - b, height), (0, height)]
     return lathe(profile, segments).moved(*at)
@@ -331,7 +333,7 @@ def _along_u(shape: Shape) -> Shape:
 
 
 def loft(sections: ArrayLike, capped: bool = True) -> Shape:
-    """Skin over closed rings (k, m, 3), each counter-clockwise seen from the last towards the first."""
+    """A skin over closed rings (k, m, 3), each counter-clockwise seen from the last towards the first."""
     rings = np.asarray(sections, dtype=float)
     if capped:
         ends = []
@@ -343,7 +345,7 @@ def loft(sections: ArrayLike, capped: bool = True) -> Shape:
 
 
 def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
-    """A plate: ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``, its edges bevelled."""
+    """A plate with bevelled edges: ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``."""
     mesh = bmesh.new()
     bottom = mesh.faces.new([mesh.verts.new((x, y, 0.0)) for x, y in np.asarray(outline)])
     top = bmesh.ops.extrude_face_region(mesh, geom=[bottom])

@@ -31,7 +31,7 @@ def bathtub(
     width: float = 0.75,
     height: float = 0.56,
 ) -> None:
-    """Built-in bath along x with a tiled apron, its rear side at y = 0."""
+    """A built-in bath along x with a tiled apron, its rear side at y = 0."""
 
     def ring(sx: float, sy: float, z: float, corner: float) -> np.ndarray:
         outline = np.array(rounded_rectangle(sx, sy, corner, 6))
@@ -70,7 +70,7 @@ def _apron(length: float, width: float, height: float) -> Shape:
 
 
 def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> None:
-    """Close-coupled toilet with its lid down."""
+    """A close-coupled toilet with its lid down."""
 
     def ring(sx: float, sy: float, z: float, y: float) -> np.ndarray:
         angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)

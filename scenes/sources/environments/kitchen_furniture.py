@@ -97,7 +97,7 @@ def worktop(
 
 
 def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float = 0.2) -> None:
-    """Swan-neck mixer standing on z = 0, spout towards -y."""
+    """A swan-neck mixer tap standing on z = 0, spout towards -y."""
     w[part, slot] += lathe(
         [(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24
     )
@@ -120,7 +120,7 @@ def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float 
 
 
 def hob(w: Workshop, part: str, *, glass: str, mark: str, width: float = 0.58, depth: float = 0.5) -> None:
-    """Glass-ceramic hob on z = 0 about the origin, zones drawn as fine rings."""
+    """A glass-ceramic hob on z = 0 about the origin, zones drawn as fine rings."""
     w[part, glass] += extrude(rounded_rectangle(width, depth, 0.012, 3), 0.006, 0.0015)
     for x, y, r in ((-0.15, -0.11, 0.09), (-0.15, 0.12, 0.075), (0.14, -0.11, 0.075), (0.14, 0.12, 0.1)):
         w[part, mark] += lathe(
@@ -146,7 +146,9 @@ def oven(
     height: float = 0.595,
     depth: float = 0.56,
 ) -> None:
-    """Built-in oven front: control panel with knobs, dark window, bar handle. Bottom at z = 0, front at -depth."""
+    """The front of a built-in oven: control panel with knobs, dark window, bar handle. Bottom at z = 0, front
+    at -depth.
+    """
     y = -depth
     w[part, steel] += [
         box((width, 0.03, 0.105), (0, y + 0.005, height - 0.105), 0.003, 2, grain=0),
@@ -190,7 +192,7 @@ def fridge(
     height: float = 1.86,
     depth: float = 0.64,
 ) -> None:
-    """Fridge with a freezer drawer below."""
+    """A fridge with a freezer drawer below."""
     w[part, body] += box((width, depth - 0.07, height), (0, -(depth - 0.07) / 2, 0.01), 0.006, 2)
     for low, high in ((0.04, 0.62), (0.63, height)):
         w[part, body] += soft_box((width, 0.062, high - low), (0, -depth + 0.031, low), 0.014, (0, 0, 0), 7)
@@ -208,7 +210,7 @@ def fridge(
 def wall_cupboard(
     w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, slot: str, handle: str
 ) -> None:
-    """Upper cupboard with its underside at z = 0."""
+    """A wall cupboard with its underside at z = 0."""
     w[part, slot] += box((width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0)
     each = width / columns
     for k in range(columns):

@@ -74,7 +74,7 @@ class Room:
     def place(
         self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0
     ) -> tuple[float, float, float]:
-        """Show a part whose back is y = 0 against a wall; returns its x, y and degrees."""
+        """Place a part, whose back is y = 0, against a wall; returns its x, y and rotation in degrees."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         px, py = x + c * s + sine * gap, y + sine * s - c * gap
@@ -84,9 +84,9 @@ class Room:
     def clear_runs(
         self, wall: str, door_gap: float, window_gap: float | None = None, least: float = 0.03
     ) -> Iterator[tuple[float, float]]:
-        """(low, high) of a wall's stretches longer than ``least``, ``door_gap`` clear of its doors.
+        """Bounds (low, high) of a wall's stretches longer than ``least``, ``door_gap`` clear of its doors.
 
-        ``window_gap``: clear of its windows, too.
+        ``window_gap``, if given, is the distance kept from its windows.
         """
         gaps = [
             (d.s - d.width / 2 - door_gap, d.s + d.width / 2 + door_gap) for d in self.doors if d.wall == wall
@@ -106,7 +106,7 @@ class Room:
 
     # the shell -------------------------------------------------------------------------------------------
     def build_shell(self, skirting: float = 0.09) -> None:
-        """Floor, ceiling, walls with their openings, skirting; windows and doors."""
+        """Build floor, ceiling, walls with their openings, skirting, windows and doors."""
         w, d, h, t = self.width, self.depth, self.height, THICKNESS
         self.workshop["floor", "floor"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0)
         self.workshop["ceiling", "ceiling"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0)
@@ -302,7 +302,7 @@ class Room:
     def surface(
         self, name: str, kind: str, wall: str, s: float, width: float, near: float, far: float, z: float, clearance: float
     ) -> None:  # fmt: skip
-        """A support in a wall's frame: centre ``s``, from ``near`` to ``far`` away from the wall."""
+        """Add a support surface in a wall's frame: centre ``s``, from ``near`` to ``far`` away from the wall."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         low, high = min(near, far), max(near, far)
@@ -313,7 +313,7 @@ class Room:
     def surface_at(
         self, name: str, kind: str, centre: tuple[float, float], size: tuple[float, float], z: float, clearance: float, degrees: float = 0.0
     ) -> None:  # fmt: skip
-        """A support anywhere: a rectangle about ``centre``, turned by ``degrees``."""
+        """Add a support surface anywhere: a rectangle about ``centre``, turned by ``degrees``."""
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         right, back = np.array([c, s, 0]), np.array([-s, c, 0])
         origin = np.array([*centre, z]) - right * size[0] / 2 - back * size[1] / 2
@@ -334,7 +334,7 @@ class Room:
         )
 
     def area_slot(self, name: str, centre: Point, size: tuple[float, float]) -> None:
-        """A lamp that would shine down from a rectangle about ``centre``."""
+        """Add a light slot: a rectangle about ``centre`` from which a lamp would shine down."""
         x, y, z = centre
         # u = +x, v = -y: their cross product points down
         modelling.rectangle_marker(
@@ -357,7 +357,7 @@ class Room:
     def curtains(
         self, window: Window, slot: str, *, drop: float | None = None, open_share: float = 0.62, seed: int = 0
     ) -> None:
-        """A pair of curtains on a rail above a window, drawn back so that ``open_share`` stays clear."""
+        """Add a pair of curtains on a rail above a window, drawn back so that ``open_share`` stays clear."""
         rng = np.random.default_rng(seed)
         top = window.sill + window.height + 0.16
         bottom = 0.02 if drop is None else drop

@@ -15,7 +15,7 @@ BOOKS = ("book_red", "book_blue", "book_green", "book_cream", "book_black", "boo
 def shell(
     *, floor: str = "oak_planks", walls: str = "", wall_color: str = "d9d5ca", trim: str = "e6e4de"
 ) -> dict[str, Slot]:
-    """Floor, walls, ceiling and joinery."""
+    """Slots of floor, walls, ceiling and joinery."""
     return {
         "floor": Slot(("wood",), ("wood", "stone", "glazed", "rubber"), floor),
         "walls": Slot(("painted",), ("painted", "plaster", "paper"), walls, srgb(wall_color), 0.82),
@@ -34,7 +34,7 @@ def shell(
 
 
 def books() -> dict[str, Slot]:
-    """Covers and page blocks."""
+    """Slots of books: covers and page blocks."""
     tones = ("7a2a24", "2c4562", "3d5a43", "c8bda2", "26262a", "b5863c")
     slots = {
         name: Slot(("paper",), ("paper", "leather", "fabric"), color=srgb(tone), roughness=0.5)
@@ -45,7 +45,7 @@ def books() -> dict[str, Slot]:
 
 
 def pictures() -> dict[str, Slot]:
-    """Frames, mounts and three works."""
+    """Slots of pictures: frames, mounts and three artworks."""
     hills = (srgb("7f93a0"), srgb("5d7a6a"), srgb("3f5a3e"), srgb("2b3a2a"))
     return {
         "picture_frames": Slot(("wood",), ("wood", "painted", "metal"), color=srgb("2d241d"), roughness=0.35),
@@ -79,7 +79,7 @@ def pictures() -> dict[str, Slot]:
 
 
 def greenery() -> dict[str, Slot]:
-    """A plant and its pot."""
+    """Slots of a plant and its pot."""
     return {
         "pot": Slot(
             ("ceramic",), ("ceramic", "glazed", "painted", "metal"), color=srgb("b0735a"), roughness=0.75

@@ -20,7 +20,7 @@ def shelf_unit(
     w: Workshop, part: str, *, width: float, height: float, depth: float = 0.3, levels: tuple[float, ...], columns: int = 1,
     slot: str = "shelves", back: bool = True, board: float = 0.022,
 ) -> None:  # fmt: skip
-    """Open bookcase; ``levels`` are the upper sides of its boards."""
+    """An open bookcase; ``levels`` are the upper sides of its boards."""
     for k in range(columns + 1):
         x = -width / 2 + board / 2 + k * (width - board) / columns
         w[part, slot] += box((board, depth, height), (x, -depth / 2, 0), 0.002, grain=2)
@@ -39,7 +39,8 @@ def shelf_unit(
 
 
 def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
-    """(cover, pages) of a book standing with its spine to the front, its left lower back corner region at 0."""
+    """(cover, pages) of a book that stands with its spine to the front, its lower left back corner near the
+    origin."""
     t = 0.0025
     cover = box((t, depth, height), (-width / 2 + t / 2, -depth / 2, 0), 0) + box(
         (t, depth, height), (width / 2 - t / 2, -depth / 2, 0), 0
@@ -88,7 +89,9 @@ def cabinet(
     slot: str = "cabinet", front: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
     panel: bool = False, knobs: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
-    """Chest, sideboard or kitchen base: carcass, plinth, fronts in ``rows`` shares of the height (top first)."""
+    """A chest, sideboard or kitchen base unit: carcass, plinth, fronts in ``rows`` shares of the height (top
+    first).
+    """
     front, top = front or slot, top or slot
     body = height - (top_thick if top_thick else 0.0)
     w[part, slot] += box(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A study of 3.8 x 3.2 m: desk at the window, bookcase, reading chair, a day bed's worth of books."""
+"""A study of 3.8 x 3.2 m: desk at the window, bookcase, reading chair and many books."""
 
 from __future__ import annotations
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Material sources: few families of node graphs with parameters, many materials."""
+"""Material sources: a few parametric families of node graphs give many materials."""

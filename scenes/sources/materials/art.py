@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures over a unique UV layout: what hangs in frames, stands on covers and shows on dials."""
+"""Pictures over a unique UV layout: for frames, book covers and clock dials."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scenes.sources.materials.graph import Color, Graph, Socket, Value, srgb
 def landscape(
     g: Graph, sky: tuple[Color, Color], hills: tuple[Color, ...], seed: float = 1.0, rough: float = 0.55
 ) -> Material:
-    """Hills in layers under a sky with a pale sun, in brush strokes."""
+    """A painting of layered hills under a sky with a pale sun, in brush strokes."""
     u, v = g.uv()
     stroke = g.noise(14, 60, detail=3, seed=seed, spread=0.3)
     color: Value | Color = g.mix(g.add(v, g.mul(g.math("SUBTRACT", stroke, 0.5), 0.25)), sky[1], sky[0])
@@ -35,7 +35,7 @@ def landscape(
 def blocks(
     g: Graph, ground: Color, colors: tuple[Color, ...], seed: float = 1.0, grid: tuple[int, int] = (3, 4)
 ) -> Material:
-    """Geometric print: quarter discs and squares in a grid."""
+    """A geometric print: quarter discs and squares in a grid."""
     cell = g.cells(*grid)
     pick = g.random(cell.number, seed)
     corner = g.random(cell.number, seed + 1)
@@ -55,7 +55,7 @@ def blocks(
 
 
 def cover(g: Graph, ground: Color, ink: Color, seed: float = 1.0, rough: float = 0.4) -> Material:
-    """A book's front or a magazine: title bars, a picture field."""
+    """The cover of a book or magazine: title bars and a picture field."""
     u, v = g.uv()
     rows = g.cells(1, 16)
     row = g.math("FLOOR", g.mul(v, 16.0))
@@ -80,7 +80,7 @@ def _field(g: Graph, u: Socket, v: Socket) -> Socket:
 
 
 def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.0) -> Material:
-    """A photograph of somebody: head, shoulders, blurred ground; semi-gloss print."""
+    """A portrait photograph: head, shoulders and a blurred background, as a semi-gloss print."""
     u, v = g.uv()
 
     def ellipse(cx: float, cy: float, rx: float, ry: float) -> Socket:

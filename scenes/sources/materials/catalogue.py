@@ -17,7 +17,7 @@ Builder = Callable[[Graph], bpy.types.Material]
 
 @dataclass(frozen=True)
 class MaterialSource:
-    """``tile_size_m``: side of the square that one UV unit covers; ``max_px``: side where textures stop."""
+    """``tile_size_m``: side of the square that one UV unit covers; ``max_px``: maximum side of a texture."""
 
     title: str
     classes: tuple[str, ...]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Node graphs in few words, periodic over the unit UV square so that what they bake to can be tiled.
+"""Concise construction of node graphs that are periodic over the unit UV square, so that baked textures tile.
 
 Periodicity: a UV square is rolled into a torus in four dimensions, (cos 2πu, sin 2πu, cos 2πv, sin 2πv), and
-4D noise is read on it; lattices (planks, tiles, threads) count a whole number of cells per tile and wrap.
-Scales are in cells per tile. A ``Socket`` is a node's output; plain numbers and RGB tuples stand for
+4D noise is evaluated on it; lattices (planks, tiles, threads) count a whole number of cells per tile and
+wrap. Scales are in cells per tile. A ``Socket`` is a node's output; plain numbers and RGB tuples stand for
 constants everywhere.
 """
 
@@ -139,7 +139,9 @@ class Graph:
         return self._uv
 
     def torus(self, cells_u: float, cells_v: float, seed: Value = 0.0) -> tuple[Socket, Socket]:
-        """Coordinates (3-vector, w) on the torus for noise of so many cells per tile in u and v."""
+        """Coordinates (3-vector, w) on the torus for noise with the given numbers of cells per tile in u and
+        v.
+        """
         u, v = self.uv()
         join = self.node("ShaderNodeCombineXYZ")
         ru, rv = cells_u / (2 * math.pi), cells_v / (2 * math.pi)
@@ -153,7 +155,7 @@ class Graph:
         self, cells_u: float, cells_v: float | None = None, detail: float = 3.0, seed: Value = 0.0,
         roughness: float = 0.5, spread: float = 0.22,
     ) -> Socket:  # fmt: skip
-        """Periodic fractal noise, contrast set so that [0.5 - spread, 0.5 + spread] fills [0, 1]."""
+        """Periodic fractal noise, its contrast scaled so that [0.5 - spread, 0.5 + spread] fills [0, 1]."""
         vector, w = self.torus(cells_u, cells_u if cells_v is None else cells_v, seed)
         node = self.node("ShaderNodeTexNoise", noise_dimensions="4D")
         self.feed(node.inputs["Vector"], vector)
@@ -176,7 +178,7 @@ class Graph:
         return node
 
     def random(self, number: Value, seed: float = 0.0) -> Socket:
-        """A value in [0, 1) of its own for each number."""
+        """A random value in [0, 1) for each number."""
         node = self.node("ShaderNodeTexWhiteNoise", noise_dimensions="2D")
         join = self.node("ShaderNodeCombineXYZ")
         self.feed(join.inputs[0], number)
@@ -210,7 +212,7 @@ class Graph:
         return self.math("MULTIPLY_ADD", self.math("SINE", angle), 0.5, 0.5)
 
     def periodic_distance(self, centre: tuple[float, float], stretch: float = 1.0) -> Socket:
-        """Distance to a point of the tile, around its borders; ``stretch`` shortens v."""
+        """Distance to a point of the tile, across its borders; ``stretch`` shortens v."""
 
         def along(coordinate: Socket, c: float, factor: float) -> Socket:
             away = self.math("ABSOLUTE", self.math("WRAP", self.add(coordinate, 0.5 - c), 1.0, 0.0))

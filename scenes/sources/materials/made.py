@@ -9,14 +9,14 @@ from scenes.sources.materials.graph import Color, Graph, Value
 
 
 def plain(g: Graph, color: Color, rough: float, *, metal: float = 0.0, ior: float = 1.5) -> Material:
-    """Constant channels."""
+    """A material of constant channels."""
     return g.finish(color, rough, metal, ior)
 
 
 def brushed_metal(
     g: Graph, color: Color, *, rough: float = 0.28, spread: float = 0.14, prints: bool = False, seed: float = 1.0
 ) -> Material:  # fmt: skip
-    """Brushed along u: the strokes are in the roughness; fingerprints if asked."""
+    """Metal brushed along u: strokes in the roughness, and fingerprints with ``prints``."""
     stroke = g.noise(3, 210, detail=2, seed=seed, spread=0.3)
     value: Value = g.line(stroke, 0, 1, rough - spread / 2, rough + spread / 2)
     value = g.add(value, g.mul(g.scratches(seed + 3, 0.35), 0.15))
@@ -29,7 +29,7 @@ def worn_metal(
     g: Graph, color: Color, *, rough: float = 0.3, grime: Color | None = None, amount: float = 0.4,
     scale: float = 4.0, seed: float = 1.0, dent: float = 0.0,
 ) -> Material:  # fmt: skip
-    """Metal with cloudy wear, scratches and, with ``grime``, rust or patina that is no metal."""
+    """Metal with cloudy wear, scratches and, with ``grime``, non-metallic rust or patina."""
     cloud = g.noise(scale, detail=5, seed=seed)
     value: Value = g.line(cloud, 0, 1, rough - 0.08, rough + 0.16)
     value = g.add(value, g.mul(g.scratches(seed, 0.6), 0.18))
@@ -64,7 +64,8 @@ def moulded(
     g: Graph, color: Color, *, rough: float = 0.4, grain: float = 0.1, scratched: float = 0.0, cells: float = 60.0,
     ior: float = 1.5, tint: float = 0.0, seed: float = 1.0, prints: bool = False,
 ) -> Material:  # fmt: skip
-    """Plastic, rubber, enamel or glaze of one colour: texture, scratches and prints in the roughness.
+    """Plastic, rubber, enamel or glaze of one colour, with grain, scratches and fingerprints in the
+    roughness.
 
     ``tint`` > 0 lets the colour vary too.
     """
@@ -100,7 +101,7 @@ def speckled(
     g: Graph, color: Color, speck: Color, *, rough: float = 0.14, amount: float = 0.5, ior: float = 1.55,
     bare: Color | None = None, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Glaze with iron specks, pooling tone, and with ``bare`` patches of unglazed clay."""
+    """Glaze with iron specks and uneven tone, and with ``bare`` patches of unglazed clay."""
     dots = g.fit(g.voronoi(36, seed=seed).outputs["Distance"], 0.10, 0.22 + 0.1 * amount, 1.0, 0.0)
     some = g.math("GREATER_THAN", g.noise(30, detail=0, seed=seed + 6), 0.75 - 0.35 * amount)
     pool = g.noise(3, detail=4, seed=seed + 2)
@@ -133,8 +134,9 @@ def tiles(
     rough: float = 0.1, vary: float = 0.08, second: Color | None = None, checker: bool = False, seed: float = 1.0,
     cloud: float = 0.05, ior: float = 1.55,
 ) -> Material:  # fmt: skip
-    """Glazed or stone tiles with matt grout. ``joint`` in tiles of texture; ``second``: other glaze at random or
-    as a checkerboard; each tile has its own tone and gloss."""
+    """Glazed or stone tiles with matt grout. ``joint`` is the joint's width in units of the texture tile;
+    ``second``: a second glaze, at random or as a checkerboard; each tile has its own tone and gloss.
+    """
     cell = g.cells(*grid, shift=shift, jitter_seed=seed)
     tone = g.random(cell.number, seed)
     color: Value | Color = glaze
@@ -163,7 +165,9 @@ def paint(
     g: Graph, color: Color, *, rough: float = 0.5, stipple: float = 0.1, chips: float = 0.0, under: Color = (0.3, 0.3, 0.3),
     under_metal: float = 0.0, prints: bool = False, cells: float = 50.0, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Paint with roller stipple in its roughness, ``chips`` down to what is ``under``, fingerprints if asked."""
+    """Paint with roller stipple in its roughness, ``chips`` that expose ``under``, and fingerprints with
+    ``prints``.
+    """
     value: Value = g.line(
         g.noise(cells, detail=3, seed=seed, spread=0.28), 0, 1, rough - stipple / 2, rough + stipple / 2
     )
@@ -207,7 +211,7 @@ def plaster(
 def brick(
     g: Graph, clay: Color, second: Color, mortar: Color, *, grid: tuple[int, int] = (4, 12), seed: float = 1.0
 ) -> Material:
-    """Brickwork, stretcher bond."""
+    """Brickwork in stretcher bond."""
     cell = g.cells(*grid, shift="half")
     ragged = g.mul(g.math("SUBTRACT", g.noise(40, detail=3, seed=seed), 0.5), 0.003)
     border = g.line(g.add(cell.edge, ragged), 0.0035, 0.0055, 1.0, 0.0)

@@ -13,8 +13,8 @@ def wood(
     contrast: float = 1.0, gloss: float = 0.42, prints: bool = False, seed: float = 1.0, wear: float = 0.0,
     gap: float = 0.0012,
 ) -> Material:  # fmt: skip
-    """Sawn wood, grain along u. ``planks`` = (columns, rows) of boards; ``prints``: fingerprints in the lacquer;
-    ``wear`` rubs the varnish off in patches."""
+    """Sawn wood with its grain along u. ``planks`` = (columns, rows) of boards; ``prints``: fingerprints in
+    the lacquer; ``wear`` rubs the varnish off in patches."""
     shift: Value = seed
     tone: Value = 0.5
     if planks:
@@ -145,7 +145,7 @@ def weave(
     weft_stripe: tuple[int, Color] | None = None,
 ) -> Material:  # fmt: skip
     """Woven cloth: ``threads`` each way in a tile, plain (``twill`` 1) or with floats over ``twill`` threads;
-    stripes recolour every other group of so many threads (both: a check)."""
+    stripes recolour every other group of threads (in both directions: a check)."""
     u, v = g.uv()
     x, y = g.mul(u, threads), g.mul(v, threads)
     column, row = g.math("FLOOR", x), g.math("FLOOR", y)
@@ -288,7 +288,7 @@ def cork(g: Graph, color: Color, dark: Color, *, seed: float = 1.0) -> Material:
 
 
 def wicker(g: Graph, color: Color, dark: Color, *, strands: int = 8, seed: float = 1.0) -> Material:
-    """Basket weave of round strands, three times wider than high."""
+    """A basket weave of round strands, three times as wide as high."""
     cell = g.cells(strands, strands * 3, shift="half")
     bulge = g.mul(g.math("SINE", g.mul(cell.x, 3.14159265)), g.math("SINE", g.mul(cell.y, 3.14159265)))
     fibre = g.noise(20, 220, detail=2, seed=seed, spread=0.3)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Usual surfaces of each material of the library; one that is not listed goes wherever its class fits."""
+"""Usual surfaces of the library's materials; a material that is not listed may be used wherever its class
+fits.
+"""
 
 from __future__ import annotations
 

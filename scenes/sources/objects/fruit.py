@@ -50,7 +50,7 @@ ORANGE = Slot(("organic",), (), graph=_orange_skin)
 
 
 def unit(shape: Shape) -> Shape:
-    """The same shape with its UVs fitted into [0, 1]: skins are laid out once around a fruit."""
+    """The same shape with its UVs fitted into [0, 1], since a skin's texture covers the fruit once."""
     low, high = shape.uvs.min(axis=0), shape.uvs.max(axis=0)
     return Shape(shape.points, shape.faces, (shape.uvs - low) / (high - low), True)
 
@@ -174,7 +174,7 @@ def _banana_skin(g: Graph) -> bpy.types.Material:
 
 
 def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
-    """A fruit with five soft ridges. It leaves the origin along +x and bends towards -z."""
+    """A banana with five soft ridges, from the origin along +x and bent towards -z."""
     stations = np.array([0, 0.03, 0.1, 0.17, 0.26, 0.38, 0.52, 0.68, 0.8, 0.89, 0.945, 0.965, 0.985, 1.0])
     radii = np.array([8.0, 6.6, 6.2, 7.2, 11.2, 16.2, 17.8, 17.4, 15.2, 11.0, 6.4, 4.6, 4.4, 3.2]) * 1e-3
     curve = smooth_curve(np.column_stack([stations, radii]), 3)
@@ -204,7 +204,7 @@ def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
     crown=organic("54431f", 0.75),
 )
 def bananas(w: Workshop) -> None:
-    """A hand of four: it stands on its blossom ends and on the crown."""
+    """A hand of four bananas that stands on its blossom ends and its crown."""
     height = 0.0115  # of the stalks above the table at the crown
     for k, (yaw, bend, length) in enumerate(
         ((-29, 84, 0.178), (-10, 77, 0.19), (9, 76, 0.192), (28, 83, 0.181))

@@ -101,7 +101,7 @@ def _half_ring(radius: float, x: float, y: float, z: float, degrees: tuple[float
     lamp=fixed("7a0d0c", 0.2, "plastic"),
 )
 def toy_car(w: Workshop) -> None:
-    """A saloon of 15 cm as cast in metal: coachwork, glass with pillars, arches, bumpers, lamps, door seams."""
+    """A die-cast saloon car 15 cm long: body, glass with pillars, arches, bumpers, lamps, door seams."""
     body = [
         (-0.0745, 0.0235, 0.0205, 0.034), (-0.0715, 0.029, 0.0165, 0.0395), (-0.061, 0.0325, 0.0135, 0.0435),
         (-0.036, 0.0336, 0.0125, 0.0465), (-0.02, 0.034, 0.0125, 0.0482), (0.02, 0.0342, 0.0125, 0.049),

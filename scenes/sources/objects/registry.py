@@ -16,7 +16,9 @@ TABLETOP = "table, shelf, counter, sill"
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """``supports``: kinds of surface it stands on; ``scale``: range of its size; ``yaw_degrees``: None = any."""
+    """``supports``: kinds of surface for the object; ``scale``: range of its size; ``yaw_degrees``: None =
+    any.
+    """
 
     title: str
     category: str
@@ -47,7 +49,7 @@ def thing(
 
 
 def yaw_range(source: ObjectSource) -> tuple[float, float]:
-    """In radians."""
+    """The range of yaw in radians."""
     limit = math.pi if source.yaw_degrees is None else math.radians(source.yaw_degrees)
     return (-limit, limit)
 
@@ -65,7 +67,7 @@ def wood(source: str = "oak") -> Slot:
 
 
 def wood_tone(code: str, rough: float = 0.45) -> Slot:
-    """Wood on parts too small for its figure to show."""
+    """Plain wood for parts that are too small to show its grain."""
     return Slot(("wood",), ("wood", "painted"), color=srgb(code), roughness=rough)
 
 
@@ -114,10 +116,10 @@ def stone(source: str = "marble_white") -> Slot:
 
 
 def organic(code: str, rough: float = 0.5) -> Slot:
-    """Fruit skin, leaves, wax: kept as it is."""
+    """Fruit skin, leaves or wax, never replaced."""
     return Slot(("organic",), (), color=srgb(code), roughness=rough, ior=1.45)
 
 
 def fixed(code: str, rough: float = 0.4, kind: str = "other") -> Slot:
-    """A small part whose look goes with the thing: a screen, a dial's hand."""
+    """A small part with a fixed material, such as a screen or the hand of a dial."""
     return Slot((kind,), (), color=srgb(code), roughness=rough)
