@@ -2,8 +2,8 @@
 """Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's built-in
 ``roughplastic``.
 
-The same room (walls, 20 objects, a lamp and a window) is rendered with each BSDF in turn, in one process; a
-pair's ratio is that of two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians
+The same room (walls, 20 objects, a lamp and a window) is rendered with each BSDF in turn, in one process; the
+ratio is taken between two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians
 and quartiles; the target is a median ratio of at most 1.10.
 """
 

@@ -23,8 +23,8 @@ than the target error (the agreement of the two is measured and reported; if it 
 The references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so that the
 energy removed by these counts as an error. Cycles' sample count is found by doubling until the error is at
 most ours and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count,
-with Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest or, if none
-reaches the error, the one that comes nearest.
+with Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest of the three
+or, if none reaches the error, the nearest to it.
 
 Every step is stored in --out and skipped if it exists: the same command resumes. ``--cycles-views N`` renders
 N views with Cycles and extrapolates to 40 views as the fixed part + 40 x the median of a view.
@@ -343,7 +343,7 @@ class Comparison:
 
 
 def rank(cycles: dict[str, Any]) -> tuple[float, ...]:
-    """Sort key of Cycles' runs: first those that reach the error, by time, then the others, by error."""
+    """Sort key of Cycles' runs: runs that reach the error by time, then the remaining runs by error."""
     return (0.0, cycles["total_cpu_s"]) if cycles["reached"] else (1.0, round(math.log(cycles["rel_mse"]), 2))
 
 

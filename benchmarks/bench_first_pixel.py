@@ -78,7 +78,7 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 def passes(renderer: Any) -> dict[str, float]:
     """Wall seconds of a pass of one path for each of 1,024 cells, replayed and recorded anew; medians of 5.
 
-    Without recordings every pass costs the latter.
+    Without reusable recordings, every pass would take as long as a newly recorded one.
     """
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}

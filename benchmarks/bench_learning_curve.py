@@ -11,7 +11,7 @@ same views: the same recipe rendered with fewer samples shows the cost of cheap 
 benefit of variety. Short runs rank the curves; they do not predict the error of a long run.
 
 Writes ``table.md``, ``results.json`` and ``curve.png`` into DIR. Existing points are not trained again;
-interrupted ones resume. A point costs about ``2 * steps`` times the seconds of a step printed by
+interrupted points resume. A point costs about ``2 * steps`` times the seconds of a step printed by
 ``benchmarks.bench_network``: 400 steps of ``small`` take about 7 minutes of one core.
 """
 

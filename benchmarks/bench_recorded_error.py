@@ -6,7 +6,7 @@ views each.
     python -m benchmarks.bench_recorded_error --size 320 192 --views 1 --samples 128
 
 Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The true
-error is measured as by `datagen verify --recheck`: four independent parts of plain paths of up to 65
+error is measured as in `datagen verify --recheck`: four independent parts of plain paths of up to 65
 segments, here with shadow rays through the windows, which has the same expectation. Parts are stored in
 --cache, so that an interrupted command resumes. A view whose true error has a standard error above a quarter
 counts as *not known*.
@@ -46,7 +46,7 @@ IMAGE = Path(__file__).resolve().parents[1] / "docs" / "images" / "recorded_erro
 
 @dataclass(frozen=True)
 class Point:
-    """A view: recorded and true exposed relMSE, the latter's standard error, and the error of its
+    """A view: recorded and true exposed relMSE, the standard error of the true relMSE, and the error of
     brightness.
     """
 

@@ -4,9 +4,9 @@
     python -m benchmarks.compare_rooms DATASET --imported SHARD [SHARD ...] --out DIR [--views 8] [--page 24]
 
 DATASET is a dataset folder; an imported SHARD is the tar of a capture with ground truth, such as `materials
-evaluate` renders of a suite's scenes. Surface pixels of ``--views`` evenly spaced views per room are counted;
-every room has the same weight, so that densities are means over rooms. Luminances and exposures are relative
-to the room's median exposure, since each scene has its own unit of radiance.
+evaluate` renders for the scenes of a suite. Surface pixels of ``--views`` evenly spaced views per room are
+counted; every room has the same weight, so that densities are means over rooms. Luminances and exposures are
+relative to the room's median exposure, since each scene has its own unit of radiance.
 
 Writes ``distributions.png`` (D, S, R, luminance, exposure), ``beside.jpg`` (imported rooms left, generated
 ones right) and ``page.jpg`` (a view of each of the first ``--page`` rooms of DATASET), all at the exposure of
@@ -49,8 +49,9 @@ _LOGARITHMIC = ("brightest channel of S", "luminance, exposed", "exposure / room
 class RoomFigures:
     """Figures of one room.
 
-    ``densities`` by the names of :data:`BINS`, each with the sum 1; for each view its exposure, and the
-    clipped shares of all surfaces and of surfaces outside windows; a picture of the view with most instances.
+    ``densities``: a histogram of sum 1 for each of :data:`BINS`. The other fields hold for each view its
+    exposure, and the clipped shares of all surfaces and of surfaces outside windows; a picture of the view
+    with most instances.
     """
 
     name: str

@@ -27,7 +27,7 @@ _UV_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class Progress:
-    """State of an export: ``fraction`` of the work done, in [0, 1], and the current step."""
+    """State of an export: the ``fraction`` of the work that is done, in [0, 1], and the current step."""
 
     fraction: float
     text: str

@@ -34,7 +34,7 @@ def version() -> str:
 
 
 def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentParser:
-    """The command's arguments; defaults are those of :class:`ExportSettings`."""
+    """The command's arguments; defaults are from :class:`ExportSettings`."""
     default = ExportSettings()
     parser = argparse.ArgumentParser(
         prog=program,

@@ -16,8 +16,8 @@ class ExportSettings:
     none. ``tolerance``: mean absolute change of a channel below which a texture is not doubled again.
     ``max_texture_px``: maximum side of a texture (a power of two). ``bake_normals``: bump and normal maps
     become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects, collections or
-    materials to export (empty: all tagged ones). ``license``, ``author``, ``source``: provenance where the
-    asset has no such tags. ``apply_box_uv``: meshes without UVs get box-projected ones at one unit per metre,
+    materials to export (empty: everything tagged). ``license``, ``author``, ``source``: provenance where the
+    asset has no such tags. ``apply_box_uv``: meshes without UVs get a box projection of one unit per metre,
     so that other materials can be assigned to them. ``report``: write the fidelity report. ``report_python``:
     Python executable for the report, with this project installed.
     """

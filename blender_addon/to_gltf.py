@@ -19,7 +19,7 @@ _MARK = "to_gltf: "
 
 
 def read(path: Path) -> None:
-    """Replace the scene by that of a file. Raises ``RuntimeError`` like Blender's operators."""
+    """Replace the scene by the contents of a file. Raises ``RuntimeError``, as Blender's operators do."""
     suffix = path.suffix.lower()
     if suffix == ".blend":
         bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)

@@ -125,7 +125,9 @@ class Library:
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 
     def including(self, package: Package) -> Library:
-        """This library with one more package, or with one of the same id replaced; all others are shared."""
+        """This library with ``package`` added, or replacing the package of the same id; the rest is
+        shared.
+        """
         other = copy.copy(self)
         other._packages = {**self._packages, package.id: package}
         other.__dict__.pop("sha256", None)

@@ -44,7 +44,7 @@ def load_dict(scene: dict[str, Any], **options: Any) -> Any:
     """``mitsuba.load_dict`` that raises one :class:`InputError` for all bad materials.
 
     Mitsuba itself turns exceptions of a plugin's constructor into a ``RuntimeError`` with a stack trace, at
-    the first fault. ``options`` are those of ``mitsuba.load_dict`` (``parallel``, ``optimize``).
+    the first fault. ``options`` are passed to ``mitsuba.load_dict`` (``parallel``, ``optimize``).
     """
     import mitsuba as mi
 

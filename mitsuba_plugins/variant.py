@@ -3,7 +3,7 @@
 
 Mitsuba's LLVM back end aborts the whole process ("Cannot select: fminimum") with LLVM 14 to 16, which no
 exception handler can catch. The newest suitable library is therefore chosen *before* mitsuba is imported, and
-a machine with only older ones is refused with the remedy in the message.
+a machine without a suitable library is refused with the remedy in the message.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def llvm_major(path: Path) -> int | None:
 
 
 def choose_llvm() -> LlvmLibrary:
-    """The LLVM library to compile with: ``DRJIT_LIBLLVM_PATH`` if set, else the newest one found.
+    """The LLVM library to compile with: ``DRJIT_LIBLLVM_PATH`` if set, else the newest library found.
 
     Raises :class:`InputError` with the remedy if none is new enough.
     """
@@ -117,7 +117,8 @@ def has_cuda() -> bool:
 def resolve_variant(name: str | None = None) -> str:
     """Name of the variant that :func:`select_variant` would choose, without importing mitsuba.
 
-    None and ``auto`` leave the choice to it. Raises :class:`InputError` on a name that is not supported.
+    None and ``auto`` choose as that function does. Raises :class:`InputError` on a name that is not
+    supported.
     """
     name = None if name == "auto" else name
     name = name or os.environ.get("SCENE_MATERIALS_VARIANT") or (CUDA_VARIANT if has_cuda() else CPU_VARIANT)

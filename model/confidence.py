@@ -48,8 +48,10 @@ class ConfidenceNet(nn.Module):
         self.last = nn.Conv2d(_WIDTH, 1, 3, padding=1, padding_mode="replicate")
 
     def forward(self, image: Tensor, predicted: Tensor) -> Tensor:
-        """``image`` (B, 3, H, W), encoded to [-1, 1]; ``predicted`` (B, C, H, W) in [0, 1]. Both are
-        detached."""
+        """The confidence of ``predicted``, (B, C, H, W) in [0, 1], for ``image``, (B, 3, H, W) encoded to
+        [-1, 1].
+
+        Both inputs are detached from the graph."""
         height, width = image.shape[-2:]
         x = torch.cat([image, 2.0 * predicted - 1.0], dim=1).detach()
         bottom, right = -height % 4, -width % 4

@@ -27,9 +27,10 @@ from model.named_code import load_named
 class Event:
     """An event of training or inference.
 
-    ``scalars``: ``values`` by name at ``step``; ``name`` is ``train/PHASE``, ``validation/PHASE`` or
-    ``speed/PHASE``. ``image``: (H, W, 3) uint8 at ``step``. ``progress``: ``step`` of ``values["total"]``
-    steps of the inference stage ``name`` are done. ``end``: the run is over; ``folder`` holds its result.
+    ``scalars``: ``values`` are figures by name at ``step``; ``name`` is ``train/PHASE``, ``validation/PHASE``
+    or ``speed/PHASE``. ``image``: (H, W, 3) uint8 at ``step``. ``progress``: ``step`` out of
+    ``values["total"]`` steps of the inference stage ``name`` are done. ``end``: the run is over; ``folder``
+    holds its result.
     """
 
     source: Literal["train", "infer"]

@@ -137,7 +137,7 @@ def renderer(
 
 
 def placed(x: float, y: float, yaw: float = 0.0, scale: float = 1.0, z: float = 0.0) -> Any:
-    """``world_from_asset`` as a configuration holds it."""
+    """``world_from_asset`` in the form that a configuration stores."""
     cosine, sine = scale * np.cos(yaw), scale * np.sin(yaw)
     matrix = np.array([[cosine, -sine, 0, x], [sine, cosine, 0, y], [0, 0, scale, z], [0, 0, 0, 1.0]])
     return tuple(tuple(float(c) for c in row) for row in matrix)

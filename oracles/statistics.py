@@ -142,7 +142,7 @@ def statistics_by_loops(
 def statistics_vectorized(
     views: Sequence[Any], index: int, options: OracleOptions
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
-    """As :func:`statistics_by_loops`, and the margin (H, W) by which the closest decision was taken.
+    """As :func:`statistics_by_loops`, with the margin (H, W) of each pixel's closest decision.
 
     The margin is the least of: pixels to an image border or (depth test, nearest fetch) to a pixel's border;
     and, times 20 as they err less in float32, n . omega to 0, the depth difference relative to depth to its

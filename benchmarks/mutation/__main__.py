@@ -137,8 +137,8 @@ def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
 def draw(
     root: Path, target: Target, tests: dict[str, Any], number: int, seed: int
 ) -> list[tuple[str, Mutant, list[str]]]:
-    """A sample of a target's mutants on lines that tests run, with those tests: at most one per statement,
-    kinds in turn.
+    """A sample of a target's mutants on tested lines, with the tests that run each: at most one mutant per
+    statement, alternating between kinds.
     """
     by_kind: dict[str, list[tuple[str, str, Mutant, list[str]]]] = defaultdict(list)
     for module in target.modules:

@@ -34,12 +34,13 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 
 @dataclass
 class Dependencies:
-    """Dependencies of values.
+    """Dependencies of the values of a shader graph.
 
-    ``uv_layers`` that are read ("" is the active render layer; ``named`` lists the names by which nodes refer
-    to it); ``frames`` in which image textures read them, None for any other use of UVs; ``repeats``: no image
-    ends at its border; ``image_px``: largest width and height of the images; ``mesh``: needs the mesh itself;
-    ``world``: needs the instance's transform; ``object_info``: needs Object Info values.
+    ``uv_layers``: names of the UV layers that are read, "" for the active render layer, to which nodes may
+    also refer by the names in ``named``. ``frames``: mappings of UVs by which image textures are read; None
+    stands for any other use of UVs. ``repeats``: whether all images repeat. ``image_px``: largest width and
+    height of the images. ``mesh``, ``world`` and ``object_info``: whether values depend on the mesh, on the
+    instance's transform, and on Object Info nodes.
     """
 
     uv_layers: set[str] = field(default_factory=set)
@@ -57,19 +58,19 @@ class Dependencies:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether everything repeats with each unit of the single frame in which images are read."""
+        """Whether all values repeat with each unit of the single mapping by which images are read."""
         return self.repeats and None not in self.frames
 
     @property
     def layer_names(self) -> tuple[str, ...]:
-        """All UV layers that nodes refer to by name."""
+        """Names of all UV layers that nodes refer to."""
         return tuple(sorted(layer for layer in self.uv_layers | self.named if layer))
 
     @property
     def detail_px(self) -> tuple[int, int] | None:
-        """Texels per unit of the single frame, along u and v, that preserve all detail of the images.
+        """Texels per unit of the single mapping, along u and v, that preserve all detail of the images.
 
-        None if anything but images varies, or if they are read in several frames.
+        None if other values than images vary, or if images are read through several mappings.
         """
         if self.needs_mesh or None in self.frames or len(self.frames) != 1:
             return None
@@ -127,7 +128,7 @@ class DependencyWalk:
         return self._result
 
     def of_inputs(self, inputs: list[tuple[Stack, bpy.types.NodeSocket]]) -> Dependencies:
-        """Dependencies of linked Normal inputs, for a tangent-space texture as result."""
+        """Dependencies of linked Normal inputs that become a tangent-space texture."""
         self._seen, self._result, self._is_normal = set(), Dependencies(), True
         for stack, socket in inputs:
             source = source_of(stack, socket)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Values of a shader graph as small expressions: constants, sockets of the graph, and arithmetic on them.
 
-A channel of the project's BSDF is such an expression. Building one folds constants, which reveals expressions
-that are constant or just one socket; the others are built from math nodes and baked. Widths: 1 is a scalar, 3
-a linear Rec.709 colour or a vector. A scalar combined with a colour is repeated.
+A channel of the project's BSDF is such an expression. Constants are folded during construction, which reveals
+expressions that are constant or a single socket; all other expressions are built from math nodes and baked.
+Widths: 1 is a scalar, 3 a linear Rec.709 colour or a vector. A scalar combined with a colour is repeated.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ ZERO, ONE, BLACK = constant(0), constant(1), constant(0, 0, 0)
 
 
 def is_constant(expression: Expression, value: float | None = None) -> bool:
-    """Whether the expression is known, and equals ``value`` in every component if one is given."""
+    """Whether the expression is constant and, if ``value`` is given, equals it in every component."""
     return isinstance(expression, Constant) and (
         value is None or all(component == value for component in expression.value)
     )
@@ -160,7 +160,9 @@ def lerp(a: Expression, b: Expression, factor: Expression) -> Expression:
 
 
 def reduce_to_scalar(expression: Expression, name: str = "luminance") -> Expression:
-    """Colour to value as Blender converts it: ``luminance`` of a colour, ``average`` of a vector."""
+    """Colour to value as Blender converts it: the ``luminance`` of a colour, or the ``average`` of a
+    vector.
+    """
     if expression.width == 1:
         return expression
     if isinstance(expression, Constant):

@@ -98,7 +98,7 @@ def source_of(stack: Stack, socket: bpy.types.NodeSocket) -> Source:
 
 
 def path_of(stack: Stack) -> tuple[str, ...]:
-    """Names of the group nodes of a stack."""
+    """Names of a stack's group nodes, outermost first."""
     return tuple(node.name for node in stack)
 
 
@@ -112,7 +112,7 @@ def input_of(node: bpy.types.Node, *names: str) -> bpy.types.NodeSocket | None:
 
 
 def socket_width(socket: bpy.types.NodeSocket) -> int:
-    """1 for values, 3 for colours and vectors."""
+    """Number of components: 1 for values, 3 for colours and vectors."""
     return _WIDTH[socket.type]
 
 

@@ -42,9 +42,9 @@ class BakedTexture:
 
 
 def padded_window(low: NDArray, high: NDArray) -> Window:
-    """A window around a box of texture coordinates, with half a texel of a 16-texel texture on each side.
+    """A window around a box of texture coordinates, with a margin of half a texel of a 16-texel texture.
 
-    The lookup, which repeats, thus never reads the opposite border.
+    Repeating lookups thus never read the opposite border.
     """
     size = np.maximum(high - low, 1e-3)
     middle = (low + high) / 2

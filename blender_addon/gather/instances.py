@@ -30,7 +30,7 @@ class Instance:
     """One instance of a mesh.
 
     ``matrix`` (4, 4) world_from_object in Blender units; ``owner`` is the object in the scene that creates
-    it; ``materials`` by slot; ``object_info`` are the Object Info node's outputs.
+    it; ``materials`` are listed by slot; ``object_info`` holds the Object Info node's outputs.
     """
 
     name: str

@@ -64,7 +64,7 @@ def _read(
 
 
 def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
-    """Read an evaluated mesh; polygons are triangulated as by Blender's renderer."""
+    """Read an evaluated mesh; polygons are triangulated as in Blender's renderer."""
     num_corners, num_triangles = len(mesh.loops), len(mesh.loop_triangles)
     corner_vertices = _read(mesh.attributes[".corner_vert"].data, "value", (num_corners,), np.int32)
     positions = _read(mesh.attributes["position"].data, "vector", (len(mesh.vertices), 3), np.float32)

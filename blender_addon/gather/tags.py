@@ -31,12 +31,12 @@ USAGES = ("any", "evaluation_only")
 
 
 def role_of(block: bpy.types.ID) -> str:
-    """``sm_role`` of an object or collection, or ""."""
+    """The tag ``sm_role`` of an object or collection, or ""."""
     return str(block.get("sm_role", ""))
 
 
 def words(value: Any) -> tuple[str, ...]:
-    """A tag with a list of words: ``"wood, metal"`` or a sequence of strings."""
+    """The words of a tag: a string such as ``"wood, metal"``, or a sequence of strings."""
     if value is None:
         return ()
     parts = value.split(",") if isinstance(value, str) else [str(part) for part in value]
@@ -44,7 +44,7 @@ def words(value: Any) -> tuple[str, ...]:
 
 
 def numbers(value: Any) -> tuple[float, ...]:
-    """A tag with numbers: an array property, one number, or ``"0.9, 1.1"``."""
+    """The numbers of a tag: an array property, a number, or a string such as ``"0.9, 1.1"``."""
     if isinstance(value, str):
         return tuple(float(part) for part in value.split(","))
     if hasattr(value, "__len__"):
@@ -69,7 +69,7 @@ def check_words(
 
 
 def material_classes(material: bpy.types.Material, problems: ProblemList) -> tuple[str, ...]:
-    """``sm_class`` of a material, the main class first."""
+    """The tag ``sm_class`` of a material: its classes, the main class first."""
     found = check_words(
         words(material.get("sm_class")), MATERIAL_CLASSES, "sm_class", problems, material=material.name
     )
@@ -77,7 +77,7 @@ def material_classes(material: bpy.types.Material, problems: ProblemList) -> tup
 
 
 def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple[str, ...]:
-    """``sm_replaceable_by`` of a material: classes that may replace it."""
+    """The tag ``sm_replaceable_by`` of a material: classes that may replace it."""
     return check_words(
         words(material.get("sm_replaceable_by")),
         MATERIAL_CLASSES,
@@ -88,12 +88,12 @@ def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple
 
 
 def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> tuple[str, ...]:
-    """``sm_surface`` or ``sm_surfaces`` of a material: the kinds of surface it is assigned to."""
+    """The tag ``sm_surface`` or ``sm_surfaces`` of a material: kinds of surface to which it is assigned."""
     return check_words(words(material.get(tag)), SURFACES, tag, problems, material=material.name)
 
 
 def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemList) -> dict[str, str]:
-    """Licence, author, source and usage, from ``sm_license`` and so on; a licence is required."""
+    """Licence, author, source and usage from the tags ``sm_license`` etc.; a licence is required."""
     result = {}
     for key in ("license", "author", "source", "usage"):
         value = str(block.get(f"sm_{key}", "") or fallback.get(key, ""))

@@ -3,8 +3,8 @@
 
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
-prints, by main class, the number of materials and the 5th, 50th and 95th percentile of the brightest channel
-of their mean D and of their mean R, with the limits of variation; and the spread of texels about the
+For each main class, this prints the number of materials, the 5th, 50th and 95th percentile of the brightest
+channel of their mean D and of their mean R with the limits of variation, and the spread of texels about the
 material's mean: hue (as a share of a turn), saturation and value as factors, roughness as an offset (medians
 over the materials of the root mean square).
 """

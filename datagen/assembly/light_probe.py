@@ -42,7 +42,7 @@ EnvironmentMap = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Emitters:
-    """Emissive triangles: ``faces`` of the scene and their ``radiance`` (K, 3)."""
+    """Emissive triangles: indices ``faces`` (K,) in the scene, and their ``radiance`` (K, 3)."""
 
     faces: NDArray[np.int64]
     radiance: Floats

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Assigns materials as in real homes: by kind of surface, in one style.
 
-For every slot, the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are reduced to those that fit
-the room's style and the slot's geometry, and for which a material of the palette can be varied into the
-look's ranges. A look is drawn by weight, then a material, then a point in the ranges. A slot's own material
-is varied a little, within its look if it has one.
+For every slot, the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are reduced to looks that fit
+the room's style and the slot's geometry and into whose ranges some material of the palette can be varied. A
+look is drawn by weight, then a material, then a point in the ranges. A slot's own material is varied a
+little, within its look if it has one.
 """
 
 from __future__ import annotations

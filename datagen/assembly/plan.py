@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From (recipe, index, library) to a configuration, as a pure function.
+"""Makes a configuration from (recipe, index, library), as a pure function.
 
 The steps are room, objects, materials, lights, views; each is a module here. Splits are by configuration;
 with ``splits.disjoint`` the library is partitioned too, so that no asset of the test or validation split
@@ -89,7 +89,7 @@ def _process_caches() -> _ProcessCaches:
 
 
 def configuration_id(recipe: Recipe, index: int) -> str:
-    """Id of the recipe's configuration of that index."""
+    """Id of the recipe's configuration number ``index``."""
     return f"{recipe.name}-{index:05d}"
 
 
@@ -188,7 +188,7 @@ def _assemble_once(
 def assemble_all(
     recipe: Recipe, library: Library, indices: Iterable[int] | None = None
 ) -> Iterator[Configuration]:
-    """Configurations in sequence, all or those of ``indices``, after :func:`check_recipe`."""
+    """The configurations in sequence, all or only ``indices``, after :func:`check_recipe`."""
     check_recipe(recipe, library)
     for index in range(recipe.configurations) if indices is None else indices:
         yield assemble(recipe, index, library)

@@ -3,9 +3,9 @@
 
     python -m datagen.assembly.surface_statistics LIBRARY [LIBRARY ...]
 
-prints, for each kind of surface (wall, floor, fitting ...) of the environments' slots, the number of slots
-and the minimum, the median by area and the maximum of value, saturation and hue of their mean D, of the
-brightest channel of mean S, and of mean R. Hues of greys, emitters and cut-outs are left out.
+For each kind of surface (wall, floor, fitting ...) in the environments' slots, this prints the number of
+slots and the minimum, area-weighted median and maximum of the value, saturation and hue of their mean D, of
+the brightest channel of their mean S, and of their mean R. Hues of greys, emitters and cut-outs are left out.
 """
 
 from __future__ import annotations

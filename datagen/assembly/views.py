@@ -3,9 +3,9 @@
 
 Candidates are drawn in free space, aimed at objects, and ray-traced at low resolution against the actual
 triangles. Candidates that are too close, show too little, are too dark or overlap too little with other views
-are rejected and counted. The views are then chosen one by one among the rest: each must overlap enough with
-those chosen before, and among those that do, the one that differs most in position and direction is chosen.
-Letters: C candidates, H x W pixels of the low-resolution image, P points.
+are rejected and counted. The views are then chosen one by one from the rest: among the views that overlap
+enough with the chosen views, the most different in position and direction is chosen next. Letters: C
+candidates, H x W pixels of the low-resolution image, P points.
 """
 
 from __future__ import annotations
@@ -345,12 +345,12 @@ def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None =
 def choose_views(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float, draws: Draws
 ) -> tuple[list[int], int]:
-    """Indices of up to ``count`` views, and the number of views of the pool that overlap too little with
-    them.
+    """Indices of up to ``count`` chosen views, and the number of views in the pool that overlap too little
+    with the chosen views.
 
     ``overlap`` is the pool's :func:`overlap_matrix`. Every chosen view shares at least ``min_overlap`` of its
-    points with one chosen before it (the first with the second). Views that nearly repeat a chosen one are
-    skipped.
+    points with a view chosen before it (the first view with the second). Views that nearly repeat a chosen
+    view are skipped.
     """
     if count == 1:
         return ([0] if pool else []), 0
@@ -383,8 +383,8 @@ def choose_overlapping(
     """Like :func:`choose_views`, for views of a room: the next view is the one with the largest overlap with
     the chosen views.
 
-    The score of a view is its mean overlap with the chosen ones in both directions, plus a small bonus for
-    being different; views without walls are used once :data:`_ROOM_SHARE` of the others are chosen.
+    The score of a view is its mean overlap with the chosen views in both directions, plus a small bonus for
+    being different. Views without walls are used once :data:`_ROOM_SHARE` of the views with walls are chosen.
     """
     if count == 1 or len(pool) < 2:
         return choose_views(pool, overlap, count, min_overlap, Draws("one"))

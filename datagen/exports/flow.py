@@ -31,8 +31,8 @@ def flow_between(
     buffers_b: dict[str, NDArray],
     step: int = 1,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Flow (h, w, 2) of every ``step``-th pixel of ``a``, and whether its point is visible in ``b``, (h,
-    w).
+    """Flow (h, w, 2) in pixels of every ``step``-th pixel of ``a``, and the mask (h, w) of points visible in
+    ``b``.
     """
     depth = buffers_a["depth_z_m"][::step, ::step, 0].astype(np.float64)
     pixels = camera_a.pixel_centers()[::step, ::step]

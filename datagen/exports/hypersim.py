@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Folders in the layout of Apple's Hypersim: HDF5 files of one array ``dataset`` for each frame and quantity.
+"""Folders in the layout of Apple's Hypersim: an HDF5 file with one array, ``dataset``, per frame and
+quantity.
 
 A room is a scene, and its views with the same lens are one camera trajectory (``cam_00``). As in Hypersim,
 cameras look along -z with y up, ``depth_meters`` is the distance from the camera's centre, and positions are

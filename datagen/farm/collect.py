@@ -25,7 +25,7 @@ def collect(
     """Write ``index.json`` from the finished units, and return it.
 
     Remains of killed attempts are removed and passed to ``on_removed``; ``progress(done, total)`` counts
-    units. ``deep`` hashes every shard again and raises :class:`InputError` naming those that differ.
+    units. ``deep`` hashes every shard again and raises :class:`InputError` naming the shards that differ.
     Unfinished units are listed in ``missing``; the index is complete if there are none.
     """
     folder = DatasetFolder(root)

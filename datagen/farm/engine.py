@@ -57,7 +57,7 @@ class Engine(Protocol):
 
 
 def job_name(root: Path) -> str:
-    """Name shared by all jobs of a dataset folder, by which the queue's commands find them."""
+    """Name shared by all jobs of a dataset folder, under which the queue's commands find the jobs."""
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 
@@ -68,7 +68,7 @@ def with_setup(options: SlurmOptions, root: Path) -> str:
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """Commands of every collecting job; the exit code is that of the last failed step."""
+    """Shell commands of every collecting job; the exit code is that of the last failed step."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?

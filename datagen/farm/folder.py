@@ -48,7 +48,7 @@ _NEITHER_LINKS_NOR_PIPES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOC
 
 
 class FolderRecord(StrictModel):
-    """``dataset.json``: a folder never mixes recipes, libraries or versions."""
+    """``dataset.json``: inputs of the folder, which never mixes recipes, libraries or versions."""
 
     format: Literal["scene-materials/folder"] = "scene-materials/folder"
     version: Literal[1] = 1
@@ -263,7 +263,7 @@ def rooms_of(path: Path) -> list[Path]:
 
 
 def library_of(path: Path) -> list[Path] | None:
-    """Library folders from which a dataset folder was made, or None if they no longer exist."""
+    """Library folders from which a dataset folder was made, or None if they do not exist any more."""
     try:
         paths = DatasetFolder(path).library_paths()
     except InputError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Remains of killed attempts in a dataset folder, which nothing refers to and which take up space.
+"""Remains of killed attempts in a dataset folder: unreferenced files that take up space.
 
 A crash between a shard's rename and its marker leaves a tar that no marker names; an earlier crash leaves
 part of a tar. A second process on the same unit may continue to write views after the first has committed it.
@@ -52,7 +52,7 @@ def find_leftovers(root: Path) -> list[Path]:
 
 
 def remove_leftovers(root: Path) -> list[Path]:
-    """Remove what :func:`find_leftovers` finds; returns the paths that were removed."""
+    """Remove all leftovers (see :func:`find_leftovers`); returns the removed paths."""
     removed = []
     for path in find_leftovers(root):
         if path.is_dir() and not path.is_symlink():

@@ -31,7 +31,7 @@ class Submission:
 
 
 def engine_of(name: str) -> Engine:
-    """The engine of that name. Raises :class:`InputError` with the known ones."""
+    """The engine of that name. Raises :class:`InputError` with the known names."""
     if name not in ENGINES:
         raise input_error("farm", "engine", name, ", ".join(ENGINES), "choose one of them")
     return ENGINES[name]

@@ -111,9 +111,7 @@ def _field_path(location: tuple[int | str, ...]) -> str:
 
 
 def problems_of(where: str | Path | Callable[[Location], str], error: ValidationError) -> list[Problem]:
-    """A model's errors as text; ``where`` is a file, or a function that returns the position of each
-    field.
-    """
+    """A model's errors as text; ``where`` is a file, or a function that returns a field's position."""
     problems = []
     for entry in error.errors(include_url=False):
         place = where(entry["loc"]) if callable(where) else where

@@ -30,8 +30,8 @@ CAPTURE_FILE = "capture.json"
 class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
-    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing ones 0; ``polynomial``: k1 k2 p1 p2 k3 k4 without a
-    denominator, k4 for r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4.
+    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing coefficients are 0; ``polynomial``: k1 k2 p1 p2 k3 k4 without
+    a denominator, k4 for r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]
@@ -68,9 +68,9 @@ class MeshRecord(StrictModel):
 class CaptureFile(StrictModel):
     """``capture.json``.
 
-    ``encoding`` of the images' values: ``auto`` is sRGB for integer images (PNG, JPEG, TIFF) and linear for
-    EXR; ``gamma22`` is the paper's assumption for photographs. ``lights``, if known, are used when the result
-    is rendered.
+    ``encoding``: transfer function of the images' values. ``auto`` is sRGB for integer images (PNG, JPEG,
+    TIFF) and linear for EXR; ``gamma22`` is the paper's assumption for photographs. ``lights``, if known, are
+    used when the result is rendered.
     """
 
     format: Literal["scene-materials/capture"] = "scene-materials/capture"

@@ -32,8 +32,8 @@ Split = Literal["train", "validation", "test"]
 class ColorAdjustment(StrictModel):
     """Variation of a material: applied to D and S in linear HSV, to R by an offset; results are clamped.
 
-    ``hue_shift`` in turns; ``saturation_scale`` and ``value_scale`` multiply; ``roughness_offset`` adds. S is
-    changed only where it is coloured (metals); its value is never scaled.
+    ``hue_shift`` is in turns; ``saturation_scale`` and ``value_scale`` are factors; ``roughness_offset`` is
+    added. S is changed only where it is coloured (metals); its value is never scaled.
     """
 
     hue_shift: Annotated[float, Field(ge=-1, le=1)] = 0.0
@@ -102,9 +102,9 @@ class ViewCoverage(StrictModel):
     """Summary of the views' content, from rays at low resolution.
 
     ``median_observations``: number of views that show the median surface pixel, its own included;
-    ``thin_share``: share of the surface pixels visible in two views or fewer. ``room_share`` of the views
-    show two walls or a wall and the ceiling. ``metal_share`` and ``gloss_share`` of the surface pixels are
-    metal and gloss, by the means of their materials.
+    ``thin_share``: share of the surface pixels visible in two views or fewer. ``room_share``: share of the
+    views that show two walls, or a wall and the ceiling. ``metal_share`` and ``gloss_share``: shares of the
+    surface pixels on metal and on glossy materials, by the materials' means.
     """
 
     median_observations: NonNegative

@@ -25,7 +25,7 @@ from datagen.formats.base import (
 
 
 class PointLight(StrictModel):
-    """Isotropic point light. ``intensity`` in W/sr."""
+    """Isotropic point light; ``intensity`` is in W/sr."""
 
     type: Literal["point"] = "point"
     name: str
@@ -34,10 +34,9 @@ class PointLight(StrictModel):
 
 
 class SpotLight(StrictModel):
-    """Spotlight. ``intensity`` on the axis in W/sr; full intensity inside ``beam_width_rad``, none outside
-    ``cutoff_rad``.
+    """Spotlight; ``intensity`` is in W/sr, constant inside ``beam_width_rad`` and 0 outside ``cutoff_rad``.
 
-    Both angles are half angles from the axis.
+    Both angles are measured from the axis.
     """
 
     type: Literal["spot"] = "spot"
@@ -50,8 +49,8 @@ class SpotLight(StrictModel):
 
 
 class DirectionalLight(StrictModel):
-    """Sunlight. ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``; diameter 0 = sharp
-    shadows.
+    """Sunlight: ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``; a diameter of 0 gives
+    sharp shadows.
     """
 
     type: Literal["directional"] = "directional"

@@ -28,7 +28,7 @@ CountRange = Annotated[
 
 
 class AssetFilter(StrictModel):
-    """Selection of assets: the whole library, only those in ``include``, never those in ``exclude``."""
+    """Selection of assets: the whole library, or only assets in ``include``; never assets in ``exclude``."""
 
     include: tuple[Slug, ...] | None = None
     exclude: tuple[Slug, ...] = ()
@@ -66,9 +66,9 @@ class EnvironmentRecipe(AssetFilter):
 class ObjectRecipe(AssetFilter):
     """Objects to place. ``count`` per configuration; ``category_weights`` default to 1 for each category.
 
-    ``library_weights``: probability weight of each folder of ``library``, under its name there, as the source
-    of the next object (default 1), so that a few custom objects are not lost among many others. Empty: all
-    folders form one pool.
+    ``library_weights``: relative probability (default 1) that the next object is from a folder of
+    ``library``, by the folder's name there, so that a few custom objects are not lost in a large library.
+    Empty: all folders form one pool.
     """
 
     count: CountRange = (8, 20)
@@ -81,7 +81,7 @@ class ObjectRecipe(AssetFilter):
 class Variation(StrictModel):
     """Weights of two ways to assign materials in a room, one of which is drawn for each configuration.
 
-    ``likely``: materials and colours that such surfaces have in real rooms, in harmony with each other.
+    ``likely``: matching materials and colours that such surfaces have in real rooms.
     ``wild``: any material of a class that suits the slot, in any colour that the class may have.
     """
 
@@ -165,8 +165,8 @@ class CameraRecipe(StrictModel):
     ``min_overlap``: minimum share of a view's points that are visible in another view too. ``min_luminance``
     is relative to the configuration's median view.
 
-    ``subject``: with ``things``, cameras aim at objects at any height, also at floors and tables from above;
-    with ``room`` they look across the room, nearly level, and views that overlap with others are preferred.
+    ``subject``: with ``things``, cameras aim at objects at any height, also from above at floors and tables;
+    with ``room``, cameras look across the room, nearly level, and overlapping views are preferred.
     """
 
     subject: Literal["things", "room"] = "things"

@@ -17,8 +17,8 @@ from datagen.foundation.images import normalized
 def texture_values(texture: Texture, pixels: NDArray[Any], is_scalar: bool) -> NDArray[np.float32]:
     """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
 
-    ``pixels`` as returned by :func:`read_image`. Returns (H, W) if ``is_scalar``, else (H, W, 3). A scalar
-    channel that names ``rgb`` uses the luminance, as Mitsuba does.
+    ``pixels`` are as returned by :func:`read_image`. Returns (H, W) if ``is_scalar``, else (H, W, 3). A
+    scalar channel that names ``rgb`` uses the luminance, as Mitsuba does.
     """
     values = normalized(pixels)
     num_channels = values.shape[2]

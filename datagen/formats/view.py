@@ -98,8 +98,8 @@ class ViewRecord(StrictModel):
 
     ``instances`` and ``materials`` map the ids of the id buffers to names (``object/part``, ``slot`` or
     material id). ``exposure`` brings the 95th percentile of luminance to 0.9. ``exr_sha256`` is the hash of
-    the view's EXR file; ``versions`` are those of the software that affects pixels. Version 1, in which names
-    of ids were dictionaries, can be read too.
+    the view's EXR file; ``versions`` lists the versions of software that affects pixels. Version 1, in which
+    names of ids were dictionaries, can be read too.
     """
 
     format: Literal["scene-materials/view"] = "scene-materials/view"

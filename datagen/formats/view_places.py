@@ -24,7 +24,9 @@ class ViewPlace:
 
 
 def index_shard(path: Path) -> list[ViewPlace]:
-    """The views of a shard, from the tar's headers alone. ``InputError`` if the tar is damaged."""
+    """The views of a shard, from the tar's headers alone. Raises :class:`InputError` if the tar is
+    damaged.
+    """
     members: dict[str, dict[str, tuple[int, int]]] = {}
     try:
         with tarfile.open(path, mode="r:") as tar:

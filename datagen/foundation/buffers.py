@@ -209,7 +209,7 @@ elsewhere."""
 
 
 def get_buffer(name: str) -> Buffer:
-    """The registered buffer with that name; ``KeyError`` lists the known ones."""
+    """The registered buffer with that name; raises ``KeyError`` with the known names."""
     try:
         return BUFFERS[name]
     except KeyError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error type for bad input: what, where, got, expected, remedy."""
+"""The error type for bad input, which states position, value found, value expected and remedy."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Versions of the software that affects pixels, recorded with every result and part of every unit's key."""
+"""Versions of the software that affects pixels: recorded with every result, and part of every unit's key."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
 def pixel_versions(*, has_light: bool = False) -> dict[str, str]:
-    """Name to version of everything that affects the bytes of views; with ``has_light``, of views that record
-    light.
+    """Versions, by name, of all software that affects the bytes of views.
+
+    ``has_light``: whether the views record light.
     """
     found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
     if has_light:

@@ -53,7 +53,7 @@ class Annotations(StrictModel):
     replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
 
     def over(self, places: RoomPlaces, openings: tuple[Opening, ...]) -> dict[str, Any]:
-        """Annotation fields of an environment: the given lists, else the derived ones."""
+        """Annotation fields of an environment: the given lists, else the derived lists."""
         derived = {
             "support_surfaces": places.support_surfaces,
             "camera_regions": places.camera_regions,
@@ -65,7 +65,7 @@ class Annotations(StrictModel):
 
 
 def read_annotations(path: Path | None) -> Annotations:
-    """Annotations of a YAML file; empty ones for None. Raises :class:`InputError`."""
+    """Annotations of a YAML file, empty for None. Raises :class:`InputError`."""
     return Annotations() if path is None else read_yaml(Annotations, path)
 
 

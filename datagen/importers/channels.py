@@ -100,7 +100,7 @@ class ImageCache:
     ) -> ColorValue:
         """The colour that ``function`` computes from colours and, after them, scalars as (..., 1).
 
-        The resolution is that of the largest image among them. Constants give a constant, and so does an
+        The result has the resolution of the largest image. Constants give a constant, and so does an
         image that turns out to be constant; ``label`` names the file of any other result.
         """
         inputs = [*((value, False) for value in colors), *((value, True) for value in scalars)]

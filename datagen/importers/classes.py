@@ -151,7 +151,7 @@ def guess_category(*names: str) -> str:
 
 
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
-    """Supports of an object: furniture and large objects stand on the floor, small ones on furniture.
+    """Supports of an object: furniture and large objects stand on the floor, small objects on furniture.
 
     Objects above 40 cm stand on a table only if that is usual for their category (a vase, a lamp); an object
     of unknown category may also stand on the floor.

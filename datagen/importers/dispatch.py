@@ -109,8 +109,9 @@ def import_asset(
     """Import all sources at a path into a library folder.
 
     ``split`` makes an object of each separate group in a glTF file; ``on_done`` is called after each asset,
-    ``watch`` for each piece of a furniture library instead. An ``asset_id`` is allowed with a single source
-    only. With several sources, the valid ones are imported, then one :class:`InputError` lists the others.
+    except for pieces of a furniture library, which ``watch`` reports. An ``asset_id`` is allowed with a
+    single source only. With several sources, all valid sources are imported, then one :class:`InputError`
+    lists the invalid ones.
     """
     options = options or ImportOptions()
     sources = find_sources(Path(path))

@@ -78,10 +78,10 @@ def import_gltf(
     """Convert a .gltf or .glb file to packages below ``out_library``: one, or with ``split`` one for each
     group of touching root nodes.
 
-    ``origin``, if ``path`` was converted from a file of another format, is that file, which provides the
-    licence and the name in errors; ``findings`` are those of the conversion. Raises :class:`InputError` with
-    every problem: unknown extensions, missing files, transparent materials if the policy is to refuse them,
-    an unknown licence.
+    If ``path`` was converted from another format, ``origin`` is the original file, which provides the licence
+    and the name in errors, and ``findings`` holds the findings of the conversion. Raises :class:`InputError`
+    with every problem: unknown extensions, missing files, transparent materials if the policy is to refuse
+    them, an unknown licence.
     """
     options = options or ImportOptions()
     budget = Budget(origin or path, options.limits)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Compares an imported scene with its original: the same camera, with Mitsuba's own BSDFs or the converted
-ones.
+"""Compares an imported scene with its original: rendered from the same camera, with Mitsuba's own BSDFs and
+with the converted materials.
 
 Images are (H, W, 3) float32, scene-linear. The Mitsuba variant must have been selected before rendering.
 """
@@ -160,7 +160,7 @@ def render_converted(
 class Agreement:
     """Agreement of an image with its reference.
 
-    ``correlation``: Pearson's, of blurred luminance. ``median_ratio``: median over pixels of blurred
+    ``correlation``: Pearson correlation of blurred luminance. ``median_ratio``: median over pixels of blurred
     luminance over the reference's. ``mean_ratio``: ratio of the means. ``rel_l1``: sum of absolute
     differences of the blurred images over the reference's sum.
     """

@@ -3,8 +3,8 @@
 
 A model is rotated by its catalogue's rotation, scaled to the catalogue's width, depth and height, oriented
 upright (the file's +Y is up, its +Z the front, which becomes -Y) and put on z = 0. Pieces that cannot be
-imported are refused by name, the others are imported. Existing packages are kept, so that an interrupted
-import resumes.
+imported are refused by name; all other pieces are imported. Existing packages are kept, so that an
+interrupted import resumes.
 """
 
 from __future__ import annotations
@@ -77,7 +77,8 @@ def import_sweet_home(
     options: ImportOptions | None = None,
     on_step: StepObserver | None = None,
 ) -> list[ImportedAsset]:
-    """Import every possible piece of a .sh3f file; returns the records of those imported now or kept.
+    """Import every possible piece of a .sh3f file; returns the records of all pieces imported now or
+    kept from earlier runs.
 
     Raises :class:`InputError` if the file is no catalogue, and at the end with all refused pieces.
     """

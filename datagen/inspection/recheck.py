@@ -48,8 +48,8 @@ class Rechecked:
     """A view compared with plain paths.
 
     ``recorded`` is the estimated relMSE in its record, None if it was not rendered to an error; ``rel_mse``
-    the true relMSE, exposed; ``bias`` the ratio of its mean luminance to that of plain paths, minus 1. Both
-    have standard errors, due to the plain paths' noise.
+    the true relMSE, exposed; ``bias`` its mean luminance over the mean luminance of plain paths, minus 1.
+    Both have standard errors, due to the plain paths' noise.
     """
 
     configuration: str

@@ -94,9 +94,9 @@ class StatisticsView:
 class StatisticsOptions:
     """Options of the statistics.
 
-    ``best_views`` in [4, 24] is k. ``include_self``: whether a view's own pixel is a candidate.
-    ``color_fetch`` reads a colour at a projection from the nearest pixel, or interpolates the neighbouring
-    four that have the same depth.
+    ``best_views``: the number k of views used, in [4, 24]. ``include_self``: whether a view's own pixel is a
+    candidate. ``color_fetch`` reads a colour at a projection from the nearest pixel, or interpolates the
+    neighbouring four that have the same depth.
     """
 
     best_views: int = 12

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furniture of the rooms of a home: required items first, then those that fit."""
+"""Furniture of the rooms of a home: required items first, then others that fit."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 """Lamps: luminous bodies of real size, colour temperature and flux.
 
 Most shades are translucent: the luminous body is then the shade of cloth or paper, as in photographs, instead
-of a bulb. The others are opaque and hide their bulb from most cameras.
+of a bulb. Opaque shades hide their bulb from most cameras.
 """
 
 from __future__ import annotations

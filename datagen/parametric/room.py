@@ -36,7 +36,7 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A sound room. ``tries``: number of generated rooms; ``rejected``: faults of the earlier ones.
+    """A sound room. ``tries``: number of generated rooms; ``rejected``: faults of the rejected rooms.
 
     Without ``has_scenery`` the outside of windows is empty, for a panorama.
     """

@@ -172,7 +172,7 @@ def sofa(style: Style, draws: Draws, seats: int) -> Item:
 
 
 def bench(style: Style, draws: Draws, width: float, upholstered: bool) -> Item:
-    """A bench along a wall; upholstered ones have a back."""
+    """A bench along a wall; an upholstered bench has a back."""
     item = Item("bench")
     d = 0.4 if not upholstered else 0.5
     if upholstered:

@@ -28,8 +28,8 @@ DOOR_HEIGHT = 2.03
 
 @dataclass(frozen=True)
 class Window:
-    """An opening in a wall: middle ``s``, ``width``, ``height`` above ``sill``; numbers of panes across and
-    up.
+    """A window: its middle at ``s`` along the wall, from ``sill`` to ``sill + height``; numbers of panes
+    across and up.
     """
 
     wall: Wall
@@ -42,8 +42,8 @@ class Window:
 
 @dataclass(frozen=True)
 class Door:
-    """A closed door that opens inwards: middle ``s``, leaf ``width``, ``hinge`` on its left (-1) or right
-    (1).
+    """A closed door that opens inwards: its middle at ``s`` along the wall; ``width`` is the leaf's,
+    ``hinge`` is -1 on the left, 1 on the right.
     """
 
     wall: Wall

@@ -131,7 +131,7 @@ _FINISHED = ("frame", "legs", "shade", "slats")
 
 
 def in_metal(slot: str) -> SlotMaterial:
-    """The slot's material for slots of metal; slender ones have the finish of handles and taps."""
+    """The slot's material for slots of metal; slender metal parts have the finish of handles and taps."""
     surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
     return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
 

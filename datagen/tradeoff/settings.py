@@ -72,7 +72,7 @@ class Setting:
         return RenderRecipe.model_validate({**common, **samples, **clamp, **cache})
 
     def differences(self, base: Setting) -> dict[str, Any]:
-        """Fields in which the setting differs from another."""
+        """Fields in which the setting differs from ``base``, with their values."""
         theirs = asdict(base)
         return {name: value for name, value in asdict(self).items() if value != theirs[name]}
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Simulated faults of cameras, applied to rendered photographs: what each fault costs a method, alone and
-combined.
+"""Simulated faults of cameras, applied to rendered photographs to measure their effect on a method, one by
+one and combined.
 
 The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the k1 on
 normalised coordinates that calibration left uncorrected) and darkens the corners (``vignetting_stops``).
@@ -38,8 +38,8 @@ _LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve is not monotonic
 
 
 class CameraFaults(StrictModel):
-    """Faults of the photographs; the module's docstring explains each field. ``seed`` is that of noise,
-    exposures and poses.
+    """Faults of the photographs; the module's docstring explains each field. ``seed`` seeds noise, exposures
+    and poses.
     """
 
     name: Slug

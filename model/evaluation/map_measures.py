@@ -9,7 +9,7 @@ scene, which leaves the error within regions. ``level error``: median over surfa
 ``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which also
 gives FIPT's figures: 8-bit values, PSNR of every whole view with emitters (and for kd everything of a
 roughness other than 1) set to zero in both images, and the mean of the decibels. Our kd is D and our a' is (1
-- S) D + S; those of IRIS are the diffuse colour and the integrated reflectance of Disney's lobe. Emission:
+- S) D + S; IRIS uses the diffuse colour and the integrated reflectance of Disney's lobe. Emission:
 pixels of surfaces that emit and have no material.
 """
 

@@ -96,7 +96,7 @@ def difference(
 ) -> Difference | None:
     """Difference of two methods' means over the views that both have; None if they share fewer than two.
 
-    ``spreads``: seed spread of a single view's figure, for each method; ``weights`` of the views.
+    ``spreads``: seed spread of a single view's figure, for each method; ``weights``: weights of the views.
     """
     names = [name for name in other if name in this]
     if len(names) < 2:

@@ -33,7 +33,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Row:
-    """Pictures of the truth or of a method, None for missing ones."""
+    """Pictures of the truth or of a method; a missing picture is None."""
 
     label: str
     pictures: dict[str, Picture | None]

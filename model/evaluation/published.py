@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Figures of the paper (Prakash, Rainer, Bousseau, Drettakis 2022), for the scenes that it shares with ours.
+"""Figures of the paper (Prakash, Rainer, Bousseau, Drettakis 2022) for the scenes that our suites also use.
 
-Its tables do not state the views and the light by which its re-renderings were judged, nor how exposure was
+Its tables do not state with which views and light its re-renderings were judged, nor how exposure was
 matched; its DSSIM is assumed to be 1 - SSIM. *Ours Im.* and *No RP* are errors of maps per view, *Ours* of
 merged maps.
 """

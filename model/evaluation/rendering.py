@@ -33,8 +33,9 @@ BUFFERS = ("beauty", *MATERIAL_MAPS, "surface_mask", "depth_z_m", "normal_world"
 class JudgedView:
     """A view with its maps.
 
-    ``color`` (H, W, 3) linear; ``maps`` by name (H, W, 3 or 1); ``surface_mask`` (H, W): pixels covered by at
-    least half by reflecting surface; ``emission_mask`` (H, W): pixels of emitting surface without a material.
+    ``color`` (H, W, 3) is linear; ``maps`` (H, W, 3 or 1) are by name; ``surface_mask`` (H, W): pixels at
+    least half covered by reflecting surface; ``emission_mask`` (H, W): pixels of emitting surface without a
+    material.
     """
 
     color: NDArray[np.float32]
@@ -58,7 +59,7 @@ def stored_view(view: CaptureView) -> JudgedView:
 
 @dataclass(frozen=True)
 class Rendering:
-    """Some ``views`` of a scenery with a seed, and the ``folder`` of their ``VIEW.exr``.
+    """A rendering of some ``views`` of a scenery with one seed, stored as ``VIEW.exr`` in ``folder``.
 
     Existing views are not rendered again, so that the folder must be named by everything that affects the
     pixels.

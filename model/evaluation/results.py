@@ -26,9 +26,9 @@ class MethodResult(StrictModel):
     """Results of a method on a scene.
 
     ``skipped``: reason for missing figures, else ''. ``camera``: the faults of its photographs, '' for none.
-    ``maps_per_view`` and ``maps_merged``: mean squared error by map, of the maps as predicted and of the
-    atlas in the views; ``map_figures``, ``by_kind`` and ``calibration`` as in ``map_measures``, ``map_views``
-    the errors per view. ``images``: by light (own, modified) and views (input, novel), see
+    ``maps_per_view`` and ``maps_merged``: mean squared errors of the predicted maps and of the atlas as seen
+    in the views; ``map_figures``, ``by_kind`` and ``calibration`` are as in ``map_measures``; ``map_views``
+    holds the errors per view. ``images``: by light (own, modified) and views (input, novel), see
     ``metrics.image_figures``; ``image_views`` per view. ``seed_spread``: by light, standard deviation of a
     view's figures between two seeds of the renderer. ``seen_share``: share of the atlas visible in at least
     one view; ``covered_share``: share of the true surface's pixels where the method has a surface.
@@ -73,8 +73,8 @@ class MethodResult(StrictModel):
 class SceneResult(StrictModel):
     """Results of all methods on a scene.
 
-    ``exposures`` by light; ``figure_views``: views in the pictures, input and novel; ``renders``: by light,
-    folders of the true views that are not in the capture.
+    ``exposures``: exposure by light; ``figure_views``: views in the pictures, input and novel; ``renders``:
+    by light, folders of the true views that are not in the capture.
     """
 
     name: Slug

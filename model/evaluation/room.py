@@ -53,11 +53,11 @@ class TestScene(StrictModel):
 
     ``source``: a Mitsuba file, its folder, an environment package, or a recipe (.yaml), whose configuration
     number ``configuration`` is the scene; ``imports`` are files and folders whose assets the recipe may use.
-    ``views`` photographs and ``novel_views`` more on a walk, of ``resolution`` (width, height); ``render``
-    and ``cameras`` as in recipes. ``seed`` chooses cameras and samples. ``unit_m``: metres per unit of a
-    Mitsuba file, for cameras at a person's height; ``annotations`` correct the importer's findings about a
-    room (docs/importing.md). ``may_know_shapes``: checkpoints may have been trained on the rooms and objects
-    of a recipe, but on none of its materials.
+    There are ``views`` photographs, and ``novel_views`` more views on a walk, of ``resolution`` (width,
+    height); ``render`` and ``cameras`` are as in recipes. ``seed`` chooses cameras and samples. ``unit_m``:
+    metres per unit of a Mitsuba file, for cameras at a person's height; ``annotations`` correct the
+    importer's findings about a room (docs/importing.md). ``may_know_shapes``: checkpoints may have been
+    trained on the rooms and objects of a recipe, but on none of its materials.
     """
 
     __test__: ClassVar[bool] = False  # no test class, although pytest would take it for one by its name

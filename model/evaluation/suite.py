@@ -32,8 +32,8 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """Maps of a checkpoint. A missing checkpoint is left out of the tables, with a note. ``weights`` of the
-    medians over views, ``is_leveled`` and ``materials`` as for ``materials infer``.
+    """Maps of a checkpoint. A missing checkpoint is left out of the tables, with a note. ``weights`` (of the
+    medians over views), ``is_leveled`` and ``materials`` are as for ``materials infer``.
     """
 
     kind: Literal["network"]
@@ -123,9 +123,9 @@ class InsertedObject(StrictModel):
 class Suite(StrictModel):
     """Configuration of ``materials evaluate``.
 
-    At most ``input_views`` and ``novel_views`` of each scene are judged, the former drawn by ``seed`` from
-    those available to methods. ``render``: quality of a re-rendered view; ``truth``: quality of a judged view
-    of the truth, which is then rendered separately from the photographs, once per scene; None uses the
+    At most ``input_views`` of the views available to methods, drawn by ``seed``, and ``novel_views`` novel
+    views of each scene are judged. ``render``: quality of a re-rendered view; ``truth``: quality of a judged
+    view of the truth, which is then rendered separately from the photographs, once per scene; None uses the
     photographs as truth, and renders other lights at their quality. ``seed_views`` of each set and light are
     rendered with a second seed, which gives the noise of the figures. ``noise_share``: a view of an estimate
     needs no more samples once the remaining noise is at most this share of its squared difference from the

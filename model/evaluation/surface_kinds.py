@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of surface in the judged views: which pixels show metal, white walls, small objects and so on.
+"""Kinds of surface in the judged views: pixels of metal, white walls, small objects etc.
 
-By the true maps: ``metal`` S > 0.2; of the rest ``white`` D > 0.7 in every channel, ``glossy`` R < 0.4,
-``matt`` R >= 0.4. By the true mesh: ``small``, connected pieces less than 0.3 m across, and ``sunlit``,
-surface directly lit by a sun of the scene. By the views: ``seldom seen``, in fewer than 4. Kinds overlap;
-kinds that do not occur in a scene are left out. A ``region`` is a part of the scene's geometry.
+From the true maps: ``metal``, S > 0.2; of the rest ``white``, D > 0.7 in every channel, ``glossy``, R < 0.4,
+and ``matt``, R >= 0.4. From the true mesh: ``small``, connected pieces less than 0.3 m across, and
+``sunlit``, surface lit directly by the sun. From the views: ``seldom seen``, visible in fewer than 4 views.
+Kinds overlap; kinds that do not occur in a scene are left out. A ``region`` is a part of the scene's
+geometry.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _LIFT_M = 1e-3  # offset of a shadow ray from its surface, to avoid self-shadowi
 
 @dataclass(frozen=True)
 class ViewSurfaces:
-    """``kinds`` by name (H, W) bool, on the surface only; ``region`` (H, W), -1 for none."""
+    """``kinds``: masks (H, W) by name, True on surface only; ``region``: indices (H, W), -1 for none."""
 
     kinds: dict[str, NDArray[np.bool_]]
     region: NDArray[np.int32]

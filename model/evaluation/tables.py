@@ -37,7 +37,7 @@ _ALL = {
 
 @dataclass(frozen=True)
 class Table:
-    """``rows`` have a cell for each column; None is an empty cell. ``digits`` by column."""
+    """``rows`` have a cell for each column, None if it is empty; ``digits``: number of digits by column."""
 
     name: str
     title: str

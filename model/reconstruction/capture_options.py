@@ -57,9 +57,9 @@ class FrameOptions:
 class CaptureOptions(FrameOptions):
     """Options for reading a capture.
 
-    ``library``, for rendered captures only: packages of their assets, by default those of their dataset
-    folder, else the bundled ones. ``mesh_up`` is the mesh's up axis if it differs. ``exposure`` "exif"
-    applies recorded exposures, "auto" does so if all photographs have one. ``limits`` default to those in the
+    ``library``, for rendered captures only: folders of their assets' packages, by default from their dataset
+    folder, else the bundled library. ``mesh_up`` is the mesh's up axis if it differs. ``exposure`` "exif"
+    applies recorded exposures, "auto" does so if all photographs have one. ``limits`` are by default from the
     environment variables.
     """
 

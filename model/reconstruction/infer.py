@@ -70,9 +70,9 @@ MEMORY_ATLAS = 4096
 class FinalViews:
     """The views with their final maps.
 
-    ``sides`` (M,) of the mesh's triangles visible in the views; ``footprint_m`` of their fine pixels, None if
-    no surface is visible; ``can_be_seen`` (M,), whether a triangle is visible from the space in front of
-    photographed surface.
+    ``sides`` (M,): the outer side of each triangle, 1 or -1. ``footprint_m``: size of a fine pixel on the
+    surface, None if no surface is visible. ``can_be_seen`` (M,): whether a triangle is visible from the space
+    in front of photographed surfaces.
     """
 
     views: list[MapView]
@@ -86,7 +86,7 @@ class FinalViews:
 class PackedMaps:
     """The views' maps in the merger's arrays, and the unwrapped ``mesh``.
 
-    ``normals`` (M, 3) are the triangles' unit normals, ``size`` the side of the atlas in texels;
+    ``normals`` (M, 3) are the triangles' unit normals, ``size`` is the side of the atlas in texels,
     ``can_be_seen`` as in :class:`FinalViews`.
     """
 

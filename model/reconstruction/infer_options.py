@@ -55,8 +55,8 @@ class AssetOptions:
 class InferOptions(AssetOptions):
     """Options of ``materials infer``.
 
-    ``weights`` of the medians over views, see :class:`MergeOptions`; confidence is the checkpoint's.
-    ``is_leveled``: whether the albedo scale of predictions is corrected by interreflection
+    ``weights``: weights of the medians over views (see :class:`MergeOptions`), with the checkpoint's
+    confidence. ``is_leveled``: whether the albedo scale of predictions is corrected by interreflection
     (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
     alone, or from both, with the network as the prior (``light``). ``has_punctual``: whether the GLB contains
     small lamps also as point lights. ``is_evened``: whether exposures, vignetting and response are estimated
@@ -101,10 +101,10 @@ class InferOptions(AssetOptions):
 class InferReport:
     """Report of a run.
 
-    ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up to the end of each;
-    ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, empty
-    if not requested; ``warnings`` name the views that they concern; ``radiometry`` holds the findings of
-    :mod:`~model.reconstruction.radiometry`, ``poses`` the corrections of poses, empty if not requested;
+    ``seconds``: time by stage; ``memory_mb``: peak of the process's resident memory up to the end of each
+    stage; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the recovered lights,
+    empty if not requested; ``warnings`` name the views that they concern; ``radiometry`` holds the findings
+    of :mod:`~model.reconstruction.radiometry`, ``poses`` the corrections of poses, empty if not requested;
     ``albedo_level`` is a :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty if not
     requested.
     """

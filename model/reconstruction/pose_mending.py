@@ -40,9 +40,9 @@ _ALIKE = 25.0  # neighbouring points with correlated errors
 class MendedPoses:
     """Result of :func:`mended_poses`.
 
-    ``cameras`` in the views' order, unchanged if the corrected ones barely explain the views better; shifts
-    ``moved_mm`` and ``turned_deg`` (V,); ``residual`` before and after: the median of |ln value - ln median
-    of other views|.
+    ``cameras`` are in the views' order, unchanged if correction barely explains the views better;
+    ``moved_mm`` and ``turned_deg`` (V,) are the corrections; ``residual`` is the median of |ln value - ln
+    median of other views| before and after.
     """
 
     cameras: tuple[Camera, ...]

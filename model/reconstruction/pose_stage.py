@@ -13,7 +13,7 @@ from model.reconstruction.stages import Run
 
 
 def mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with corrected poses, if they explain the views better than the given ones."""
+    """The capture with corrected poses, if these explain the views better than the given poses."""
     with run.stage("poses"):
         found = mended_poses(traced.views)
         low, high = found.residual

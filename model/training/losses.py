@@ -5,7 +5,7 @@
 
 I are images of predicted and of true materials under the same random views and lights. Maps are dictionaries
 of (B, C, H, W) by name: ``diffuse_albedo`` D, ``specular_albedo`` S, ``roughness`` R, in [0, 1]. Maps that a
-track does not predict are replaced by the true ones. Pixels without a surface are made equal on both sides.
+track does not predict are replaced by true maps. Pixels without a surface are made equal on both sides.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def render(maps: Mapping[str, Tensor], geometry: Geometry, condition: Condition)
 
 @dataclass(frozen=True)
 class LossTerms:
-    """``total`` to minimise, and its unweighted parts by name, all scalars."""
+    """The ``total`` loss to minimise and its unweighted parts by name, all scalars."""
 
     total: Tensor
     parts: dict[str, Tensor]

@@ -277,8 +277,9 @@ class GradientSsim(nn.Module):
 def make_perceptual(
     kind: str, vgg: Path | None = None, heads: Path | None = None, precision: str = "float32"
 ) -> nn.Module:
-    """``elpips`` or ``gradient_ssim``. ``InputError`` if E-LPIPS' weights are absent: there is no silent
-    fallback.
+    """The distance of a ``kind``, ``elpips`` or ``gradient_ssim``.
+
+    Raises :class:`InputError` if E-LPIPS' weights are absent: there is no silent fallback.
     """
     if kind == "gradient_ssim":
         return GradientSsim()

@@ -86,8 +86,8 @@ class Phase:
         return self.context.plan(self.index, 0).steps_per_epoch
 
     def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
-        """Batches from step ``start`` to the phase's end. Errors of loader processes are raised without their
-        traceback.
+        """Batches from step ``start`` to the phase's end. Errors in loader processes are raised without their
+        tracebacks.
         """
         plan = self.context.plan(self.index, start, self.num_steps)
         workers, pin = self.context.config.data.workers, self.context.device.type == "cuda"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The folder of a run: its record, its state, each phase's best weights, and the final ones."""
+"""The folder of a run: its record, its state, the best weights of each phase, and the final weights."""
 
 from __future__ import annotations
 

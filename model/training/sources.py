@@ -44,8 +44,9 @@ def validation_note(data: TrainingData, num_views: int) -> str:
 def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> TrainingData:
     """The views of dataset folders, by the splits in their indices.
 
-    Only tar headers and one JSON file are read. ``InputError`` if an index lacks a buffer that the network
-    needs, a shard is missing or damaged, views are smaller than a crop, or no training views remain.
+    Only tar headers and one JSON file are read. Raises :class:`InputError` if an index lacks a buffer that
+    the network needs, a shard is missing or damaged, views are smaller than a crop, or no training views
+    remain.
     """
     needed = buffer_names(network)
     places: dict[Split, list[ViewPlace]] = {"train": [], "validation": [], "test": []}

@@ -104,7 +104,9 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
-    """Nested dictionaries of float arrays from a pickle's bytes; ``InputError`` for anything else."""
+    """Nested dictionaries of float arrays from a pickle's bytes. Raises :class:`InputError` for anything
+    else.
+    """
     if len(data) > _MAX_PICKLE_BYTES:
         raise input_error(where, "size", len(data), f"at most {_MAX_PICKLE_BYTES} bytes")
     try:
@@ -187,7 +189,7 @@ def load_vgg(path: Path) -> list[Convolution]:
 def find_vgg(path: Path | None = None) -> list[Convolution]:
     """VGG16 from ``path``, else the project's weights folder, else torch hub's cache.
 
-    ``InputError`` with the remedy if there is none.
+    Raises :class:`InputError` with the remedy if there is none.
     """
     if path is not None:
         if not path.is_file():

@@ -87,7 +87,7 @@ def parse_scene(
 
 
 def snake_case(name: str) -> str:
-    """``intIOR`` to ``int_ior``, ``toWorld`` to ``to_world``; current names stay unchanged."""
+    """Converts ``intIOR`` to ``int_ior``, ``toWorld`` to ``to_world``; current names stay unchanged."""
     return re.sub(r"(?<=[a-z0-9])([A-Z]+)", lambda m: "_" + m.group(1), name).lower()
 
 

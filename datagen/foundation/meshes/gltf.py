@@ -311,8 +311,9 @@ class GltfFile:
         return values
 
     def image_file(self, index: object, user: str) -> Path:
-        """Path of an image, which may be absent; embedded images, and those of Basis Universal as PNG, are
-        written to a temporary folder.
+        """Path of an image file, which may be absent.
+
+        Embedded images are written to a temporary folder, and so are Basis Universal images, as PNG.
         """
         entry = self.item("images", index, user)
         if "uri" in entry:

@@ -175,7 +175,7 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
     """The mesh with normals that are safe for a renderer, and the number of corners that were changed.
 
-    Vertices without normals, or with zero or NaN ones, get smooth normals. A normal in the plane of its
+    Vertices whose normal is missing, zero or NaN get smooth normals. A normal in the plane of its
     triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, which leaves no shading
     frame: that corner gets the triangle's own normal.
     """
@@ -229,8 +229,8 @@ def flat_shaded(mesh: Mesh) -> Mesh:
 
 
 def compacted(mesh: Mesh) -> Mesh:
-    """The mesh with vertices shared wherever position, normal and UV agree exactly; unused ones are
-    removed.
+    """The mesh with vertices shared wherever position, normal and UV agree exactly, without unused
+    vertices.
     """
     columns = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)

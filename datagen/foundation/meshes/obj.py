@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Wavefront OBJ files as one mesh: positions, texture coordinates, normals; polygons become fans.
 
-Groups, materials and lines are ignored, as by Mitsuba's loader. v of a texture coordinate points up.
+Groups, materials and lines are ignored, as in Mitsuba's loader. v of a texture coordinate points up.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 """Figures of a dataset: histograms over fixed bins, so that the counts of shards add up to those of the
 dataset.
 
-Values beyond a histogram's ends are counted in its outermost bins. Only pixels with a surface are counted:
-those hit by a ray and covered by at least half with reflecting surface. Luminance is Rec.709 of linear
-colour. The chroma of a colour is max(R, G, B) - min(R, G, B); the hue is that of HSV, in degrees.
+Values beyond a histogram's ends are counted in its outermost bins. Only surface pixels are counted: pixels
+hit by a ray and at least half covered by reflecting surface. Luminance is Rec.709 of linear colour. The
+chroma of a colour is max(R, G, B) - min(R, G, B); hue is as in HSV, in degrees.
 """
 
 from __future__ import annotations

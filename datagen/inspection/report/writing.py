@@ -80,8 +80,8 @@ class ReportOptions:
     """Options of a report.
 
     ``max_pixel_views``: number of views whose pixels are written for the viewer, by whole configurations
-    (None = all); ``with_sources``: also the source views of every pixel; ``price_per_hour`` of a unit's
-    resources, 0 = unknown; ``predictions`` are compared with the ground truth.
+    (None = all); ``with_sources``: also the source views of every pixel; ``price_per_hour``: price of a
+    unit's resources, 0 = unknown; ``predictions``: maps that are compared with the ground truth.
     """
 
     max_pixel_views: int | None = 400
@@ -109,7 +109,7 @@ class ReportResult:
 
 
 def choose_configurations(index: DatasetIndex, max_views: int | None, first: Iterable[str] = ()) -> set[str]:
-    """Configurations whose pixels are written: those in ``first``, then evenly spaced ones over the dataset.
+    """Configurations whose pixels are written: first ``first``, then others evenly spaced over the dataset.
 
     Their views stay within ``max_views`` (None = all configurations).
     """

@@ -22,9 +22,10 @@ ATLAS_DTYPE = np.float16
 class Atlas:
     """A merged atlas; row 0 is at v = 1.
 
-    ``maps`` by name (N, N, 3 or 1) in [0, 1], ``count`` (N, N) of views in each texel's medians, ``face`` (N,
-    N) its triangle or -1. Texels of count 0 are 0 until they are filled. ``confidence`` (N, N, 3) of D, S and
-    R in bytes, if known: 255 from light alone, 0 from a network alone.
+    ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name. ``count`` (N, N): number of views in each texel's
+    medians. ``face`` (N, N): the texel's triangle, or -1. Texels of count 0 are 0 until they are filled.
+    ``confidence`` (N, N, 3): confidence of D, S and R in bytes, if known: 255 from light alone, 0 from a
+    network alone.
     """
 
     maps: dict[str, NDArray]

@@ -37,11 +37,11 @@ class Source:
 
     @property
     def rest_m2(self) -> float:
-        """Projected area towards every direction in addition to that of the vector area."""
+        """Projected area in every direction, in addition to the projection of the vector area."""
         return max(self.area_m2 - float(np.linalg.norm(self.vector_m2)), 0.0) / 4
 
     def merged(self, other: Source) -> Source:
-        """Both as one source with their summed areas and A L, at their centroid weighted by A L."""
+        """Both sources as one, with summed areas and summed A L, at their centroid weighted by A L."""
         powers = [float(s.area_m2 * s.radiance.mean()) for s in (self, other)]
         area = self.area_m2 + other.area_m2
         flux = self.area_m2 * self.radiance + other.area_m2 * other.radiance
@@ -61,8 +61,8 @@ class Source:
 def page_sources(
     asset: EnvironmentAsset | ObjectAsset, slots: Mapping[str, Mesh]
 ) -> tuple[list[Source], int, list[str]]:
-    """Sources of the asset's lights and emissive ``slots``, the number of lights in them, and notes on the
-    others.
+    """Sources of the asset's lights and emissive ``slots``, the number of lights that they represent, and
+    notes on omitted lights.
     """
     sources, notes = [], []
     for light in asset.lights:

@@ -53,7 +53,9 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class AtlasState:
-    """Further images of an atlas, each (N, N) or None: ``mask`` of observed texels, and ``confidence``."""
+    """Further images (N, N) of an atlas, each of which may be None: ``mask`` marks observed texels;
+    ``confidence`` is as in the atlas.
+    """
 
     mask: NDArray[np.uint8] | None = None
     confidence: NDArray[np.uint8] | None = None
@@ -62,7 +64,7 @@ class AtlasState:
 def material_images(
     package: Package, material: Material, state: AtlasState, max_side: int
 ) -> Iterator[PageImage]:
-    """The images of a material; ``state`` belongs to its roughness texture.
+    """The images of a material; ``state`` describes the texels of its roughness texture.
 
     Raises :class:`InputError` if an image cannot be read or differs from the state's in size.
     """

@@ -48,7 +48,7 @@ class BracketSource:
 def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
     """One image from ``images`` (H, W, 3) that ``scales``, inverse exposures, have brought to one exposure.
 
-    Pixels clipped in all of them have the shortest exposure's values, the highest lower bound.
+    Pixels clipped in all images keep the value from the shortest exposure, the highest lower bound.
     """
     shape = images[0].color.shape
     total, weights = np.zeros(shape), np.zeros(shape)

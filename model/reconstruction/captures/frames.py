@@ -2,8 +2,8 @@
 """Up axis and unit of a capture: given, or guessed by two rules that are reported to the user.
 
 Up: photographers hold cameras upright, so that the axis within 30 degrees of the cameras' mean up direction
-is up. Unit: a room is 1 m to 100 m across (the diagonal of its bounding box); larger ones are in millimetres
-or centimetres, whichever brings them closer to 8 m.
+is up. Unit: a room is 1 m to 100 m across (the diagonal of its bounding box); a larger mesh is in millimetres
+or centimetres, whichever brings it closer to 8 m.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Environment packages as captures: cameras, meshes and lights of the package, with photographs beside it.
+"""Reads environment packages as captures: the package's cameras, meshes and lights, with photographs beside
+it.
 
 The Blender add-on exports such packages, so that a scene modelled from photographs needs no other export. A
 photograph is named after its camera.
@@ -37,10 +38,10 @@ def is_package(path: Path) -> bool:
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """The package's cameras that have photographs. Raises :class:`InputError` if none has one.
+    """A capture of the package's cameras that have a photograph. Raises :class:`InputError` if none has.
 
     Photographs are in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
-    ``exposure``: the use of their recorded exposures.
+    ``exposure`` selects how recorded exposures are applied (see :class:`CaptureOptions`).
     """
     with open_package(path, budget) as package:
         asset = package.asset

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Photographs as files: supported formats with their readers, and messages for unsupported ones.
+"""Readers of photograph files by format, and messages for unsupported formats.
 
 PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size was checked, EXR by OpenEXR, HEIC by libheif
 (``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
@@ -40,7 +40,7 @@ _OPENCV_FORMATS = {".tif": ("TIFF",), ".tiff": ("TIFF",), ".webp": ("WEBP",)}
 
 
 def can_read(path: Path) -> bool:
-    """Whether photographs with that suffix can be read; for HEIC and raw ones, whether the reader is
+    """Whether photographs with that suffix can be read; for HEIC and raw files, whether the reader is
     installed.
     """
     suffix = path.suffix.lower()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Photographs as a capture's images: decoded, rotated upright, linearised, resized and undistorted.
 
-Pixel coordinates have their centres at +0.5 (``foundation.cameras``); OpenCV's are at whole numbers, so that
-its principal point is ours minus 0.5. Linearisation precedes any resampling.
+Pixel coordinates have their centres at +0.5 (``foundation.cameras``); OpenCV's are at whole numbers, so
+OpenCV's principal point is ours minus 0.5. Linearisation precedes any resampling.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
     """The image (H, W, C) as stored or, if only the upright image has the camera's shape, upright.
 
     Calibration tools differ in whether they apply EXIF; the size that they write shows it. If both fit, the
-    image is used as stored, as by COLMAP. Raises :class:`InputError` if neither fits.
+    image is used as stored, as in COLMAP. Raises :class:`InputError` if neither fits.
     """
     if _has_shape_of(pixels, camera):
         return pixels

@@ -57,8 +57,8 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """The library of a shard: the given paths, else those from which its dataset was made, else the bundled
-    library.
+    """The library of a shard: the given paths, else the library from which its dataset was made, else the
+    bundled library.
 
     The hashes in the configuration show whether it is the right one.
     """

@@ -38,8 +38,8 @@ class SeenShift:
 class Registration:
     """The common error, as far as it is significant.
 
-    ``offset_m`` of the mesh relative to the cameras (None: none), ``scale`` of the mesh relative to the
-    cameras (1: correct), and the remaining shift of each view.
+    ``offset_m``: offset of the mesh relative to the cameras, None if insignificant. ``scale``: scale of the
+    mesh relative to the cameras, 1 if correct. The rest is the remaining shift of each view.
     """
 
     offset_m: tuple[float, float, float] | None
@@ -54,7 +54,7 @@ class Registration:
 
 
 def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
-    """Common cause that best explains the shifts of all views; None if they are negligible.
+    """Common cause that best explains the shifts of all views; None if the shifts are negligible.
 
     Robust least squares: a single wrong view must not move the mesh. Scale is estimated with eight views or
     more.

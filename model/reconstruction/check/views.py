@@ -36,9 +36,9 @@ SURE = 5.0  # standard deviations: a peak of this height is not chance
 class ViewCheck:
     """Findings of a view.
 
-    Shares are of its pixels; ``off_deg`` is the shift as an angle of the camera, None if the edges do not
-    determine it; ``depth_m`` and ``zoom_depth_m``: distances of edges that apply to shifts and to
-    magnifications.
+    Shares are shares of the view's pixels; ``off_deg`` is the shift as an angle of the camera, None if the
+    edges do not determine it; ``depth_m`` and ``zoom_depth_m``: distances of edges that apply to shifts and
+    to magnifications.
     """
 
     name: str
@@ -78,7 +78,7 @@ class CheckReport:
 
     @property
     def all_warnings(self) -> list[str]:
-        """Warnings of the capture, then those of the views."""
+        """Warnings about the capture, then warnings about views."""
         return [*self.warnings, *(warning for view in self.views for warning in view.warnings)]
 
     def table(self) -> dict[str, Any]:

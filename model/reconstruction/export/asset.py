@@ -38,8 +38,8 @@ def write_asset(
 ) -> Package:
     """The reconstruction as an environment package, with the capture's cameras and the recovered lights.
 
-    Without recovered lights, it has the capture's, except those with an image in another package, which would
-    make the package incomplete.
+    Without recovered lights, the package has the capture's lights, except for lights with an image in another
+    package, which would make the package incomplete.
     """
     capture = reconstruction.capture
     files: dict[str, FileSource] = {

@@ -24,7 +24,7 @@ LUMENS_A_WATT = 683.0
 
 
 def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
-    """``material`` with emission; factors are at most 1, the strength holds the rest."""
+    """``material`` with emission: a colour factor of at most 1 times an emissive strength."""
     peak = max(radiance)
     if peak <= 0:
         return material

@@ -31,8 +31,8 @@ _WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 
 def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
     """Write ``scene.xml`` with meshes and textures beside it; its BSDF needs ``mitsuba_plugins.register()``.
 
-    Sensors are the capture's cameras (square pixels: the mean focal length). Lights are the recovered ones
-    or, without any, the capture's point lights and constant sky; a scene without any light gets a white sky.
+    Sensors are the capture's cameras (square pixels: the mean focal length). Lights are the recovered lights,
+    else the capture's point lights and constant sky, else a white sky.
     """
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)

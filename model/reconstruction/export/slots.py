@@ -26,8 +26,8 @@ SURFACE = "surface"
 class Reconstruction:
     """Input of the exports.
 
-    The unwrapped mesh in the capture's face order, its filled atlas, and the folder of the maps written by
-    ``write_atlas_images`` as ``NAME.png``; ``lights`` that were recovered, None if not requested.
+    It holds the unwrapped mesh in the capture's face order, its filled atlas, the folder with the maps
+    written by ``write_atlas_images`` as ``NAME.png``, and the recovered ``lights``, None if not requested.
     """
 
     capture: Capture

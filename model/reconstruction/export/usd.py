@@ -64,7 +64,7 @@ def require_usd() -> None:
 def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
     """Write one USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels a side, and lights.
 
-    Lights are the recovered ones or, without any, the capture's points, spheres, areas and environments.
+    Lights are the recovered lights, else the capture's point, sphere, area and environment lights.
     Raises :class:`InputError` without ``usd-core``.
     """
     require_usd()

@@ -54,8 +54,8 @@ class LevelReport:
     points' hemispheres; ``used_share``: mean weight of the points, 1 if covered. ``spread``: half the
     interquartile range of ln(rho / (D + S)) of points about their region's mode, in green; ``region_spread``:
     half the interquartile range of the regions' ln gains, weighted by points. ``impossible_share``: weighted
-    share of the points that reflect more than their incident light. ``clipped_share`` of the photographs'
-    pixels. ``reason``: why nothing was changed, or empty.
+    share of the points that reflect more than their incident light. ``clipped_share``: share of the
+    photographs' pixels that clip. ``reason``: why nothing was changed, or empty.
     """
 
     is_applied: bool

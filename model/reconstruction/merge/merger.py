@@ -105,8 +105,8 @@ class MergeOptions:
     """Options of the merge.
 
     ``fetch`` interpolates a map between pixels of the same depth, or uses the nearest pixel; ``tile`` is the
-    side of a tile in texels. ``weights`` of the medians: by cosine, by pixels per square metre facing the
-    view, by the views' confidence, or the product of all three.
+    side of a tile in texels. ``weights``: weights of the medians, by cosine, by pixels per square metre
+    facing the view, by the views' confidence, or by the product of all three.
     """
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"

@@ -35,8 +35,8 @@ TURNTABLE = "turntable.gif"
 class PhotosOptions:
     """Options of ``materials photos``.
 
-    ``program`` is COLMAP's; ``reading`` and ``inference`` as in ``materials infer``; ``frames`` of the
-    turntable with ``samples`` light paths per pixel.
+    ``program`` is the COLMAP executable; ``reading`` and ``inference`` are as in ``materials infer``. The
+    turntable has ``frames`` frames with ``samples`` light paths per pixel.
     """
 
     program: str = "colmap"
@@ -48,7 +48,7 @@ class PhotosOptions:
 
 @dataclass(frozen=True)
 class Made:
-    """The report, None if the asset existed before, and the turntable."""
+    """The result: the report, None if the asset existed before, and the turntable."""
 
     report: InferReport | None
     turntable: Path

@@ -27,7 +27,7 @@ USUAL_PIXELS = 640 * 384
 
 
 def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> list[Maps]:
-    """Maps of all views: stored ones are read, the others predicted and stored."""
+    """Maps of all views: stored maps are read, missing maps are predicted and stored."""
     capture, views, options, report = traced.capture, traced.statistics, run.options, run.report
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)

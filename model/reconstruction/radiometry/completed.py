@@ -28,7 +28,7 @@ from model.reconstruction.radiometry.sources import Sources, find_sources, sourc
 class Completed:
     """Result of :func:`completed_views`.
 
-    ``views`` of one exposure, completed; the cameras' calibration; the ``sources`` that clip in every view,
+    ``views`` at one exposure, completed; the cameras' calibration; the ``sources`` that clip in every view,
     their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; the shares of pixels that clip and
     that remain incomplete.
     """

@@ -47,7 +47,10 @@ _STEP = 1e-3  # of derivatives
 
 @dataclass(frozen=True)
 class Radiometry:
-    """``gain`` (V, 3) of each view, ``vignetting``: -ln of the corners' factor, ``curve``: c."""
+    """Radiometric calibration of all photographs.
+
+    ``gain`` (V, 3): each view's gain by channel. ``vignetting``: -ln of the factor in the image's corners.
+    ``curve``: the response's deviation c from sRGB."""
 
     gain: NDArray[np.float64]
     vignetting: float = 0.0
@@ -59,7 +62,7 @@ class Radiometry:
         return bool((self.gain != 1).any()) or self.vignetting != 0 or self.curve != 0
 
     def undone(self, view: TracedView, index: int) -> TracedView:
-        """View ``index`` with radiance of the common exposure."""
+        """View ``index`` with radiance at the common exposure."""
         color = view.color.astype(np.float64)
         if self.curve and view.limit is not None:
             color = view.limit * unbent(color / view.limit, self.curve)
@@ -113,7 +116,7 @@ class _Samples:
 def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
     """Radiometric calibration of the cameras from surfels in several ``views``.
 
-    The response is estimated only if all photographs have a limit.
+    The response is estimated only if the clipping limit of all photographs is known.
     """
     samples = _samples(views, surfels)
     has_limit = all(view.limit is not None for view in views)

@@ -78,15 +78,16 @@ class RelightOptions:
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """A rendered view: linear (H, W, 3)."""
+    """A rendered view: its name, and its linear image (H, W, 3)."""
 
     name: str
     color: NDArray[np.float32]
 
 
 def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[RenderedImage]:
-    """Rendered views of an environment package. Raises :class:`InputError` for unknown views, no light, bad
-    packages.
+    """Rendered views of an environment package.
+
+    Raises :class:`InputError` for unknown views, missing lights and bad packages.
     """
     options = options or RelightOptions()
     package = open_package(path)
@@ -201,8 +202,8 @@ def lit_images(
 ) -> Iterator[RenderedImage]:
     """The images of :func:`render_asset`, with a fallback for dark rooms.
 
-    If no light of the sky reaches the first view, or if there is no light at all, the asset's own lights are
-    used, or a lamp in the middle of its cameras. ``warn`` is called then.
+    If no light from the sky reaches the first view, or if there are no lights, the asset's own lights are
+    used, else a lamp amid its cameras; ``warn`` is then called with an explanation.
     """
     with open_package(path) as package:
         asset = package.asset

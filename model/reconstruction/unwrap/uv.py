@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""UVs for an atlas: the mesh's own if they are a valid unwrap, else new ones by xatlas.
+"""UVs for an atlas: the mesh's own UVs if they are a valid unwrap, else new UVs by xatlas.
 
 Valid: all inside the unit square, none missing, no two triangles on the same texel. xatlas runs in separate
 processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped by Blender's Smart

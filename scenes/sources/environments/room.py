@@ -58,7 +58,7 @@ class Room:
     surfaces: list[tuple[str, str, Point, float, float, float]] = field(default_factory=list)
 
     def frame(self, wall: str) -> tuple[float, float, float]:
-        """(x, y, degrees) that bring a wall's frame to its place."""
+        """(x, y, rotation in degrees) of a wall's frame in the room."""
         x = {"east": self.width / 2, "west": -self.width / 2}.get(wall, 0.0)
         y = {"north": self.depth / 2, "south": -self.depth / 2}.get(wall, 0.0)
         return x, y, _WALLS[wall]
@@ -67,7 +67,8 @@ class Room:
         return self.width if wall in ("north", "south") else self.depth
 
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
-        """A shape of the wall's frame moved ``s`` along it, ``gap`` off it, and into the room."""
+        """A shape from the wall's frame to the room's, ``s`` along the wall, ``gap`` in front of it, ``z``
+        above the floor."""
         x, y, degrees = self.frame(wall)
         return shape.moved(s, -gap, z).turned("z", degrees).moved(x, y)
 

@@ -32,7 +32,8 @@ def srgb(code: str) -> Color:
 
 @dataclass(frozen=True)
 class Cells:
-    """A lattice: ``number`` tells cells apart, ``x``, ``y`` in [0, 1) inside, ``edge`` = distance to the border.
+    """A lattice: ``number`` identifies a cell, ``x``, ``y`` in [0, 1) are inside it, ``edge`` is the distance
+    to its border.
 
     ``edge`` is in units of the tile's side.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Families of natural materials: wood, stone, leather, woven fabric, paper, cork and the like."""
+"""Families of natural materials: wood, stone, leather, woven fabric, paper, cork etc."""
 
 from __future__ import annotations
 
