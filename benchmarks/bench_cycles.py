@@ -84,7 +84,7 @@ def recipe_of(arguments: argparse.Namespace) -> Recipe:
 
 
 def step(path: Path, make: Callable[[], Any]) -> Any:
-    """The JSON at ``path``, made now if missing."""
+    """The JSON at ``path``, computed now if missing."""
     if not path.is_file():
         result = make()
         partial = path.with_suffix(".partial")
@@ -114,7 +114,7 @@ def timed(*command: str, log: Path, environment: dict[str, str] | None = None) -
 
 
 def read_cycles(path: Path) -> NDArray[np.float32]:
-    """Beauty (H, W, 3) of an EXR of Cycles."""
+    """The beauty image (H, W, 3) of an EXR rendered by Cycles."""
     with OpenEXR.File(str(path)) as file:
         (combined,) = [c for name, c in file.channels().items() if name.endswith("Combined")]
         return np.asarray(combined.pixels[..., :3], np.float32)
@@ -246,7 +246,7 @@ class Comparison:
     def cycles_samples(
         self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
     ) -> tuple[int | None, dict[int, float]]:
-        """Smallest sample count with error ``target``, None if the ceiling does not reach it; and the
+        """Smallest sample count that reaches error ``target``, None if the ceiling does not; and the
         curve.
         """
         curve: dict[int, float] = {}
@@ -387,7 +387,7 @@ def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
 
 
 def machine() -> dict[str, Any]:
-    """Processor and cores."""
+    """Name of the processor, and number of cores."""
     model = platform.processor() or platform.machine()
     information = Path("/proc/cpuinfo")
     if information.is_file():

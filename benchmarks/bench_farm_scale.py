@@ -3,8 +3,8 @@
 
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
 
-Creates folders of finished units (configurations, markers, shards of one record) and times the operations
-that a user waits for: the plan over assembled configurations, a rerun, a status, a collection. ``cpu_s`` is
+Creates folders of finished units (configurations, markers, shards of one record) and times the operations for
+which a user waits: planning from assembled configurations, a rerun, status and collection. ``cpu_s`` is
 processor time, which depends little on other work on the machine.
 """
 
@@ -122,7 +122,7 @@ def finish_folder(folder: DatasetFolder, plan: Plan) -> None:
 
 
 def time_real_folders(sizes: list[int], repeats: int) -> list[dict]:
-    """Median seconds (wall, processor) of operations that a user waits for, on folders of several sizes."""
+    """Median seconds (wall, processor) of operations for which a user waits, on folders of several sizes."""
     rows = []
     library = Library([bundled_library()])
     for size in sizes:

@@ -7,9 +7,9 @@
 
 A separate process follows the steps of ``datagen run --unit``: imports, opens the library, reads plan and
 configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view with one path
-and one auxiliary sample per pixel: the result in memory is the first pixels. Warm means that the operating
-system has the files, and Dr.Jit the kernels, in its cache from one earlier run. Medians of --repeats runs;
-the target is 10 s on 2 cores.
+and one auxiliary sample per pixel: the result in memory counts as the first pixels. Warm means that the
+operating system has the files, and Dr.Jit the kernels, in its cache from one earlier run. Medians of
+--repeats runs; the target is 10 s on 2 cores.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Wall seconds of a pass of one path for each of 1,024 cells, replayed and recorded anew; medians of 5.
+    """Wall seconds of a pass with one path for each of 1,024 cells, replayed and newly recorded; medians of
+    5.
 
     Without reusable recordings, every pass would take as long as a newly recorded one.
     """
@@ -94,7 +95,7 @@ def passes(renderer: Any) -> dict[str, float]:
 
 
 def planned_folder(cache: Path, size: tuple[int, int], views: int, configurations: int = 1) -> Path:
-    """The configurations that are measured, planned once."""
+    """A folder with the measured configurations, planned once."""
     from datagen.formats.base import canonical_json
     from datagen.formats.recipe import ObjectRecipe, Recipe
 

@@ -121,7 +121,7 @@ def as_table(rows: Rows) -> str:
 
 
 def write_table(rows: Rows, run: dict[str, Any], out: Path) -> None:
-    """``table.md`` and ``results.json``."""
+    """Write ``table.md`` and ``results.json``."""
     table = as_table(rows)
     print(table)
     (out / "table.md").write_text(table)

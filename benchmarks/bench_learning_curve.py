@@ -136,7 +136,7 @@ def as_table(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str,
 
 
 def plot(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, float], path: Path) -> None:
-    """One panel per map, one line per dataset, the constant dashed."""
+    """Plot one panel per map, with one line per dataset and the constant dashed."""
     matplotlib.use("Agg")
     figure, axes = pyplot.subplots(1, len(MATERIAL_MAPS), figsize=(4 * len(MATERIAL_MAPS), 3.4))
     for axis, name in zip(axes, MATERIAL_MAPS, strict=True):

@@ -8,9 +8,9 @@ method.
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
 of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. Mean squared errors
 are over all surface pixels, and over metal (S above 0.2), white (D above 0.6) and glossy pixels (R below
-0.4). Sheets, one per room, show D of the network, from light and true, and R from light and true, of three
-views. ``--worse-mesh`` uses vertices that are off by 1 cm, three tenths of the triangles and 5 % holes.
-``--ablate`` adds a row for each omitted step.
+0.4). Sheets, one per room, show three views: D from the network, from light and from the truth, R from light
+and from the truth. ``--worse-mesh`` uses vertices that are off by 1 cm, three tenths of the triangles and 5 %
+holes. ``--ablate`` adds a row for each omitted step.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
 
 
 def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
-    """Write a sheet with D of the network, from light and true, and R from light and true, of evenly spaced
-    views.
+    """Write a sheet of evenly spaced views: D from the network, from light and from the truth, R from light
+    and from the truth.
     """
     from PIL import Image
 

@@ -209,7 +209,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 
 def print_seams(room: Room, checkpoint: Path) -> None:
-    """Rows of a room."""
+    """Print the rows of a room."""
     maps = predictions(room, checkpoint, InferOptions(weights="all"))
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:

@@ -42,7 +42,7 @@ def _print_table(head: list[str], rows: list[list[Any]]) -> None:
 
 
 def print_density(num: int = 200_000) -> None:
-    """Relative error of D in eps within the lobe, for three ways to compute it in float32."""
+    """Print the relative error of D in eps within the lobe, for three ways to compute it in float32."""
     import drjit as dr
 
     from mitsuba_plugins import beckmann
@@ -74,8 +74,8 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Maximum error of the slopes' distribution function, and seconds for 4e6 samples, by number of Newton
-    steps.
+    """Print the maximum error of the slopes' distribution function, and seconds for 4e6 samples, by number of
+    Newton steps.
     """
     import drjit as dr
     import mitsuba as mi
@@ -147,7 +147,7 @@ def _sum_of_bounces(transport: np.ndarray, num_bounces: int) -> float:
 
 
 def print_energy() -> None:
-    """Directional albedo over angle, roughness and (D, S); mean albedo and growth per bounce."""
+    """Print directional albedo over angle, roughness and (D, S), mean albedo, and growth per bounce."""
     pairs = ((0.0, 0.04), (0.5, 0.04), (0.8, 0.04), (1.0, 0.04), (0.5, 0.5), (0.0, 1.0))
     rows = []
     for diffuse, specular in pairs:
@@ -275,7 +275,7 @@ def _batches(count: int) -> Iterator[int]:
 
 
 def print_evaluations(total: float) -> bool:
-    """Counts over ``total`` cases; True if nothing is NaN, infinite or negative."""
+    """Print counts over ``total`` cases; returns True if nothing is NaN, infinite or negative."""
     import drjit as dr
     import mitsuba as mi
 

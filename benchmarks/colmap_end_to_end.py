@@ -104,7 +104,7 @@ def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
 
 
 def run(*command: str, log: Path, is_module: bool = True) -> None:
-    """A command in a separate process; raises if it fails, with its output in ``log``."""
+    """Run a command in a separate process; raises if it fails, with its output in ``log``."""
     start = [sys.executable, "-m"] if is_module else []
     with log.open("ab") as out:
         done = subprocess.run([*start, *command], cwd=REPOSITORY, stdout=out, stderr=subprocess.STDOUT)
@@ -146,7 +146,7 @@ class EndToEnd:
         return read_json(Configuration, path)
 
     def photograph(self) -> None:
-        """Export, render with Cycles, develop; and the coarse mesh."""
+        """Export the room, render it with Cycles, develop the photographs, and make the coarse mesh."""
         configuration = self.configuration()
         blend, log = self.out / "room.blend", self.out / "cycles.log"
         if not blend.is_file():

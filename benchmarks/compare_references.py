@@ -90,7 +90,7 @@ def write_picture(path: Path, reference: np.ndarray, images: dict[str, np.ndarra
 
 
 def table(results: list[dict]) -> str:
-    """Markdown: correlation / median ratio of each pair."""
+    """A Markdown table of the correlation and median ratio of each pair."""
     lines = [
         "| scene | original : reference | converted : reference | converted : original | remark |",
         "|---|---|---|---|---|",

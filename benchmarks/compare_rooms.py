@@ -49,8 +49,8 @@ _LOGARITHMIC = ("brightest channel of S", "luminance, exposed", "exposure / room
 class RoomFigures:
     """Figures of one room.
 
-    ``densities``: a histogram of sum 1 for each of :data:`BINS`. The other fields hold for each view its
-    exposure, and the clipped shares of all surfaces and of surfaces outside windows; a picture of the view
+    ``densities``: a histogram of sum 1 for each of :data:`BINS`. The other fields are, for each view, its
+    exposure and the clipped shares of all surfaces and of surfaces outside windows, and a picture of the view
     with most instances.
     """
 
@@ -69,7 +69,7 @@ class RoomFigures:
 
 
 def is_window(view: View) -> NDArray[np.bool_]:
-    """Pixels (H, W) of instances that belong to windows, by name."""
+    """Mask (H, W) of pixels whose instance belongs to a window, judged by its name."""
     parts = [
         int(number)
         for number, name in view.record.instances.items()
@@ -149,7 +149,7 @@ def table(groups: dict[str, list[RoomFigures]]) -> str:
 
 
 def draw(groups: dict[str, list[RoomFigures]], path: Path) -> None:
-    """Densities as means over rooms, with a thin line for each imported room."""
+    """Draw densities as means over rooms, with a thin line for each imported room."""
     matplotlib.use("Agg")
     figure, axes = plt.subplots(1, len(BINS), figsize=(15, 2.9), layout="constrained")
     for axis, (name, bins) in zip(axes, BINS.items(), strict=True):

@@ -92,7 +92,7 @@ class ExportOptions(bpy.types.PropertyGroup):
         )
 
     def show(self, problems: list[Problem], status: str) -> None:
-        """Fill the list, the most severe first."""
+        """Fill the problem list, the most severe problem first."""
         self.problems.clear()
         order = {"error": 0, "approximation": 1, "note": 2}
         for problem in sorted(problems, key=lambda p: order[p.severity]):
@@ -347,7 +347,7 @@ CLASSES = (
 
 
 def run_command(arguments: list[str]) -> int:
-    """``blender -b file.blend --command scene_materials --out DIR``."""
+    """The command ``blender -b file.blend --command scene_materials --out DIR``."""
     from .command import build_parser, run
 
     return run(build_parser("blender -b FILE --command scene_materials").parse_args(arguments))
@@ -358,7 +358,7 @@ cli_command: Any = None
 
 
 def register() -> None:
-    """Classes, menu entries, options and the command."""
+    """Register classes, menu entries, options and the command."""
     global cli_command
     for cls in CLASSES:
         bpy.utils.register_class(cls)
@@ -370,7 +370,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """The reverse of :func:`register`."""
+    """Undo :func:`register`."""
     global cli_command
     if cli_command is not None:
         bpy.utils.unregister_cli_command(cli_command)

@@ -49,7 +49,7 @@ class Contents:
 
 
 def rendering_layers() -> dict[str, str]:
-    """Material -> the name of the active UV layer, if it is the same on all meshes with the material."""
+    """For each material, the name of the active UV layer if all meshes with the material have the same."""
     found: dict[str, set[str]] = {}
     for thing in bpy.data.objects:
         is_mesh = isinstance(thing.data, bpy.types.Mesh)
@@ -88,7 +88,7 @@ class Reader:
         return self._plans[name]
 
     def uv_layers(self) -> dict[str, tuple[str, ...]]:
-        """Name of each planned material -> the UV maps named by its nodes."""
+        """For each planned material's name, the UV maps that its nodes name."""
         return {name: plan.dependencies.layer_names for name, plan in sorted(self._plans.items())}
 
     # ---- reading

@@ -116,7 +116,7 @@ class Library:
         return sha256_hex(canonical_json({package.id: package.sha256 for package in self}))
 
     def package(self, asset_id: str) -> Package:
-        """The package with that id. The :class:`InputError` for an unknown one suggests similar names."""
+        """The package with that id. The :class:`InputError` for an unknown id suggests similar ids."""
         if asset_id in self._packages:
             return self._packages[asset_id]
         near = difflib.get_close_matches(asset_id, self._packages, 3)

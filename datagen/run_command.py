@@ -59,7 +59,9 @@ class RecipeChanges:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run. ``only`` and ``unit`` None mean all; ``attempts`` 0 runs the unit in this process."""
+    """Options of a run. ``only`` and ``unit``: None for all; ``attempts``: 0 runs the unit in this
+    process.
+    """
 
     only: Annotated[
         Literal["render", "stats", "pack", "index"] | None,
@@ -183,7 +185,9 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 
 
 def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    """Plan ``recipe`` into ``out``, with a bar and a summary; ``base``: the folder of its relative paths."""
+    """Plan ``recipe`` into ``out``, with a progress bar and a summary; ``base`` is the folder of its relative
+    paths.
+    """
     from datagen.farm.planning import create_plan, read_configurations
     from datagen.inspection.plan_summary import plan_summary
 

@@ -75,7 +75,7 @@ class CookTorrance(mi.BSDF):
         return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
 
     def eval_attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a spectrum; a scalar one is repeated in every channel."""
+        """An attribute as a spectrum; a scalar attribute is repeated in every channel."""
         return mi.Color3f(self._attribute(name, si, active))
 
     def eval_attribute_1(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
@@ -84,7 +84,7 @@ class CookTorrance(mi.BSDF):
         return mi.luminance(value) if name in COLOR_ATTRIBUTES else value
 
     def eval_attribute_3(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a colour; a scalar one is repeated in every channel."""
+        """An attribute as a colour; a scalar attribute is repeated in every channel."""
         return mi.Color3f(self._attribute(name, si, active))
 
     def _attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array) -> Array:

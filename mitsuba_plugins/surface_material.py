@@ -267,7 +267,7 @@ class SceneMaterials:
     # ---- inside kernels ----------------------------------------------------------------------------------
 
     def tables(self) -> list[Any]:
-        """Arrays read by a recorded kernel with :meth:`channels_at`, beside the scene's own."""
+        """Arrays that a recorded kernel with :meth:`channels_at` reads, in addition to the scene's own."""
         return [self._evaluator_of_shape]
 
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:

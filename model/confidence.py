@@ -75,7 +75,7 @@ class ConfidenceNets(nn.Module):
         self.nets = nn.ModuleDict({name: ConfidenceNet(c) for name, c in FILTERED_MAPS.items()})
 
     def forward(self, image: Tensor, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Confidence (B, 1, H, W) of each filtered map; arguments as :class:`ConfidenceNet`'s."""
+        """Confidence (B, 1, H, W) of each filtered map; arguments as for :class:`ConfidenceNet`."""
         return {name: self.nets[name](image, maps[name]) for name in FILTERED_MAPS}
 
 

@@ -9,7 +9,7 @@ from datagen.foundation.errors import input_error
 
 
 def parse_device(text: str) -> torch.device:
-    """``cpu``, ``cuda`` or ``cuda:1``.
+    """The torch device of a name: ``cpu``, ``cuda`` or ``cuda:1``.
 
     Raises :class:`InputError` for other names, and for a GPU that this machine or this build of torch does
     not have.

@@ -73,7 +73,7 @@ class Listeners:
 def load_listeners(names: Iterable[str]) -> Listeners:
     """Listeners named ``MODULE:FUNCTION``, also found in the working directory.
 
-    Raises :class:`InputError` with every one that is missing.
+    Raises :class:`InputError` with every missing listener.
     """
     found: list[Listener] = []
     problems = []

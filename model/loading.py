@@ -40,7 +40,7 @@ _REMEDY = "make the shard again"
 class ViewStream(IterableDataset[dict[str, Any]]):
     """Views of dataset folders or shards (.tar), or ``crops_per_view`` random square crops of each.
 
-    ``split`` None includes all views; individually given shards are included whatever their split. With
+    ``split``: None for all views; individually given shards are included whatever their split. With
     ``crop_px`` None and views of several sizes, a loader needs ``batch_size`` 1. Crops are shuffled within
     groups of eight views. ``rank`` and ``num_ranks`` come from ``torch.distributed`` if it is running; all
     ranks yield equally many samples, for which the last few views of an epoch may be dropped. Raises

@@ -51,7 +51,7 @@ MAX_REFLECTANCE = 2.0
 
 
 class NetworkConfig(StrictModel):
-    """Architecture of the two tracks. The defaults are the paper's."""
+    """Architecture of the two tracks. The defaults are from Prakash et al. 2022."""
 
     base_channels: int = Field(default=64, ge=1, le=512)
     """Channels of the first encoder layer; deeper ones have 2, 4 and 8 times as many."""
@@ -130,7 +130,7 @@ def blend_reflectance(outputs: Tensor, reflectance: Tensor) -> Tensor:
 
 
 def encode_color(linear: Tensor, exposure: Tensor | float) -> Tensor:
-    """Linear HDR colour to the network's [-1, 1]: exposure, clip to [0, 1], logarithm."""
+    """Encode linear HDR colour to the network's [-1, 1]: exposure, clip to [0, 1], logarithm."""
     x = (linear * exposure).clamp(0.0, 1.0)
     span = math.log(1.0 + _LOG_EPSILON) - math.log(_LOG_EPSILON)
     return 2.0 * (torch.log(x + _LOG_EPSILON) - math.log(_LOG_EPSILON)) / span - 1.0

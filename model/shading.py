@@ -87,9 +87,9 @@ def brdf_cos(
 ) -> Tensor:
     """The BRDF times cos(theta_i), in 1/sr: (1-S) D/pi cos_i + F D_b G / (4 cos_o).
 
-    ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...). 0
-    if viewer or light is at or below the horizon (one-sided). tan^2 of the half angle is computed from n x h,
-    never from 1 - cos^2; neither n nor h needs to be normalised for it.
+    ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...).
+    The result is 0 if viewer or light is at or below the horizon (one-sided). tan^2 of the half angle is
+    computed from n x h, never from 1 - cos^2; neither n nor h needs to be normalised for it.
     """
     cos_o, cos_i = dot(normal, view_dir), dot(normal, light_dir)
     is_lit = (cos_o > 0) & (cos_i > 0)

@@ -17,7 +17,7 @@ class DenseSystem:
     smoothness: NDArray
 
     def matrix(self, confidence: NDArray) -> NDArray:
-        """A for one channel's confidence (P,)."""
+        """The matrix A for one channel's confidence (P,)."""
         return self.smoothness + np.diag(self.splat @ confidence)
 
     def solve(self, target: NDArray, confidence: NDArray) -> NDArray:

@@ -25,7 +25,7 @@ def alpha_from_roughness(roughness: Array) -> Array:
 
 
 def effective_albedo(albedo: Array) -> Array:
-    """Clamped to [0, 1]; NaN counts as 0."""
+    """The albedo clamped to [0, 1]; NaN counts as 0."""
     a = np.asarray(albedo, np.float64)
     return np.clip(np.where(np.isnan(a), 0.0, a), 0.0, 1.0)
 
@@ -36,7 +36,7 @@ def theta(w: Array) -> Array:
 
 
 def beckmann_d(h: Array, alpha: Array) -> Array:
-    """Walter et al. 2007, eq. 25; ``h`` of any length."""
+    """Beckmann's distribution (Walter et al. 2007, eq. 25), for ``h`` of any length."""
     t = theta(h)
     inside = t < np.pi / 2
     t = np.where(inside, t, 0.0)
@@ -45,7 +45,7 @@ def beckmann_d(h: Array, alpha: Array) -> Array:
 
 
 def smith_g1(w: Array, alpha: Array) -> Array:
-    """2 / (1 + erf a + exp(-a^2) / (a sqrt pi)), a = 1 / (alpha tan); 0 below the horizon."""
+    """Smith's G1, 2 / (1 + erf a + exp(-a^2) / (a sqrt pi)), a = 1 / (alpha tan); 0 below the horizon."""
     tan = np.hypot(w[..., 0], w[..., 1]) / np.where(w[..., 2] > 0, w[..., 2], 1.0)
     with np.errstate(divide="ignore", over="ignore", under="ignore"):
         a = 1.0 / (alpha * tan)

@@ -27,19 +27,19 @@ ROUGHNESS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 
 
 def vector(array: np.ndarray) -> Any:
-    """(n, 3) to Vector3f."""
+    """Convert an array (n, 3) to a Vector3f."""
     a = np.asarray(array, np.float32)
     return mi.Vector3f(*(mi.Float(np.ascontiguousarray(a[:, i])) for i in range(3)))
 
 
 def color(array: np.ndarray) -> Any:
-    """(n, 3) to Color3f."""
+    """Convert an array (n, 3) to a Color3f."""
     v = vector(array)
     return mi.Color3f(v.x, v.y, v.z)
 
 
 def array(value: Any) -> np.ndarray:
-    """Dr.Jit to NumPy, (n,) or (n, 3)."""
+    """Convert a Dr.Jit array to NumPy, (n,) or (n, 3)."""
     a = np.array(value)
     return a.T if a.ndim == 2 else a
 
@@ -102,5 +102,5 @@ def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **option
 
 
 def unit_float32(w: np.ndarray) -> np.ndarray:
-    """Rounded to float32, returned as float64: the exact input that the implementation sees."""
+    """Directions rounded to float32, as float64: the exact input of the implementation."""
     return np.asarray(w, np.float32).astype(np.float64)

@@ -32,7 +32,7 @@ GREY = SlotMaterial(diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.0, 0.0, 0
 
 
 def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: bool = False) -> Mesh:
-    """Rectangle with front side along edge_u x edge_v and UVs (0, 0) at its origin."""
+    """A rectangle whose front faces edge_u x edge_v, with UVs (0, 0) at its origin."""
     o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, edge_u, edge_v))
     normal = np.cross(u, v)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -69,8 +69,8 @@ def down_camera(
 class SmallScene:
     """Input of :func:`renderer`: meshes and materials by name, and their assignment.
 
-    ``parts``: part -> (mesh, slot) of the environment; ``objects``: asset -> (mesh, material), one slot
-    ``skin``; ``materials``: package -> (material, files).
+    ``parts``: (mesh, slot) by part of the environment; ``objects``: (mesh, material) by asset, with one slot
+    ``skin``; ``materials``: (material, files) by package.
     """
 
     parts: dict[str, tuple[Mesh, str]] = field(

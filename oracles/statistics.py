@@ -23,7 +23,7 @@ Occlusion = Callable[[NDArray, NDArray], NDArray]
 
 @dataclass(frozen=True)
 class OracleOptions:
-    """Options as of the project's kernels; ``occlusion`` replaces the depth test by an exact one."""
+    """The options of the project's kernels; ``occlusion`` replaces the depth test by an exact one."""
 
     best_views: int = 12
     include_self: bool = True
@@ -144,9 +144,9 @@ def statistics_vectorized(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
     """As :func:`statistics_by_loops`, with the margin (H, W) of each pixel's closest decision.
 
-    The margin is the least of: pixels to an image border or (depth test, nearest fetch) to a pixel's border;
-    and, times 20 as they err less in float32, n . omega to 0, the depth difference relative to depth to its
-    tolerance, and the cost gap at the cut.
+    The margin is the least of the distance in pixels to an image border or, with depth test or nearest fetch,
+    to a pixel's border; and, multiplied by 20 because they err less in float32, of the differences of n .
+    omega from 0, of the relative depth difference from its tolerance, and of the costs at the cut.
     """
     own = views[index]
     height, width = own.color.shape[:2]

@@ -127,7 +127,7 @@ def trace(copy: Copy, target: Target) -> dict[str, Any]:
 def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
     """Tests that run a mutant's line, fastest first.
 
-    If the line runs on import, or in compiled code, which cannot be traced, these are all tests.
+    All tests are returned if the line runs on import, or in compiled code, which cannot be traced.
     """
     lines = set(range(mutant.first_line, mutant.last_line + 1))
     chosen = [name for name, test in tests.items() if lines & test["lines"].get(module, set())]
@@ -216,7 +216,7 @@ def equivalents() -> dict[str, str]:
 
 
 def table(results: dict[str, dict[str, Any]]) -> str:
-    """Counts by target, Markdown."""
+    """A Markdown table of counts by target."""
     known = equivalents()
     rows = ["| part | mutants | killed | equivalent | survived | killed of those that matter |",
             "|---|---|---|---|---|---|"]  # fmt: skip

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """Modules to mutate, the tests that should detect the mutants, and their number."""
+    """Modules to mutate, the tests that should detect the mutants, and the number of mutants."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]

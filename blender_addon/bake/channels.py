@@ -49,7 +49,7 @@ class Channels:
     emission: Expression | None
 
     def baked(self) -> dict[str, Expression]:
-        """Name -> expression of everything present, in a fixed order."""
+        """Expressions of all present channels by name, in a fixed order."""
         named = {
             "diffuse_albedo": self.diffuse_albedo,
             "specular_albedo": self.specular_albedo,

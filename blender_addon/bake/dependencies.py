@@ -70,7 +70,7 @@ class Dependencies:
     def detail_px(self) -> tuple[int, int] | None:
         """Texels per unit of the single mapping, along u and v, that preserve all detail of the images.
 
-        None if other values than images vary, or if images are read through several mappings.
+        None if values other than images vary, or if images are read through several mappings.
         """
         if self.needs_mesh or None in self.frames or len(self.frames) != 1:
             return None

@@ -40,7 +40,7 @@ class SocketValue:
 
 @dataclass(frozen=True)
 class Operation:
-    """``name`` applied to ``arguments`` component by component (see :data:`OPERATIONS`)."""
+    """The operation ``name`` applied to ``arguments`` component by component (see :data:`OPERATIONS`)."""
 
     name: str
     arguments: tuple[Expression, ...]

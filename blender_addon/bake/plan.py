@@ -29,7 +29,7 @@ NORMAL = "normal"
 
 @dataclass(frozen=True)
 class PlainImage:
-    """A channel that is one unchanged image: ``channel`` rgb, r, g, b or a; ``encoding`` srgb or linear."""
+    """A channel that is an unchanged image: ``channel`` is rgb, r, g, b or a, ``encoding`` srgb or linear."""
 
     image: bpy.types.Image
     channel: str

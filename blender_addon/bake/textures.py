@@ -32,7 +32,7 @@ UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class BakedTexture:
-    """``pixels`` (H, W, C) float32, row 0 at v = 0, linear.
+    """A baked texture: linear ``pixels`` (H, W, C), float32, row 0 at v = 0.
 
     ``error``: mean absolute difference from the bake at twice the resolution (or from the finest bake).
     """

@@ -21,10 +21,10 @@ IntArray = NDArray[np.int32]
 class MeshArrays:
     """One evaluated mesh.
 
-    ``positions`` (V, 3); ``corner_vertices`` (C,); ``normals`` unit, (V, 3) if the whole mesh is smooth, else
-    (C, 3); ``triangles`` (T, 3) corners; ``triangle_polygons`` (T,) the face of each triangle;
-    ``triangle_slots`` (T,) material slots; ``uv_layers`` name -> (C, 2), v upwards; ``active_uv`` is the
-    active render layer, or "".
+    ``positions`` (V, 3). ``corner_vertices`` (C,): the vertex of each corner. ``normals``: unit normals, (V,
+    3) if the whole mesh is smooth, else (C, 3). ``triangles`` (T, 3): corners of each triangle.
+    ``triangle_polygons`` (T,): its face. ``triangle_slots`` (T,): its material slot. ``uv_layers``: UVs (C,
+    2) by layer name, v upwards. ``active_uv``: name of the active render layer, or "".
     """
 
     positions: FloatArray

@@ -41,8 +41,8 @@ def report_steps(
 ) -> Generator[Progress, None, None]:
     """Write the page to ``path``.
 
-    ``materials``: name -> UV maps named by its nodes. ``things``: names of the exported objects, including
-    lights and cameras.
+    ``materials``: for each material's name, the UV maps that its nodes name. ``things``: names of the
+    exported objects, including lights and cameras.
     """
     scene = bpy.context.scene
     objects = [scene.objects[name] for name in sorted(things) if name in scene.objects]

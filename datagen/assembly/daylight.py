@@ -127,7 +127,7 @@ def sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) along directions, of Mitsuba's ``sunsky`` emitter, as rendered."""
+    """Radiance (R, 3) of Mitsuba's ``sunsky`` emitter along directions, as rendered."""
     select_variant()
     import drjit as dr
     import mitsuba as mi

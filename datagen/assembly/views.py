@@ -125,7 +125,7 @@ class ViewFinder:
     num_drawn: int = field(default=0, init=False)
 
     def find(self, count: int) -> list[Camera]:
-        """``count`` cameras. Raises :class:`InputError` with all counts if there are too few."""
+        """Find ``count`` cameras. Raises :class:`InputError` with all counts if there are too few."""
         self.space.check()
         subject = Subject.of(self.scene)
         limit = count * self.recipe.max_attempts

@@ -110,7 +110,7 @@ class BopFiles:
         objects: dict[str, tuple[NDArray[np.float64], tuple[float, float, float], ModelKey]],
         corners: dict[str, NDArray[np.float64]],
     ) -> tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]:
-        """Write a view's images; returns its entries of the three tables."""
+        """Write a view's images; returns its entries in the three tables."""
         camera = view.camera
         buffers = view.read("beauty", "depth_z_m", "instance_id")
         depth_mm = buffers["depth_z_m"][..., 0].astype(np.float64) * 1e3

@@ -69,7 +69,7 @@ def decode_flo(data: bytes) -> NDArray[np.float32]:
 
 
 def export_flow(export: Export, room: Room) -> None:
-    """Write each view's flow to the ``neighbours`` views that overlap it most, if by at least
+    """Write each view's flow to the ``neighbours`` views that overlap it most, if the overlap is at least
     ``min_overlap``.
     """
     name, views = room.configuration.id, room.views

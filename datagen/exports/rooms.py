@@ -119,7 +119,7 @@ class Export:
 
 
 def picture(beauty: NDArray, exposure: float) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB of linear radiance at an exposure."""
+    """An 8-bit sRGB image (H, W, 3) of linear radiance at an exposure."""
     shown = srgb_from_linear(np.clip(beauty.astype(np.float32) * exposure, 0.0, 1.0))
     return (255.0 * shown + 0.5).astype(np.uint8)
 

@@ -129,7 +129,7 @@ class _Inside:
 
 @dataclass(frozen=True)
 class DatasetFolder:
-    """Paths inside a dataset folder, and reading of its files."""
+    """Paths of a dataset folder, and readers of its files."""
 
     root: Path
 

@@ -19,7 +19,7 @@ _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "c
 
 
 class PbsEngine:
-    """``qsub``, ``qselect`` and ``qdel``. ``--partition`` is the queue."""
+    """The engine for PBS, by ``qsub``, ``qselect`` and ``qdel``; ``--partition`` names the queue."""
 
     program = "qsub"
 

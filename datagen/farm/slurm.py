@@ -129,7 +129,7 @@ def _escaped(path: Path) -> str:
 
 
 class SlurmEngine:
-    """``sbatch``, ``squeue`` and ``scancel``."""
+    """The engine for Slurm, by ``sbatch``, ``squeue`` and ``scancel``."""
 
     program = "sbatch"
 

@@ -123,7 +123,7 @@ def file_system_now(folder: DatasetFolder) -> float:
 
 
 def age_of_attempt(work: Path, now: float) -> float:
-    """Seconds since the last heartbeat of an attempt at the unit; infinite without any."""
+    """Seconds since the last heartbeat of an attempt at the unit; infinite if there was none."""
     try:
         return abs(now - (work / "running").stat().st_mtime)  # the clock may have been set back meanwhile
     except OSError:

@@ -196,7 +196,7 @@ class AssetCamera(PinholeFields):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """As a :class:`datagen.foundation.cameras.Camera` in the asset's frame."""
+        """The camera as a :class:`datagen.foundation.cameras.Camera` in the asset's frame."""
         return Camera.of(self, self.asset_from_camera)
 
 
@@ -220,7 +220,7 @@ class _AssetBase(StrictModel):
 class MaterialAsset(_AssetBase):
     """A material that can be assigned to any slot of a suitable class.
 
-    ``surfaces``: where it is usually found; empty if its class alone decides.
+    ``surfaces``: surfaces on which the material is usual; empty if its class alone decides.
     """
 
     kind: Literal["material"] = "material"

@@ -66,11 +66,11 @@ class MeshRecord(StrictModel):
 
 
 class CaptureFile(StrictModel):
-    """``capture.json``.
+    """Content of ``capture.json``.
 
     ``encoding``: transfer function of the images' values. ``auto`` is sRGB for integer images (PNG, JPEG,
-    TIFF) and linear for EXR; ``gamma22`` is the paper's assumption for photographs. ``lights``, if known, are
-    used when the result is rendered.
+    TIFF) and linear for EXR; ``gamma22`` is the assumption of Prakash et al. 2022 for photographs.
+    ``lights``, if known, are used when the result is rendered.
     """
 
     format: Literal["scene-materials/capture"] = "scene-materials/capture"

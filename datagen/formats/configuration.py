@@ -77,7 +77,7 @@ class ViewCamera(PinholeFields):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """As a :class:`datagen.foundation.cameras.Camera`."""
+        """The camera as a :class:`datagen.foundation.cameras.Camera`."""
         return Camera.of(self, self.world_from_camera)
 
     @classmethod

@@ -22,7 +22,9 @@ from datagen.formats.lights import (
 
 
 def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
-    """A light of an asset in world space; intensities stay, sizes and positions follow the transform."""
+    """A light of an asset in world space; intensities are unchanged, sizes and positions follow the
+    transform.
+    """
     matrix = np.array(world_from_asset, dtype=np.float64)
     linear = matrix[:3, :3]
     scale = float(np.cbrt(abs(np.linalg.det(linear))))

@@ -95,7 +95,7 @@ def write_shard(stream: BinaryIO, configuration: bytes, members: Iterable[tuple[
 
 @dataclass(frozen=True)
 class View:
-    """A view: its record, and its buffers from name to (H, W, C) array as stored."""
+    """A view: its record, and its buffers as stored, (H, W, C) arrays by name."""
 
     record: ViewRecord
     buffers: dict[str, NDArray[Any]]
@@ -178,7 +178,7 @@ def _json(data: bytes, where: str) -> object:
 class Dataset:
     """A dataset folder with its index; yields views of one split or all, shard by shard.
 
-    ``Dataset(folder).views("train", names=["beauty", "diffuse_albedo"])``.
+    Example: ``Dataset(folder).views("train", names=["beauty", "diffuse_albedo"])``.
     """
 
     def __init__(self, folder: Path):

@@ -58,12 +58,12 @@ class RenderRecord(StrictModel):
     """Record of a view's rendering. ``clipped_pixels``: number of pixels beyond the range of half floats.
 
     ``path_samples``: mean number of light paths per pixel. If a target error was given, ``most_path_samples``
-    is the maximum of a pixel, ``estimated_rel_mse`` the error estimated from independent halves (exposed
-    relMSE of the beauty image), and ``at_ceiling`` is true if the sample limit was reached before the target.
-    ``firefly_clamp_radiance`` is the maximum radiance of a path of two or more bounces, ``clamped_energy``
-    the share of the luminance removed by it. ``max_energy_left`` bounds the share of the light on paths
-    longer than ``max_depth``. ``irradiance_cell_m``: side of the cells in whose cached irradiance paths
-    ended; None if all light was traced.
+    is the largest number for any pixel, ``estimated_rel_mse`` the error estimated from independent halves
+    (exposed relMSE of the beauty image), and ``at_ceiling`` is true if the sample limit was reached before
+    the target. ``firefly_clamp_radiance`` is the maximum radiance of a path of two or more bounces,
+    ``clamped_energy`` the share of the luminance removed by it. ``max_energy_left`` bounds the share of the
+    light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the cells of cached irradiance in
+    which paths ended; None if all light was traced.
     """
 
     variant: str
@@ -84,7 +84,9 @@ class RenderRecord(StrictModel):
 
 
 class StatisticsRecord(StrictModel):
-    """Record of a view's statistics; ``light``: whether they include the light that the views record."""
+    """Record of a view's statistics; ``light``: whether the statistics include the light that the views
+    record.
+    """
 
     num_views: int
     best_views: int

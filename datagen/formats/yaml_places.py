@@ -33,7 +33,7 @@ class YamlPlaces:
 
 
 def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
-    """(where, what) of a YAML syntax error."""
+    """Position and description of a YAML syntax error."""
     mark = getattr(error, "problem_mark", None)
     what = getattr(error, "problem", None)
     if mark is None or what is None:

@@ -35,7 +35,7 @@ def luminance(linear_rgb: NDArray[Any]) -> NDArray[Any]:
 
 
 def log_from_linear(linear: NDArray[Any]) -> NDArray[Any]:
-    """[0, 1] to [-1, 1]: 2 (ln(x + 0.01) - ln 0.01) / (ln 1.01 - ln 0.01) - 1; input is clipped to [0, 1]."""
+    """Encode [0, 1] to [-1, 1] by 2 (ln(x + 0.01) - ln 0.01) / (ln 1.01 - ln 0.01) - 1; input is clipped."""
     x = np.clip(linear, 0.0, 1.0)
     span = np.log(1 + _LOG_EPSILON) - np.log(_LOG_EPSILON)
     encoded: NDArray[Any] = 2 * (np.log(x + _LOG_EPSILON) - np.log(_LOG_EPSILON)) / span - 1

@@ -101,7 +101,7 @@ def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
 def with_options(verb: Callable[..., T]) -> Callable[..., T]:
     """A subcommand for typer: the fields of each parameter that is a dataclass of options become options.
 
-    Fields without an annotation of typer's keep their defaults. ``tuple[X, ...]`` is a repeatable option.
+    Fields without a typer annotation keep their defaults. ``tuple[X, ...]`` is a repeatable option.
     """
     hints = get_type_hints(verb, include_extras=True)
     shown: list[inspect.Parameter] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""JSON and XML from untrusted sources as trees, counted before they take memory."""
+"""JSON and XML from untrusted sources as trees, whose size is checked before they take memory."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def to_storage(buffer: Buffer, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", num_threads: int = 0) -> bytes:
-    """Encode buffers (name to (H, W, C) array, all of one size) as the bytes of one EXR file.
+    """Encode buffers, (H, W, C) arrays of one size by name, as the bytes of one EXR file.
 
     Raises ``ValueError`` on unknown names or differing sizes.
     """
@@ -97,8 +97,8 @@ def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
 
 
 def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray[Any]]:
-    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged file or a false
-    header.
+    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged file or an
+    implausible header.
     """
     claimed_size(data, where)
     try:

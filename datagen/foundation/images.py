@@ -39,8 +39,8 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
-    """(width, height), without decoding pixels if the format allows; ``formats`` are names of Pillow's,
-    recognised by content.
+    """(width, height), without decoding pixels if the format allows; ``formats`` are Pillow's names of
+    formats, recognised by content.
 
     Raises :class:`InputError`.
     """
@@ -72,7 +72,9 @@ def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def encode_png(pixels: NDArray[Any]) -> bytes:
-    """PNG bytes of uint8 or uint16 pixels (H, W) or (H, W, 1, 3 or 4), in RGB(A) order; deterministic."""
+    """Deterministic PNG bytes of uint8 or uint16 pixels, (H, W) or (H, W, C) with 1, 3 or 4 channels,
+    RGB(A).
+    """
     import cv2
 
     orders = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}

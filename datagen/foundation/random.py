@@ -3,7 +3,7 @@
 version.
 
 Every draw of a configuration comes from a :class:`Draws` keyed by (recipe seed, configuration, purpose,
-index). Only NumPy's raw Philox stream is used, whose bits NumPy guarantees for ever; ``Generator``'s
+index). Only NumPy's raw Philox stream is used, whose bits NumPy guarantees forever; ``Generator``'s
 distributions may change between its releases, so that the few distributions needed are implemented here.
 """
 
@@ -45,7 +45,7 @@ class Draws:
         self._bits = np.random.Philox(key=int.from_bytes(digest(*key)[:16], "little"))
 
     def units(self, *shape: int) -> NDArray[np.float64]:
-        """Uniform in [0, 1), of the given shape."""
+        """Uniform numbers in [0, 1), of the given shape."""
         count = math.prod(shape)
         raw = np.atleast_1d(self._bits.random_raw(count)) if count else np.zeros(0, np.uint64)
         return ((raw >> np.uint64(11)).astype(np.float64) * 2.0**-53).reshape(shape)
@@ -55,20 +55,20 @@ class Draws:
         return float(self.units(1)[0])
 
     def uniform(self, low: float, high: float) -> float:
-        """Uniform in [low, high]."""
+        """A uniform number in [low, high]."""
         return low + (high - low) * self.unit()
 
     def log_uniform(self, low: float, high: float) -> float:
-        """Uniform in the logarithm, in [low, high]; both positive."""
+        """A number in [low, high] with uniform logarithm; both bounds are positive."""
         return math.exp(self.uniform(math.log(low), math.log(high)))
 
     def normal(self) -> float:
-        """Standard normal (Box-Muller)."""
+        """A standard normal number (Box-Muller)."""
         u, v = self.units(2).tolist()
         return math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
 
     def integer(self, low: int, high: int) -> int:
-        """Uniform integer in [low, high], both included."""
+        """A uniform integer in [low, high], both included."""
         return min(low + int(self.unit() * (high - low + 1)), high)
 
     def chance(self, probability: float) -> bool:

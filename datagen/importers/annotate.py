@@ -223,9 +223,9 @@ def _is_same(
 
 
 def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
-    """The surfaces without treads: surfaces with one neighbour a step above and one a step below beside them.
+    """The surfaces except treads: surfaces beside which there is one a step higher and one a step lower.
 
-    Shelves have such neighbours too, but directly above and below them.
+    Shelves have such neighbours too, but directly above and below.
     """
 
     def is_step(low: SupportSurface, high: SupportSurface) -> bool:

@@ -53,7 +53,7 @@ class ImportOptions:
     files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file; None is 1,
     or a plausible value for formats that state no unit. ``defines`` are values for ``$names`` of a Mitsuba
     scene. Empty strings are detected or derived. ``allowed`` are folders, in addition to the source's own,
-    from which it may read files; ``limits`` apply to each source; the default is from the environment
+    from which files may be read; ``limits`` apply to each source and are by default from the environment
     variables.
     """
 

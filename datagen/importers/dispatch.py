@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common entry point of the importers, chosen by the kind of source (``datagen import PATH --library
-DIR``).
-"""
+"""Common entry point of the importers, of which the kind of source selects one (``datagen import``)."""
 
 from __future__ import annotations
 
@@ -37,7 +35,7 @@ class Source:
 def find_sources(path: Path) -> list[Source]:
     """Sources at a path: a scene, a glTF file, a furniture library, a texture folder, or a folder of these.
 
-    Raises :class:`InputError` if no importer reads any of it.
+    Raises :class:`InputError` if no importer recognises a source there.
     """
     if path.is_file():
         if path.suffix.lower() == ".xml":

@@ -70,7 +70,9 @@ def schlick_s_of_mean(mean: NDArray) -> NDArray[np.float64]:
 
 
 def dielectric_fresnel(cos_i: NDArray, ior: float) -> NDArray[np.float64]:
-    """Unpolarised reflectance of a smooth interface; ``ior`` is transmitted over incident side."""
+    """Unpolarised reflectance of a smooth interface; ``ior`` is the index of the transmitted over the
+    incident side.
+    """
     cos_i = np.asarray(cos_i, dtype=np.float64)
     sin2_t = (1 - cos_i**2) / ior**2
     cos_t = np.sqrt(np.maximum(0.0, 1 - sin2_t))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""OBJ (with MTL), PLY and STL files, converted to glTF in memory and imported like it.
+"""OBJ (with MTL), PLY and STL files, converted to glTF in memory and imported as such.
 
 Such files state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL (``--up``). The unit is a metre if
-the size is plausible for that, else the first of centimetre, millimetre and inch that makes it so, and the
-import reports it (``--unit-scale``).
+that gives a plausible size, else the first of centimetre, millimetre and inch that does, and the import
+reports it (``--unit-scale``).
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class ObjModel:
-    """Surfaces in the order of the file, in the file's frame, and the material libraries it names."""
+    """Surfaces in the order of the file, in the file's frame, and the names of its material libraries."""
 
     surfaces: tuple[Surface, ...]
     libraries: tuple[str, ...]

@@ -56,7 +56,7 @@ def metallic_roughness(
 
 
 def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
-    """A scalar; replaced by a constant if its image stays within 2 % of 0 or of 1."""
+    """The scalar ``value``, or a constant if its image stays within 2 % of 0 or of 1."""
     if is_constant(value):
         return value
     pixels = cache.values(value, is_scalar=True)
@@ -72,8 +72,8 @@ def green_points_up(pixels: NDArray, height: NDArray | None = None) -> bool:
     pixels.
 
     If there is a ``height`` image of the same size that correlates with the normals, its slope along v
-    decides. Otherwise the curl does: slopes p = nx / nz and q = ny / nz of a height field have none, dp/dv =
-    dq/du. With v upwards and rows downwards that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow -
+    decides. Otherwise the curl does: slopes p = nx / nz and q = ny / nz of a height field are free of curl,
+    dp/dv = dq/du. With v upwards and rows downwards that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow -
     dq/dcolumn = 0 for DirectX; the convention with the smaller residual is assumed. Columns and rows wrap
     around.
     """

@@ -143,7 +143,7 @@ def render_converted(
     seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
-    """The imported environment from its first camera, with the project's BSDF; not denoised."""
+    """The imported environment, rendered from its first camera with the project's BSDF; not denoised."""
     configuration = native_configuration(library.package(asset_id), width_px, seed, height_px)
     recipe = RenderRecipe(
         variant=select_variant(),  # type: ignore[arg-type]

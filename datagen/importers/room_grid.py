@@ -33,8 +33,8 @@ def short_vector(values: NDArray | list[float]) -> Vector3:
 def surface_points(
     triangles: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
-    """Points distributed over the triangles (P, 3), their triangles (P,), and an upper bound on their
-    distance.
+    """Points distributed over the triangles (P, 3), their triangles (P,), and an upper bound on the distance
+    between points.
 
     The bound is ``0.8 * SQUARE_M``, or more if that would give too many points.
     """
@@ -188,7 +188,7 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
     """The all-True rectangle of greatest area with both sides at least ``min_side``; (0, 0, 0, 0) if none.
 
-    Row by row over the heights of the columns of True above (the largest rectangle in a histogram).
+    Computed row by row from the heights of the columns of True above (largest rectangle in a histogram).
     """
     best, result = 0, (0, 0, 0, 0)
     heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0 and closes every open column

@@ -72,7 +72,7 @@ class Origin:
 
 @dataclass
 class Catalogue:
-    """An opened catalogue; ``problems`` list unreadable entries by name."""
+    """An opened catalogue; ``problems`` lists unreadable entries by name."""
 
     path: Path
     archive: zipfile.ZipFile
@@ -102,7 +102,7 @@ class Catalogue:
             ) from None
 
     def beside(self, model: str) -> dict[str, str]:
-        """Files in the folder of a model: lower-case base name to member."""
+        """Files in the folder of a model: members by their base names in lower case."""
         if self._folders is None:
             self._folders = {}
             for name in self.archive.namelist():
@@ -151,7 +151,7 @@ def open_catalogue(path: Path, budget: Budget) -> Catalogue:
 def parse_properties(data: bytes) -> dict[str, str]:
     """A Java properties file: comments, continued lines, ``=`` ``:`` or blank, ``\\uXXXX`` and other escapes.
 
-    UTF-8 where that decodes, else ISO 8859-1, as Java reads them.
+    Decoded as UTF-8 if possible, else as ISO 8859-1, as in Java.
     """
     try:
         text = data.decode("utf-8-sig")

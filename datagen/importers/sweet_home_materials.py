@@ -62,7 +62,9 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """``stand_in``: replacement of a transparent surface; ``pane``: left out if flat, else kept."""
+    """A converted material.
+
+    ``stand_in``: treatment of a transparent surface; with ``pane`` it is removed if flat, else kept."""
 
     slot: str
     material: SlotMaterial

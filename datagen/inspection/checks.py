@@ -135,7 +135,9 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Black, flat and overexposed frames; ``exposure`` is the median of the configuration's views."""
+    """Black, flat and overexposed frames; ``exposure`` is the median exposure of the configuration's
+    views.
+    """
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     bright, middle = np.percentile(light, [95, 50])
     expected = "a picture of something"
@@ -185,7 +187,7 @@ def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> 
 
 
 def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
-    """Material id to (pixels, minimum, maximum roughness) over pixels entirely covered by one surface."""
+    """(Pixels, minimum, maximum roughness) by material id, over pixels entirely covered by one surface."""
     ids = view["material_id"][..., 0]
     rough = view["roughness"][..., 0].astype(np.float32)
     is_solid = (view["surface_mask"][..., 0] >= SOLID_COVERAGE) & np.isfinite(rough) & (ids > 0)
@@ -199,7 +201,7 @@ def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
 def merge_ranges(
     first: dict[int, tuple[int, float, float]], second: dict[int, tuple[int, float, float]]
 ) -> dict[int, tuple[int, float, float]]:
-    """The union of both."""
+    """The ranges over the pixels of both views."""
     merged = dict(first)
     for material, (count, low, high) in second.items():
         old = merged.get(material, (0, np.inf, -np.inf))

@@ -62,7 +62,7 @@ class Report:
         return sum(fault.severity == "error" for fault in self.faults)
 
     def exit_code(self, strict: bool = False) -> int:
-        """0 if sound, 1 with errors (or warnings, if ``strict``)."""
+        """The exit code: 0 if sound, 1 with errors (or warnings, if ``strict``)."""
         return int(bool(self.faults) if strict else self.num_errors > 0)
 
     def to_json(self) -> str:

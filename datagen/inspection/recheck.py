@@ -49,7 +49,7 @@ class Rechecked:
 
     ``recorded`` is the estimated relMSE in its record, None if it was not rendered to an error; ``rel_mse``
     the true relMSE, exposed; ``bias`` its mean luminance over the mean luminance of plain paths, minus 1.
-    Both have standard errors, due to the plain paths' noise.
+    ``rel_mse`` and ``bias`` have standard errors, due to the plain paths' noise.
     """
 
     configuration: str

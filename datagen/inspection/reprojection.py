@@ -41,7 +41,7 @@ class Geometry:
 
     @classmethod
     def from_buffers(cls, name: str, camera: Camera, view: dict[str, NDArray]) -> Geometry:
-        """From a view's buffers by name; pixels that are not finite are excluded."""
+        """A view's geometry from its buffers by name; pixels that are not finite are excluded."""
         depth = view["depth_z_m"][..., 0]
         normal = view["normal_world"]
         is_surface = (view["surface_mask"][..., 0] >= 0.5) & (depth > 0)

@@ -2,10 +2,10 @@
 """Numba-compiled loops and the threads that run them.
 
 Compiled functions release Python's global interpreter lock: pool threads run them in parallel on separate
-tiles, so that Numba needs no threading layer beside those of torch and Mitsuba. Compilation takes seconds.
+tiles, so that Numba needs no threading layer in addition to torch's and Mitsuba's. Compilation takes seconds.
 The result is cached beside the source or, if that folder is read-only, in the user's cache
 (``NUMBA_CACHE_DIR`` sets another folder). A function's cache is renewed when its own module changes, but not
-when it calls a changed function of another module: then remove the ``__pycache__``.
+when it calls a changed function of another module; in that case, remove the ``__pycache__``.
 """
 
 from __future__ import annotations

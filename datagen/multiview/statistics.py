@@ -225,7 +225,9 @@ def choose_for_pixels(
     options: StatisticsOptions,
     scene: mi.Scene | None = None,
 ) -> tuple[mi.UInt32, mi.Point3f, Selection]:
-    """Packed indices, world points and chosen views of the pixels of view ``index``, by rows (*traced*)."""
+    """Packed indices, world points and chosen views of the pixels of view ``index``, row by row
+    (*traced*).
+    """
     import drjit as dr
     import mitsuba as mi
 

@@ -40,7 +40,7 @@ def socket(count: int) -> Item:
 
 
 def wire(room: Furnisher, draws: Draws) -> None:
-    """A switch at the handle of each door, else at its hinges, and two to five sockets where there is space.
+    """Place a switch at the handle of each door, else at its hinges, and two to five sockets where they fit.
 
     Both may be behind furniture.
     """

@@ -105,7 +105,7 @@ def fronts(
     columns: int = 1,
     slot: str = "front",
 ) -> None:
-    """Rows of fronts from the bottom, ("drawer" or "door", height); ``at``: the lower middle of their
+    """Rows of fronts from the bottom up, as ("drawer" or "door", height); ``at`` is the lower middle of their
     backs.
     """
     z = at[2]

@@ -18,10 +18,9 @@ _WORK: Classes = ("stone", "glazed", "wood")
 
 @dataclass(frozen=True)
 class Kind:
-    """Ranges in metres; ``windows`` and ``doors`` are minimum and maximum numbers, ``tiled`` the walls with
-    tiles.
+    """A kind of room, with ranges in metres. ``windows`` and ``doors``: minimum and maximum numbers.
 
-    ``steel_fronts``: share of the rooms whose cabinets have fronts of steel.
+    ``tiled``: walls with tiles. ``steel_fronts``: share of the rooms whose cabinets have fronts of steel.
     """
 
     furnish: Callable[[Furnisher], None]

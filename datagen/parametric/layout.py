@@ -118,7 +118,7 @@ class Furnisher:
         ignores: Sequence[str] = (),
         stands_on: str = "",
     ) -> Placed | None:
-        """Place an item if its position is clear. It may extend under or between the items ``near``;
+        """Place an item if its position is clear. The item may extend under or between the items ``near``;
         ``ignores`` names zones.
         """
         trial = Placed(item, "trial", at, yaw, stands_on)

@@ -39,7 +39,7 @@ class Shape:
         return replace(self, points=self.points + np.array([x, y, z]))
 
     def turned(self, axis: str, degrees: float) -> Shape:
-        """Rotated about an axis through the origin, right-handed."""
+        """The shape rotated about an axis through the origin, right-handed."""
         matrix = rotation(axis, math.radians(degrees))
         return replace(self, points=self.points @ matrix.T, normals=self.normals @ matrix.T)
 

@@ -155,7 +155,7 @@ def desk(style: Style, draws: Draws, width: float, depth: float = 0.7) -> Item:
 
 
 def monitor(style: Style, draws: Draws) -> Item:
-    """A screen with keyboard and mouse; they extend 0.24 m in front of it."""
+    """A screen, with keyboard and mouse up to 0.24 m in front of it."""
     item = Item("monitor", hold="surface")
     w = draws.uniform(0.52, 0.68)
     h = w * 0.57

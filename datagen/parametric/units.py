@@ -63,7 +63,7 @@ def _worktop(
 
 
 def kitchen_run(style: Style, draws: Draws, modules: list[str], has_wall_units: bool) -> Item:
-    """A row of units of 0.6 m: ``sink``, ``hob``, ``drawers``, ``doors``, ``washer``, ``tall``, ``fridge``.
+    """A row of units 0.6 m wide: ``sink``, ``hob``, ``drawers``, ``doors``, ``washer``, ``tall``, ``fridge``.
 
     Tall units stand at the ends. The front of the worktop is 0.62 m from the wall.
     """

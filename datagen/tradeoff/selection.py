@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From trials to a choice: means over configurations, the Pareto front, the recommendation."""
+"""Chooses a setting from trials: means over configurations, Pareto front and recommendation."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Setting:
         return {name: value for name, value in asdict(self).items() if value != theirs[name]}
 
     def text(self, base: Setting) -> str:
-        """Short description of its differences from a base point."""
+        """Short description of the setting's differences from a base point."""
         found = self.differences(base)
         return ", ".join(f"{name} {value}" for name, value in found.items()) or "base"
 

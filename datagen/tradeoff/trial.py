@@ -200,7 +200,7 @@ def _gather(
 
 
 def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
-    """A view as EXR: as in shards, or with every channel in single precision."""
+    """A view as EXR bytes, as in shards or with every channel in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
     channels = {

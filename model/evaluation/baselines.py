@@ -27,7 +27,7 @@ def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: 
     """The maps of a method for the views of ``capture``.
 
     Maps of ``judged`` views are also written to ``kept`` as ``VIEW.exr`` when read, for comparison with the
-    truth. Raises :class:`InputError` listing every view without a map file, or with one of another size.
+    truth. Raises :class:`InputError` listing every view without a map file, or with a file of another size.
     """
     identity, read = _source(method, scene, capture)
 

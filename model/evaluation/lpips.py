@@ -24,7 +24,7 @@ _REVISION = 1
 class Lpips:
     """LPIPS-VGG, if its weights are available; ``absence`` gives the reason if not.
 
-    ``folder`` stores the features of true images; None stores none.
+    ``folder``: where features of true images are stored; None for nowhere.
     """
 
     def __init__(self, folder: Path | None = None, layers: Sequence[Any] | None = None) -> None:

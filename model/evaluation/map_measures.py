@@ -8,9 +8,9 @@ scene, which leaves the error within regions. ``level error``: median over surfa
 
 ``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which also
 gives FIPT's figures: 8-bit values, PSNR of every whole view with emitters (and for kd everything of a
-roughness other than 1) set to zero in both images, and the mean of the decibels. Our kd is D and our a' is (1
-- S) D + S; IRIS uses the diffuse colour and the integrated reflectance of Disney's lobe. Emission:
-pixels of surfaces that emit and have no material.
+roughness other than 1) set to zero in both images, and the mean of the decibels. Our kd is D, and our a' is
+(1 - S) D + S; IRIS uses the diffuse colour and the integrated reflectance of Disney's lobe. Emission: pixels
+of surfaces that emit and have no material.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class MapMeasures:
     ) -> None:
         """Add a view.
 
-        ``rendered``: the view of the recovered scene, if the maps come from it: pixels without its surface
-        are excluded, and its emission is compared. ``confidence`` (H, W, 3) of D, S and R.
+        ``rendered``: the view of the recovered scene, if the maps are rendered from it: pixels without its
+        surface are excluded, and its emission is compared. ``confidence`` (H, W, 3) of D, S and R.
         """
         mask = truth.surface_mask if rendered is None else truth.surface_mask & rendered.surface_mask
         errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MATERIAL_MAPS}
@@ -175,8 +175,8 @@ def measures_of_others(
 ) -> dict[str, float]:
     """``kd``, ``a_prime`` and ``roughness`` of one view in dB.
 
-    For a rendered view whose truth shows an emitter, also the IoU of the emitters' pixels and the mean
-    squared difference of ln(1 + emission).
+    A rendered view whose truth shows an emitter also has the IoU of the emitters' pixels and the mean squared
+    difference of ln(1 + emission).
     """
     lit = truth.emission_mask
     is_seen = truth.surface_mask | lit  # the background is zero in both images

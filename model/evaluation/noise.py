@@ -76,7 +76,7 @@ def seed_spread(
 
 @dataclass(frozen=True)
 class Difference:
-    """``other`` and ``this`` figure, and the standard error of ``this - other``."""
+    """The figures ``other`` and ``this``, and the standard error of ``this - other``."""
 
     other: float
     this: float

@@ -41,9 +41,9 @@ _REVISION = 2
 class OpenedScene:
     """A scene with its judged views, ``inputs`` and ``novel``.
 
-    By light: ``sceneries``, ``truth`` (by view), ``exposures``, ``renders`` (folders of true views that are
-    not in the capture). ``root`` is the folder of results; ``figure_views`` are the views in the pictures;
-    ``modified_gain`` scales the scene's own lamps under modified light.
+    ``sceneries``, ``truth`` (by view), ``exposures`` and ``renders`` (folders of true views that are not in
+    the capture) are by light. ``root`` is the folder of results; ``figure_views`` are the views in the
+    pictures; ``modified_gain`` scales the scene's own lamps under modified light.
     """
 
     recipe: TestScene
@@ -99,7 +99,7 @@ class OpenedScene:
         """A rendering of ``scenery`` under ``light``, in a folder named by everything that affects the
         pixels.
 
-        ``views`` None: all views of the light; ``seed`` is added to the scenery's.
+        ``views``: None for all views of the light. ``seed`` is added to the scenery's seed.
         """
         seed += scenery.configuration.seed
         cameras = self.views_of(light)

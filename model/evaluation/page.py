@@ -43,7 +43,7 @@ def page_html(
     rows: Mapping[str, list[Row]],
     truths: Mapping[str, Mapping[str, JudgedView]],
 ) -> str:
-    """The page. ``truths``: for each scene, the judged views under its own light."""
+    """The page as HTML. ``truths``: for each scene, the judged views under its own light."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)

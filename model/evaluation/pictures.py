@@ -121,7 +121,7 @@ def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8
 
 
 def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDArray[np.uint8]:
-    """One image of labelled pictures: a row for each method or, if ``is_turned``, for each column's title."""
+    """An image of labelled pictures: a row for each method or, if ``is_turned``, for each kind of picture."""
     table = [[row.pictures[column] for column in columns] for row in rows]
     across, down = list(columns), [row.label for row in rows]
     if is_turned:

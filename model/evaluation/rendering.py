@@ -74,7 +74,7 @@ class Rendering:
         return [name for name in self.views if _read(self.folder / f"{name}.exr") is None]
 
     def read(self) -> dict[str, JudgedView]:
-        """All views."""
+        """All views by name."""
         found = {name: _read(self.folder / f"{name}.exr") for name in self.views}
         return {name: view for name, view in found.items() if view is not None}
 
@@ -83,8 +83,8 @@ class Rendering:
 class EnoughOf:
     """Stops a view early, when more samples would not change its figure.
 
-    The remaining error, estimated on quickly denoised halves, is at most ``share`` of the difference from
-    ``truth`` (both relMSE).
+    A view is finished when its remaining error, estimated on quickly denoised halves, is at most ``share`` of
+    the difference from ``truth`` (both relMSE).
     """
 
     truth: Mapping[str, JudgedView]

@@ -24,7 +24,7 @@ def renderings_of(
     scenery: Scenery,
     tell: Callable[[int, int], None],
 ) -> tuple[Rendering, Rendering]:
-    """The views under a light, rendered, and some of them with a second seed.
+    """Renderings of the views under a light, and of some views with a second seed.
 
     Seeds differ from the truth's, so that the noise is independent. The truth itself is rendered at full
     quality.

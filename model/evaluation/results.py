@@ -28,12 +28,12 @@ class MethodResult(StrictModel):
     ``skipped``: reason for missing figures, else ''. ``camera``: the faults of its photographs, '' for none.
     ``maps_per_view`` and ``maps_merged``: mean squared errors of the predicted maps and of the atlas as seen
     in the views; ``map_figures``, ``by_kind`` and ``calibration`` are as in ``map_measures``; ``map_views``
-    holds the errors per view. ``images``: by light (own, modified) and views (input, novel), see
-    ``metrics.image_figures``; ``image_views`` per view. ``seed_spread``: by light, standard deviation of a
-    view's figures between two seeds of the renderer. ``seen_share``: share of the atlas visible in at least
-    one view; ``covered_share``: share of the true surface's pixels where the method has a surface.
-    ``processor_s``: time of all cores, without cached results. ``folder``: folder of maps and asset;
-    ``renders``: folders of rendered views by light, and ``inserted``.
+    holds the errors per view. ``images``: figures of re-renderings (``metrics.image_figures``) by light (own,
+    modified) and views (input, novel); ``image_views``: the same per view. ``seed_spread``: standard
+    deviation, by light, of a view's figures between two seeds of the renderer. ``seen_share``: share of the
+    atlas visible in at least one view; ``covered_share``: share of the true surface's pixels where the method
+    has a surface. ``processor_s``: time of all cores, without cached results. ``folder``: folder of maps and
+    asset; ``renders``: folders of rendered views, by light and for ``inserted``.
     """
 
     scene: Slug
@@ -101,7 +101,7 @@ class SuiteResult(StrictModel):
 
 
 def read_result(path: Path) -> MethodResult | None:
-    """A result; None if there is no readable one."""
+    """A stored result; None if it is missing or unreadable."""
     if not path.is_file():
         return None
     try:

@@ -101,7 +101,7 @@ def true_scenery(prepared: PreparedScene) -> Scenery:
 def recovered_scenery(
     truth: Scenery, asset: Path, emission: dict[str, tuple[float, float, float]]
 ) -> Scenery:
-    """Recovered surfaces in place of the scene's.
+    """The scenery with recovered surfaces in place of the scene's.
 
     ``asset`` is the package of a reconstruction, with surface and lamps; ``emission`` by slot replaces the
     lamps' radiance; all other lights and inserted objects are the scene's.
@@ -133,7 +133,7 @@ def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
 def added_lights(
     modified: ModifiedLight, geometry: CaptureGeometry, cameras: Sequence[Camera]
 ) -> list[Light]:
-    """The lights of a modified lighting; "ceiling" is positioned here."""
+    """The lights that a modified light adds; the position of "ceiling" is computed here."""
     if modified.lights != "ceiling":
         return list(modified.lights)
     positions = np.array([camera.position_m for camera in cameras])

@@ -39,7 +39,7 @@ class ViewSurfaces:
 
 
 def kinds_of_maps(truth: JudgedView) -> dict[str, NDArray[np.bool_]]:
-    """The kinds determined by the true maps, (H, W) each."""
+    """Masks (H, W) of the kinds that the true maps determine, by name."""
     surface = truth.surface_mask
     metal = surface & (truth.maps["specular_albedo"].mean(axis=2) > METAL_S)
     rest = surface & ~metal
@@ -96,7 +96,7 @@ class SurfaceFinder:
 
 
 def small_faces(mesh: Mesh) -> NDArray[np.bool_]:
-    """Triangles (M,) of connected pieces whose bounding box has a diagonal below ``SMALL_M``."""
+    """Mask (M,) of the triangles of connected pieces whose bounding box has a diagonal below ``SMALL_M``."""
     positions, vertex = welded(mesh)
     faces = vertex[mesh.faces]
     first, second = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()

@@ -21,7 +21,9 @@ ENVIRONMENT_FILE = "environment.exr"
 
 @dataclass(frozen=True)
 class Rectangle:
-    """``origin_m + s edge_u_m + t edge_v_m`` with s and t in [0, 1]; emits along edge_u x edge_v."""
+    """A rectangle, ``origin_m + s edge_u_m + t edge_v_m``, s and t in [0, 1], that emits along edge_u x
+    edge_v.
+    """
 
     origin_m: Color
     edge_u_m: Color
@@ -41,11 +43,10 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class FoundLamp:
-    """A lamp: emissive triangles ``faces`` (K,); they emit from the front of their winding if
-    ``side`` is 1, from the back if it is -1.
+    """A lamp of the emissive triangles ``faces`` (K,).
 
-    ``radiance`` is 0 if no photograph shows the lamp. ``is_named``: whether the capture's geometry names it
-    as a lamp.
+    ``side``: 1 if the triangles emit from the front of their winding, -1 if from the back. ``radiance`` is 0
+    if no photograph shows the lamp. ``is_named``: whether the capture's geometry names it as a lamp.
     """
 
     slot: str

@@ -2,12 +2,13 @@
 """The pipeline from a capture to an asset: traced → checked → completed → predicted → leveled → merged →
 filled → exported.
 
-OUT/state.json      identity of the work: a hash over checkpoint, cameras, geometry and options OUT/views/
-predicted maps, one EXR per view; an interrupted run resumes after them OUT/atlas/          the merged maps as
-PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface) OUT/asset/          the asset package;
-OUT/NAME.glb, OUT/mitsuba/scene.xml, OUT/NAME.usdz: other formats OUT/check/          findings of the check of
-mesh against photographs, with pictures OUT/report.html     the report as a page OUT/report.json     unwrap,
-size, coverage, warnings, seconds and memory by stage, lights
+OUT/state.json      identity of the work: a hash over checkpoint, cameras, geometry and options
+OUT/views/          predicted maps, one EXR per view; an interrupted run resumes after them
+OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface)
+OUT/asset/          the asset package; the same as OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz
+OUT/check/          findings of the check of mesh against photographs, with pictures
+OUT/report.html     the report as a page
+OUT/report.json     unwrap, size, coverage, warnings, seconds and memory by stage, lights
 
 Everything appears whole or not at all, and ``report.json`` last. A stage returns the data that later stages
 need; its other data, and its input, are freed when it returns: photographs before the maps are packed, maps

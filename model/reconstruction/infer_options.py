@@ -57,11 +57,11 @@ class InferOptions(AssetOptions):
 
     ``weights``: weights of the medians over views (see :class:`MergeOptions`), with the checkpoint's
     confidence. ``is_leveled``: whether the albedo scale of predictions is corrected by interreflection
-    (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
-    alone, or from both, with the network as the prior (``light``). ``has_punctual``: whether the GLB contains
-    small lamps also as point lights. ``is_evened``: whether exposures, vignetting and response are estimated
-    from overlapping photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses
-    are corrected (``pose_mending``).
+    (``albedo_level``). ``materials``: whether materials are inferred from the network alone, from the light
+    that the photographs record alone, or from both, with the network as the prior (``light``).
+    ``has_punctual``: whether the GLB also contains small lamps as point lights. ``is_evened``: whether
+    exposures, vignetting and response are estimated from overlapping photographs (``radiometry``).
+    ``mends_poses``: whether small errors of the cameras' poses are corrected (``pose_mending``).
     """
 
     visibility: Annotated[

@@ -36,7 +36,7 @@ th:first-child, td:first-child { text-align: left; }
 
 
 def report_html(report: InferReport, pictures: Sequence[ViewPicture]) -> str:
-    """The page."""
+    """The report as HTML."""
     title = html.escape(f"{report.name}: materials")
     done = (
         f"{report.num_views} views, {report.num_triangles} triangles, an atlas of {report.atlas_size} x "

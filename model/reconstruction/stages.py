@@ -34,9 +34,10 @@ class ViewPicture:
 class Found:
     """Results of stages besides maps; None or empty if no stage provides them.
 
-    ``lights``; ``confidence_at``: function from surface points and normals (both (..., 3)) to confidence of
-    D, S and R in bytes; ``pictures`` of views; ``doubt_at``: function from points and normals (both (N, 3))
-    to the luminance (N,) of diffuse shading that is uncertain because its source clips.
+    ``lights``: recovered lights; ``confidence_at``: function from surface points and normals (both (..., 3))
+    to confidence of D, S and R in bytes; ``pictures``: pictures of views; ``doubt_at``: function from points
+    and normals (both (N, 3)) to the luminance (N,) of diffuse shading that is uncertain because its source
+    clips.
     """
 
     lights: FoundLights | None = None
@@ -47,7 +48,9 @@ class Found:
 
 @dataclass(frozen=True)
 class Run:
-    """A run: folder, options, report, ``tell(stage, done, total)``, and results of stages besides maps."""
+    """A run: its folder, options and report, the callback ``tell(stage, done, total)``, and what stages
+    found.
+    """
 
     out: Path
     options: InferOptions
@@ -77,7 +80,7 @@ class MapSource(Protocol):
 
     @property
     def identity(self) -> str:
-        """Identity of the maps: a run in an existing folder resumes only with the same one."""
+        """Identity of the maps: a run in an existing folder resumes only with the same identity."""
 
     @property
     def is_predicted(self) -> bool:

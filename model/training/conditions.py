@@ -174,7 +174,8 @@ def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaConditi
     """A view, and 5 spherical Gaussians uniformly distributed on the hemisphere behind the camera.
 
     Visible surfaces face the camera, so that light must come from its side (z <= 0). Sharpness is log-uniform
-    in 2...200 and colours are uniform; the lobes' integrals are scaled to sum, averaged over channels, to pi.
+    between 2 and 200, and colours are uniform; the lobes' integrals are scaled to sum, averaged over
+    channels, to pi.
     """
     view_dir = sample_views(geometry, draws)
     dtype, device = view_dir.dtype, view_dir.device

@@ -101,7 +101,7 @@ class Phase:
             raise InputError(Problem(where, got=rest)) from None
 
     def averaged_weights(self) -> AbstractContextManager[None]:
-        """Context in which the networks have the weights of checkpoints."""
+        """Context in which the networks have the averaged weights that checkpoints store."""
         return self.average.applied() if self.average else nullcontext()
 
     def gradient_sync(self, is_last: bool) -> AbstractContextManager[Any]:

@@ -11,9 +11,7 @@ import torch
 
 
 class Stopwatch:
-    """Seconds by name. On a GPU every section waits for the device first, so that it serves measurements
-    only.
-    """
+    """Seconds by name. On a GPU every section waits for the device first, so use it for measurements only."""
 
     def __init__(self, device: torch.device | None = None):
         self.seconds: dict[str, float] = {}

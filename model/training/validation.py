@@ -81,7 +81,7 @@ def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dic
 def network_predictor(
     network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str = "float32"
 ) -> Predictor:
-    """Prediction by the tracks, in eval mode while it runs."""
+    """A predictor that runs the tracks in eval mode."""
 
     def predict(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         modes = [(module, module.training) for module in network.modules()]

@@ -3,7 +3,7 @@
 fetched.
 
 No file is trusted: convolution weights from the package archive are numpy pickles, read by an unpickler that
-accepts float arrays only, after the SHA-256 of archive and file were compared; PyTorch files are read with
+accepts float arrays only, after comparing the SHA-256 of archive and file; PyTorch files are read with
 ``weights_only``; the project's own copy is a safetensors file whose hash is checked again on use.
 """
 
@@ -303,8 +303,8 @@ def load_lpips_heads() -> Heads:
 
 
 def find_heads(path: Path | None = None) -> Heads:
-    """E-LPIPS' 14 heads from ``path`` or the weights folder (or ``SCENE_DATA/weights``), else LPIPS'
-    five."""
+    """E-LPIPS' 14 heads from ``path`` or the weights folder (or ``SCENE_DATA/weights``), else LPIPS' five
+    heads."""
     candidates = [path] if path is not None else [weights_folder() / HEADS_FILE]
     if path is None and os.environ.get("SCENE_DATA"):
         candidates.append(Path(os.environ["SCENE_DATA"]) / "weights" / HEADS_FILE)

@@ -162,7 +162,7 @@ def rectangle_marker(
     edge_v: Point,
     **tags: object,
 ) -> bpy.types.Object:
-    """A marker mesh whose +Z is edge_u x edge_v (the edges must be perpendicular)."""
+    """Add a marker mesh whose +Z is edge_u x edge_v (the edges must be perpendicular)."""
     u, v = np.array(edge_u, dtype=float), np.array(edge_v, dtype=float)
     lu, lv = np.linalg.norm(u), np.linalg.norm(v)
     mesh = bpy.data.meshes.new(name)
@@ -177,7 +177,7 @@ def rectangle_marker(
 
 
 def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Point) -> bpy.types.Object:
-    """A camera region."""
+    """Add a marker of a camera region."""
     corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(
@@ -187,7 +187,7 @@ def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Po
 
 
 def point_marker(collection: bpy.types.Collection, name: str, at: Point) -> bpy.types.Object:
-    """A place for a point light."""
+    """Add a marker for a point light."""
     x, y, z = at
     return rectangle_marker(
         collection, "light_slot", name, (x - 0.01, y - 0.01, z), (0.02, 0, 0), (0, 0.02, 0), sm_kind="point"

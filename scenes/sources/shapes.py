@@ -52,7 +52,7 @@ class Shape:
         return replace(self, faces=[face[::-1] for face in self.faces], uvs=np.concatenate(corners))
 
     def bent(self, mapping: Callable[[NDArray], NDArray]) -> Shape:
-        """The points mapped by ``mapping``, (n, 3) -> (n, 3); UVs are unchanged."""
+        """The shape with its points mapped by ``mapping``, (n, 3) -> (n, 3); UVs are unchanged."""
         return replace(self, points=mapping(self.points))
 
     def uv_turned(self) -> Shape:
@@ -469,7 +469,7 @@ def soft_box(
 
 
 def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0.003, seed: int = 0) -> Shape:
-    """A stuffed square lying at z = 0: thin seam, pulled-in sides, pointed corners."""
+    """A stuffed square lying at z = 0, with a thin seam, pulled-in sides and pointed corners."""
     t = np.linspace(-1, 1, 2 * steps + 1)
     t = np.sign(t) * np.sin(np.abs(t) * np.pi / 2)
     u, v = np.meshgrid(t, t)

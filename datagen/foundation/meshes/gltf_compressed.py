@@ -61,7 +61,7 @@ def unpack_meshopt(
 
 
 def is_ktx2(content: bytes) -> bool:
-    """Whether ``data`` has the signature of a KTX 2 file."""
+    """Whether ``content`` has the signature of a KTX 2 file."""
     return content[: len(_KTX2)] == _KTX2
 
 

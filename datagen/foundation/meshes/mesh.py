@@ -133,7 +133,9 @@ def inspect_mesh(mesh: Mesh) -> MeshFaults:
 
 
 def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Distinct positions (K, 3) and, for each vertex, the index of its position (N,). Exact comparison."""
+    """Distinct positions (K, 3) and, for each vertex, the index of its position (N,); positions are compared
+    exactly.
+    """
     positions = np.ascontiguousarray(mesh.positions, dtype=np.float32) + np.float32(0.0)  # -0.0 becomes 0.0
     keys = positions.view(np.dtype((np.void, 12))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)

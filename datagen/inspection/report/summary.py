@@ -73,8 +73,8 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Counts over R x luminance of D, missing regions in words, the shares of metal and gloss, and which
-    of them training lacks."""
+    """Pixel counts over R and luminance of D, descriptions of missing regions, shares of metal and gloss, and
+    remarks on shares too low for training."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
     training = [shard for shard in gathered if shard["split"] == "train"]

@@ -96,8 +96,8 @@ class ReportOptions:
 class ReportResult:
     """Result of writing a report.
 
-    The page, the number of views with pixels, their bytes, and for each method the numbers of predicted views
-    and of faulty predictions.
+    It holds the page's path, the number of views with pixels, their bytes, and for each method the numbers of
+    predicted views and of faulty predictions.
     """
 
     page: Path
@@ -325,7 +325,7 @@ VIEW_COLUMNS = (
 
 
 def view_table(gathered: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """One row per view without keys, so that thousands of views stay small."""
+    """One row per view, without keys, which keeps the data of thousands of views small."""
     configurations, rows = [], []
     for number, shard in enumerate(gathered):
         configurations.append([shard["id"], shard["split"], shard["has_pixels"]])

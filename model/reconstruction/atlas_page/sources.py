@@ -28,7 +28,7 @@ _POINT_RADIUS_M = 0.01  # points have no area; a sphere of the same intensity re
 
 @dataclass(frozen=True)
 class Source:
-    """``position_m`` (3,), ``vector_m2`` (3,) the vector area V, ``area_m2`` A, ``radiance`` (3,) L."""
+    """A source with vector area V ``vector_m2`` (3,), area A ``area_m2`` and ``radiance`` L (3,)."""
 
     position_m: NDArray[np.float64]
     vector_m2: NDArray[np.float64]

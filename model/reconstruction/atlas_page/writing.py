@@ -4,7 +4,7 @@
 index.html *.css *.js     the page, with three.js as library
 data/scene.js             meshes, cameras, materials without their images
 data/preview.js           images of at most 1024 texels a side, for a quick first picture
-data/<material>-<kind>.js larger images at full size, at most ``max_side``
+data/<material>-<kind>.js images larger than that, at up to ``max_side`` texels a side
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every camera with a pose. Raises :class:`InputError` with all faults."""
+    """The calibration of every camera with a pose. Raises :class:`InputError` with all faults."""
     names = _names(path)
     budget.spend("frames", len(names), "images")
     try:

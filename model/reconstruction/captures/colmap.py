@@ -53,7 +53,7 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every registered image; photographs are in ``images`` beside or above the model."""
+    """The calibration of every registered image; photographs are in ``images`` beside or above the model."""
     beside = (path / "images", path.parent / "images", path.parent.parent / "images")
     folder = images or next((f for f in beside if f.is_dir()), beside[0])
     return Calibration(tuple(read_colmap(path, budget)), folder)
@@ -129,7 +129,7 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
 def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
     """(fx, fy, cx, cy) and the distortion of one of COLMAP's models.
 
-    Raises :class:`InputError`, naming ``field``, for models that are not a form of OpenCV's.
+    Raises :class:`InputError`, naming ``field``, for models that OpenCV's distortion does not cover.
     """
     if model not in _SUPPORTED:
         raise input_error(where, f"{field} model", model, _UNSUPPORTED, _UNDISTORT)

@@ -39,7 +39,7 @@ def z_up_from(up: Axis) -> NDArray[np.float64]:
 
 
 def world_from_source(up: Axis, unit_m: float) -> NDArray[np.float64]:
-    """Transform (4, 4) to metres with Z up."""
+    """Transform (4, 4) from the source's frame to metres with Z up."""
     matrix = np.eye(4)
     matrix[:3, :3] = unit_m * z_up_from(up)
     return matrix

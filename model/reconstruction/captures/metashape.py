@@ -58,7 +58,9 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every aligned camera of the file's chunk. Raises :class:`InputError` with all faults."""
+    """The calibration of every aligned camera of the file's chunk. Raises :class:`InputError` with all
+    faults.
+    """
     root = read_xml(path, budget)
     chunks = root.findall("chunk") + root.findall("chunks/chunk")
     if len(chunks) != 1:

@@ -16,12 +16,12 @@ from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
 
 
 def find(path: Path) -> Path | None:
-    """The scene at ``path``."""
+    """The scene file at ``path``, or None."""
     return path if path.suffix == ".xml" and "<scene" in head_of(path) else None
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every sensor. Raises :class:`InputError` if there is none, or with the scene's faults."""
+    """The calibration of every sensor. Raises :class:`InputError` if there is none, or with all faults."""
     posed = []
     for number, node in enumerate(parse_scene(path, budget=budget).all_of("sensor")):
         budget.spend("frames", 1, node.where)

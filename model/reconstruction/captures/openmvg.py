@@ -42,7 +42,7 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every view with a pose. Raises :class:`InputError` with all faults."""
+    """The calibration of every view with a pose. Raises :class:`InputError` with all faults."""
     data = parse_json(read_text(path), path, budget, _REMEDY)
     try:
         views = [_payload(entry) for entry in data["views"]]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Readers of photograph files by format, and messages for unsupported formats.
 
-PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size was checked, EXR by OpenEXR, HEIC by libheif
+PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size is checked, EXR by OpenEXR, HEIC by libheif
 (``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
 rotate a photograph according to its properties; the same rotation in EXIF is not applied again.
 """
@@ -77,8 +77,9 @@ def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
 class Stored:
     """A decoded photograph.
 
-    ``pixels`` (H, W, C); ``is_linear`` regardless of the encoding of the other photographs; ``clipped`` (H,
-    W) at the sensor's limit, None if it must be derived from the values.
+    ``pixels`` (H, W, C) are as stored. ``is_linear``: whether they are linear whatever encoding is chosen for
+    photographs. ``clipped`` (H, W): mask of pixels at the sensor's limit, None if it must be derived from the
+    values.
     """
 
     pixels: NDArray

@@ -33,7 +33,7 @@ _ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
 
 @dataclass(frozen=True)
 class PhotographSource:
-    """A photograph on disk, calibrated as ``calibrated`` with ``distortion``."""
+    """A photograph on disk, with the ``calibrated`` camera that took it and its ``distortion``."""
 
     path: Path
     calibrated: Camera
@@ -147,7 +147,7 @@ def undistorted(
     """Resample an image of the ``calibrated`` lens, clipped in ``clipped`` (H, W, 3), to the pinhole
     ``camera``.
 
-    It is first resized to the camera's size by averaging areas, so that shrinking does not alias.
+    The image is first resized to the camera's size by averaging areas, so that shrinking does not alias.
     """
     import cv2
 

@@ -208,7 +208,7 @@ def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray
 def polynomial(
     radial: tuple[float, float, float, float], tangential: tuple[float, float]
 ) -> Distortion | None:
-    """Distortion by k1 ... k4 (r^2 ... r^8) and OpenCV's p1, p2; None where all are 0."""
+    """Distortion by k1 ... k4 (r^2 ... r^8) and OpenCV's p1, p2; None if all are 0."""
     k1, k2, k3, k4 = radial
     coefficients = (k1, k2, *tangential, k3, k4)
     return Distortion(model="polynomial", coefficients=coefficients) if any(coefficients) else None

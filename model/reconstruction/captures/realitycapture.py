@@ -76,7 +76,7 @@ def _columns(text: str) -> list[str] | None:
 
 
 def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every row whose image is found. Raises :class:`InputError` with all faults."""
+    """The calibration of every row whose image is found. Raises :class:`InputError` with all faults."""
     text = read_text(path)
     names = _columns(text)
     if names is None:
@@ -151,7 +151,9 @@ def _camera(
 
 
 def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every sidecar with a pose; the image has the sidecar's name. Raises :class:`InputError`."""
+    """The calibration of every sidecar with a pose; the image has the sidecar's name. Raises
+    :class:`InputError`.
+    """
     images = images or folder
     finder = ImageFinder(images)
     found: list[PosedImage] = []

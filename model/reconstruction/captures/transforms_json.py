@@ -44,7 +44,7 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every frame."""
+    """The calibration of every frame."""
     folder = images or path.parent
     return Calibration(tuple(read_transforms(path, budget, folder)), folder)
 

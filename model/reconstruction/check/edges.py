@@ -2,7 +2,7 @@
 """Agreement of a mesh's edges with a photograph's: a score for every shift of one against the other.
 
 Both are fields of double angles: length is edge strength, direction twice the angle of the normal, so that
-parallel edges agree (+1), perpendicular ones disagree (-1) and textures without direction cancel. The score
+parallel edges agree (+1), perpendicular edges disagree (-1) and textures without direction cancel. The score
 of a shift is the mean agreement over the mesh's edges. A small rotation of the camera shifts the image by
 focal length x angle: the peak of the scores gives the error of the camera, and the peak's height above all
 other scores the certainty. For a camera that is rolled, or too far forward, the peak is higher with an

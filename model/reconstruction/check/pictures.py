@@ -30,7 +30,7 @@ def write_contact_sheets(
     colors: Sequence[NDArray[np.float32]],
     edges: Sequence[NDArray[np.bool_]],
 ) -> list[Path]:
-    """Write ``sheet-01.png`` ...: views in their order from linear ``colors`` (H, W, 3).
+    """Write ``sheet-01.png`` etc. with all views in order, from linear ``colors`` (H, W, 3).
 
     Edges are green if they fit, red if there is a fault, yellow if there are too few.
     """

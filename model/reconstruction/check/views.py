@@ -119,7 +119,7 @@ class Look:
 
     @property
     def radius_px(self) -> int:
-        """The largest shift to search."""
+        """The largest shift to search, in pixels."""
         wanted = max(self.camera.fx_px * float(np.tan(SEARCH_RAD)), _MIN_RADIUS_PX)
         return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
 

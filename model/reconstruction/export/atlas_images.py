@@ -33,7 +33,7 @@ SEEN, FILLED, EMPTY = 255, 128, 0
 
 
 def quantized_bytes(values: NDArray) -> NDArray[np.uint8]:
-    """[0, 1] as bytes, rounded."""
+    """Values in [0, 1] as bytes, rounded."""
     return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
@@ -56,7 +56,7 @@ def texture_shrink(atlas: Atlas) -> int:
 
 
 def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
-    """Means of squares of texels, float32."""
+    """Means over squares of texels, float32."""
     values = np.asarray(band, np.float32)
     if shrink == 1:
         return values

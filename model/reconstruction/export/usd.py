@@ -53,7 +53,7 @@ _WORLD_FROM_DOME = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0,
 
 
 def require_usd() -> None:
-    """Raises :class:`InputError` if ``usd-core`` is not installed."""
+    """Raise :class:`InputError` if ``usd-core`` is not installed."""
     try:
         import pxr.Usd  # noqa: F401
     except ImportError:

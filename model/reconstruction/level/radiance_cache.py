@@ -34,8 +34,8 @@ _BACKGROUND_REACH = 1.0
 
 @dataclass(frozen=True)
 class SeenPixels:
-    """Pixels on the mesh: ``view`` (P,), ``pixel`` (P,) flat index, ``position_m`` and ``normal`` (P, 3),
-    ``cube`` (P,) of :class:`RadianceCache`.
+    """Pixels on the mesh: indices ``view`` and ``pixel`` (P,) (flat), ``position_m`` and ``normal`` (P, 3),
+    and the index ``cube`` (P,) in the :class:`RadianceCache`.
     """
 
     view: NDArray[np.int64]

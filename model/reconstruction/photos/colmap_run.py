@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""COLMAP as a program: cameras and a mesh from a folder of photographs, each step once.
+"""Runs COLMAP: cameras and a mesh from a folder of photographs, each step once.
 
 WORK/database.db    features and matches
 WORK/found/         the models of the mapper

@@ -32,9 +32,9 @@ _EXPOSURE_STEP = 5  # every fifth pixel is enough for a percentile
 class PredictOptions:
     """Options of prediction.
 
-    ``precision`` auto is bfloat16 if the device supports it natively; ``batch`` views at a time;
-    ``is_filtered`` runs the bilateral solver if the checkpoint has confidence networks; ``has_confidence``
-    also returns their output.
+    ``precision``: "auto" is bfloat16 if the device supports it natively. ``batch``: number of views at a
+    time. ``is_filtered``: whether to run the bilateral solver, if the checkpoint has confidence networks.
+    ``has_confidence``: whether to return their output as well.
     """
 
     precision: Precision = "auto"

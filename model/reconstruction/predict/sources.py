@@ -59,7 +59,7 @@ class GivenMaps:
     is_predicted: bool = False
 
     def prepare(self, options: InferOptions) -> None:
-        """Nothing to refuse."""
+        """Accept all options: given maps need no preparation."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
         """The given maps."""

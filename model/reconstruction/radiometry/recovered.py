@@ -66,7 +66,7 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Recovered:
-    """``radiance`` (S, 3) of the sources and the standard deviation ``spread`` (S,) of its logarithm."""
+    """The ``radiance`` (S, 3) of the sources, and the standard deviation ``spread`` (S,) of its logarithm."""
 
     radiance: NDArray[np.float64]
     spread: NDArray[np.float64]

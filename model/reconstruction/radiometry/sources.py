@@ -41,8 +41,8 @@ MAX_SOURCES = 24
 class Sources:
     """Sources (S) that clip.
 
-    ``bound`` (S, 3) the photographed radiance, ``is_open`` (S, 3) the channels in which it is a lower bound;
-    the source of each emitter (K,), background bin (B,) and surfel (N,), -1 for none.
+    ``bound`` (S, 3) is the photographed radiance, ``is_open`` (S, 3) tells in which channels it is a lower
+    bound; the rest is the source of each emitter (K,), background bin (B,) and surfel (N,), -1 for none.
     """
 
     bound: NDArray[np.float64]

@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """Frames are at most ``max_width_px`` wide."""
+    """Options of an animation; frames are at most ``max_width_px`` wide."""
 
     way: Annotated[
         Literal["orbit", "cameras"],

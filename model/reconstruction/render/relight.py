@@ -61,7 +61,7 @@ class RelightOptions:
 
     ``sky`` and ``lamps`` replace the asset's lights: an environment map (EXR) or a constant radiance, and
     point lights. ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace them, named
-    ``frame-000`` onwards. ``compensation`` scales the exposure of PNG and film.
+    ``frame-000`` onwards. ``compensation`` scales the exposure of PNG images and animations.
     """
 
     sky: Path | tuple[float, float, float] | None = None
@@ -203,7 +203,7 @@ def lit_images(
     """The images of :func:`render_asset`, with a fallback for dark rooms.
 
     If no light from the sky reaches the first view, or if there are no lights, the asset's own lights are
-    used, else a lamp amid its cameras; ``warn`` is then called with an explanation.
+    used, else a lamp in the middle of its cameras; ``warn`` is then called with an explanation.
     """
     with open_package(path) as package:
         asset = package.asset

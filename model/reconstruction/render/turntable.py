@@ -32,7 +32,9 @@ _GIF_COLORS = 255
 
 @dataclass(frozen=True)
 class TurntableOptions(FilmOptions):
-    """``render`` holds light, insertions and samples; its views and cameras are not used."""
+    """Options of an animation. ``render`` holds light, insertions and samples; its views and cameras are not
+    used.
+    """
 
     render: RelightOptions = field(default_factory=RelightOptions)
 
@@ -47,7 +49,7 @@ def write_turntable(
     """Render an environment package along a path into ``out``; returns the cameras.
 
     ``.mp4`` contains VP9, which browsers and common players support. All frames have the first frame's
-    exposure. Raises :class:`InputError` for another suffix, bad packages, no light.
+    exposure. Raises :class:`InputError` for other suffixes, bad packages and missing lights.
     """
     options = options or TurntableOptions()
     if out.suffix.lower() not in SUFFIXES:
@@ -77,7 +79,9 @@ def write_turntable(
 
 
 def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:
-    """The frames' cameras: the lens of the first camera, centred, with even sides, as video requires."""
+    """The frames' cameras: the lens of the first camera, centred, with even width and height, as video
+    requires.
+    """
     lens = cameras[0]
     scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
     width, height = (max(16, 2 * round(0.5 * scale * side)) for side in (lens.width_px, lens.height_px))

@@ -47,11 +47,12 @@ _RANGE_SLACK = 1e-5
 class UvReport:
     """Quality of an unwrap.
 
-    ``source``: its origin; ``rejected``: fault of the mesh's own UVs, or ''; ``coverage``: share of the atlas
-    with surface; ``metres_per_side``: length on the surface of the atlas's side (median); ``stretch``: 95th
-    over 5th percentile of the density by area, 1 at best; ``padding_texels``: gap between charts on an atlas
-    of 1024 texels a side, 8 at most, None for too many triangles; ``num_blender_faces``: triangles unwrapped
-    by Blender after xatlas failed; ``num_fallback_faces``: triangles placed individually.
+    ``source``: origin of the UVs; ``rejected``: fault of the mesh's own UVs, or ''; ``coverage``: share of
+    the atlas with surface; ``metres_per_side``: length on the surface of the atlas's side (median);
+    ``stretch``: ratio of the 95th to the 5th percentile of the texel density by area, ideally 1;
+    ``padding_texels``: gap between charts on an atlas of 1024 texels a side, 8 at most, None for too many
+    triangles; ``num_blender_faces``: triangles unwrapped by Blender after xatlas failed;
+    ``num_fallback_faces``: triangles placed individually.
     """
 
     source: Literal["mesh", "xatlas"]
@@ -243,9 +244,9 @@ def _run(
 
 
 def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Every triangle separately, undistorted, its longest edge along a shelf; shelves by decreasing height.
+    """A layout of separate, undistorted triangles, their longest edges along shelves of decreasing height.
 
-    Corners (M, 3, 2) in metres and the sheet's size (2,).
+    Returns corners (M, 3, 2) in metres and the sheet's size (2,).
     """
     p = positions.astype(np.float64)[faces]
     lengths = np.stack([np.linalg.norm(p[:, (k + 1) % 3] - p[:, k], axis=1) for k in range(3)], axis=1)

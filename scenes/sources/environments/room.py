@@ -46,7 +46,7 @@ class Door:
 
 @dataclass
 class Room:
-    """Builds the shell into a workshop and remembers the markers of an environment."""
+    """Builds the shell into a workshop, and collects the markers of an environment."""
 
     workshop: Workshop
     collection: bpy.types.Collection

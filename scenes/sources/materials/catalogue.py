@@ -17,7 +17,9 @@ Builder = Callable[[Graph], bpy.types.Material]
 
 @dataclass(frozen=True)
 class MaterialSource:
-    """``tile_size_m``: side of the square that one UV unit covers; ``max_px``: maximum side of a texture."""
+    """A material. ``tile_size_m``: side of the square that one UV unit covers; ``max_px``: maximum side of a
+    texture.
+    """
 
     title: str
     classes: tuple[str, ...]

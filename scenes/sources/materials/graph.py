@@ -188,7 +188,7 @@ class Graph:
         return node.outputs["Value"]
 
     def cells(self, columns: int, rows: int, shift: str = "none", jitter_seed: float = 0.0) -> Cells:
-        """A lattice of ``columns`` x ``rows``; rows moved by 'none', 'half' or 'random' parts of a cell."""
+        """A lattice of ``columns`` x ``rows``; ``shift`` of rows: none, half a cell, or random."""
         u, v = self.uv()
         y = self.mul(v, rows)
         # the sum keeps 0.99999 and 1.00001 in one row after wrapping, so that tiles meet
