@@ -19,7 +19,7 @@ _LARGEST_DIELECTRIC_F0 = 0.2
 
 
 def package_file(folder: Path, name: str) -> Path:
-    """A file named by the package; raises ``ValueError`` if it is outside or missing."""
+    """A file named by the package; raises ``ValueError`` if the file is outside the package or missing."""
     parts = PurePosixPath(name).parts
     if not parts or name.startswith("/") or ".." in parts or "\\" in name or ":" in name:
         raise ValueError(f"{folder}/asset.json: path {name!r} leaves the package; refused")

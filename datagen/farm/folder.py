@@ -214,8 +214,8 @@ class DatasetFolder:
         return stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
 
     def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
-        """Raise :class:`InputError` if the folder belongs to another ``recipe`` and ``record``, or serves
-        another purpose.
+        """Raise :class:`InputError` if the folder was started from another ``recipe`` or ``record``, or is
+        not a dataset folder.
         """
         if not self.record_path.exists():
             if any(not path.name.startswith(".") for path in self.root.iterdir()):

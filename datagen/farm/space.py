@@ -19,7 +19,7 @@ smoke.yaml`)."""
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Bytes for the shards of ``num_units`` unfinished units, and for the units in progress meanwhile."""
+    """Bytes needed by the shards of ``num_units`` unfinished units, and by units in progress."""
 
     num_units: int
     shard_bytes: float

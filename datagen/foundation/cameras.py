@@ -95,7 +95,7 @@ class Camera:
         )
 
     def project(self, points_world: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World points (..., 3) to pixel coordinates (..., 2) and depth_z_m (...).
+        """Project world points (..., 3) to pixel coordinates (..., 2) and depth_z_m (...).
 
         Points at or behind the camera's plane get NaN coordinates and their (non-positive) depth.
         """
@@ -110,7 +110,7 @@ class Camera:
         return pixels, z
 
     def unproject(self, pixels: ArrayLike, depth_z_m: ArrayLike) -> NDArray[np.float64]:
-        """Inverse of :meth:`project`: pixels (..., 2) and depth_z_m (...) to world points (..., 3)."""
+        """World points (..., 3) at pixels (..., 2) and depth_z_m (...), the inverse of :meth:`project`."""
         pixels = np.asarray(pixels, dtype=np.float64)
         z = np.asarray(depth_z_m, dtype=np.float64)
         x = (pixels[..., 0] - self.cx_px) / self.fx_px * z

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files that are whole or absent, even after a power failure: first the content, then the name, then the
-folder.
+"""Files that are whole or absent, even after a power failure: content, name and folder are synced in order.
 
 A rename alone survives a crash of the process, not of the machine: a file system may keep the new name and
 lose the content, or lose the name although a later file that depends on it exists.

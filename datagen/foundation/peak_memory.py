@@ -13,7 +13,7 @@ _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def forget_peak() -> None:
-    """Reset the peak; without support by the system, the peak since process start remains."""
+    """Reset the peak; if the system cannot, the peak since process start remains."""
     with suppress(OSError):
         _CLEAR.write_text("5")
 

@@ -81,7 +81,7 @@ class Rendering:
 
 @dataclass(frozen=True)
 class EnoughOf:
-    """Stops a view early, when more samples would not change its figure.
+    """Stops a view early, once more samples would not change its figure.
 
     A view is finished when its remaining error, estimated on quickly denoised halves, is at most ``share`` of
     the difference from ``truth`` (both relMSE).

@@ -45,7 +45,7 @@ class NetworkMethod(_Method):
 
 
 class TextureMethod(_Method):
-    """Median colour of all views as the diffuse albedo; no specular reflection."""
+    """The median colour of all views as the diffuse albedo, without specular reflection."""
 
     kind: Literal["texture"]
 
@@ -71,13 +71,13 @@ class MapsMethod(_Method):
 
 
 class OracleMethod(_Method):
-    """The true maps, merged: the loss by merging and by the atlas's resolution."""
+    """The true maps, merged, which measures the loss from merging and from the atlas's resolution."""
 
     kind: Literal["oracle"]
 
 
 class TruthMethod(_Method):
-    """The scene itself, rendered again: the cost of noise."""
+    """The scene itself, rendered again, which measures the effect of noise."""
 
     kind: Literal["truth"]
 

@@ -69,7 +69,7 @@ class SampleDraws:
 
     @classmethod
     def for_samples(cls, seed: int, sample_ids: Iterable[int]) -> SampleDraws:
-        """Streams of the images with these ids in a run with this seed."""
+        """Random streams for the images with these ids, in a run with this seed."""
         return cls([generator_for(seed, _CONDITION_PURPOSE, int(i)) for i in sample_ids])
 
     def uniform(self, *shape: int) -> Tensor:

@@ -122,5 +122,5 @@ def patch_meshes(patches: Iterable[FoundPatch]) -> dict[str, tuple[Mesh, Color]]
 
 
 def environment_exr(environment: NDArray[np.float32]) -> bytes:
-    """The sky's image as a file."""
+    """EXR bytes of the sky's image."""
     return encode_view({"beauty": environment})

@@ -65,7 +65,7 @@ class Rules(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The mesh of :class:`TexelSurface`, and regions of triangles."""
+    """Arrays of a :class:`TexelSurface`'s mesh, with the smooth region of each triangle."""
 
     size: int
     uv: NDArray[np.float32]

@@ -34,7 +34,7 @@ def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: fl
 
 
 def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:
-    """Side of an atlas whose texels have that size: a multiple of 256 in [256, 16384]."""
+    """Side of an atlas whose texels are ``footprint_m`` wide: a multiple of 256 in [256, 16384]."""
     if footprint_m is None:
         return MIN_SIZE
     return int(np.clip(np.ceil(metres_per_side / footprint_m / 256) * 256, MIN_SIZE, MAX_SIZE))

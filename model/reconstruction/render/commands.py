@@ -71,9 +71,10 @@ def render(
     ] = (),
     quiet: QuietOption = False,
 ) -> None:
-    """Render an asset under its own or other light, with inserted objects: from its cameras, or as a film.
+    """Render an asset under its own or other light, with inserted objects, from its cameras or as an
+    animation.
 
-    A film follows a path through the room and loops seamlessly.
+    An animation follows a path through the room and loops seamlessly.
 
     Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
     """
