@@ -3,7 +3,7 @@
 
 The wheel is built from the sdist. It is installed with its dependencies into a new environment, first the
 base alone, then the extra `train`; the sdist into a second environment, which takes the dependencies from the
-first. In both, the commands run outside of the checkout, and every imported module must lie in the
+first. In both, the commands run outside the checkout, and every imported module must lie in the
 environment. Usage: try_packages.py CONSTRAINTS
 """
 

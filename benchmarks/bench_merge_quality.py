@@ -125,8 +125,8 @@ def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
     """Sums of the steps of D (mean over channels) between neighbouring observed texels with smooth true D,
     and the number of pairs.
 
-    Separately at the ``border`` of a view's footprint, where the number of views differs, and ``inside``.
-    Both atlases have the same mesh and side.
+    The sums are separate at the ``border`` of a view's footprint, where the number of views differs, and
+    ``inside`` it. Both atlases have the same mesh and side.
     """
     found = {"border": (0.0, 0), "inside": (0.0, 0)}
     for axis in (0, 1):

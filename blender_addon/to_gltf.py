@@ -2,7 +2,7 @@
 """``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: converts files that Blender reads to binary
 glTF.
 
-Scripts in .blend files stay off. Images outside of the file's folder and of the FOLDERs are omitted;
+Scripts in .blend files stay off. Images outside the file's folder and of the FOLDERs are omitted;
 omissions are printed in lines that begin with ``to_gltf: ``.
 """
 

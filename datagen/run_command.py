@@ -34,7 +34,7 @@ DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check everything,
 
 @dataclass(frozen=True)
 class RecipeChanges:
-    """Options that override the recipe; None keeps its value."""
+    """Options that override the recipe; None keeps the recipe's value."""
 
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None

@@ -84,9 +84,9 @@ def beckmann_d(h: Array, alpha: Array) -> Array:
 def smith_g1_over_cos(w: Array, alpha: Array) -> Array:
     """Smith's masking divided by its cosine, G1(w) / cos(theta), exact form; finite down to the horizon.
 
-    With a = cos / (alpha sin): G1 = 2 / (1 + erf a + exp(-a^2) / (a sqrt(pi))), and division by cos turns
-    the last term into alpha sin exp(-a^2) / sqrt(pi). At the horizon it tends to 2 sqrt(pi) / alpha.
-    0 where w.z <= 0.
+    With a = cos / (alpha sin): G1 = 2 / (1 + erf a + exp(-a^2) / (a sqrt(pi))), and division by cos turns the
+    last term into alpha sin exp(-a^2) / sqrt(pi). At the horizon the result tends to 2 sqrt(pi) / alpha; it
+    is 0 where w.z <= 0.
     """
     valid = w.z > 0.0
     cos = dr.select(valid, w.z, 1.0)

@@ -92,7 +92,7 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     return problems
 
 
-# Problems collected while a scene loads, or None outside of such a context. A plain list: appending is
+# Problems collected while a scene loads, or None outside such a context. A plain list: appending is
 # # atomic, and Mitsuba builds plugins on several threads.
 _gathered: list[Problem] | None = None
 

@@ -35,8 +35,8 @@ class ConfidenceNet(nn.Module):
     """Confidence (B, 1, H, W) in [0, 1] of a map with ``map_channels`` channels; its maximum is 1 in each
     image.
 
-    Two stride-2 downsamplings and a 3x3 convolution; upsampling, concatenation with the first downsampling
-    and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.
+    The layers are two stride-2 downsamplings and a 3x3 convolution; upsampling, concatenation with the first
+    downsampling and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.
     """
 
     def __init__(self, map_channels: int):
@@ -86,7 +86,7 @@ def filter_maps(
 ) -> dict[str, Tensor]:
     """Maps with specular albedo and roughness filtered, guided by ``maps["diffuse_albedo"]``.
 
-    Both share one grid and one solve. Gradients flow to the confidences and to the filtered maps.
+    Both maps share one grid and one solve. Gradients flow to the confidences and to the filtered maps.
     """
     grid = build_grid(maps["diffuse_albedo"], config)
     target = torch.cat([maps[name] for name in FILTERED_MAPS], dim=1)

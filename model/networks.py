@@ -140,8 +140,8 @@ def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor
     """Depth (B, 1, H, W) relative to the view's maximum, as [-1, 1], tiled to 3 channels; no surface (0)
     gives -1.
 
-    ``depth_max_m`` (B,) is the whole view's maximum; None uses the tensor's own, correct only for whole
-    views.
+    ``depth_max_m`` (B,) is the whole view's maximum; None uses the tensor's own maximum, which is correct
+    only for whole views.
     """
     if depth_max_m is None:
         depth_max_m = depth_z_m.amax(dim=(1, 2, 3))
@@ -360,7 +360,7 @@ class Track(nn.Module):
 
 
 class MaterialNetwork(nn.Module):
-    """Both tracks. Calling it runs either or both and returns maps by name."""
+    """Both tracks. Calling the module runs either or both and returns maps by name."""
 
     def __init__(self, config: NetworkConfig | None = None):
         super().__init__()

@@ -59,7 +59,7 @@ def schlick(specular_albedo: Array, one_minus_cos: Array) -> Array:
 
 
 def one_minus_cos_half(wi: Array, wo: Array) -> Array:
-    """1 - wi.h, from half the angle between the directions: 2 sin^2(angle / 4), by Kahan's angle."""
+    """1 - wi.h as 2 sin^2(angle / 4), with the angle between the directions by Kahan's formula."""
     angle = 2.0 * np.arctan2(np.linalg.norm(wi - wo, axis=-1), np.linalg.norm(wi + wo, axis=-1))
     return 2.0 * np.sin(angle / 4.0) ** 2
 

@@ -96,7 +96,7 @@ def dilate(image: Image, mask: Mask) -> tuple[Image, Mask]:
 
 
 def fill(image: Image, mask: Mask) -> Image:
-    """Fill the texels outside of the mask: two rings from their neighbours, the rest by push-pull.
+    """Fill the texels outside the mask: two rings from their neighbours, the rest by push-pull.
 
     The rings are read by lookups at the border of a chart; coarser levels would mix in other charts.
     """

@@ -43,7 +43,7 @@ class ClassRange:
 
     ``hue_turns`` is the largest shift, ``saturation`` and ``value`` the largest factor (the smallest is its
     inverse), ``roughness_step`` the largest offset. ``value_limits`` bound the mean of the brightest channel
-    of D, ``roughness_limits`` the mean of R. A material outside of the limits is never moved farther away.
+    of D, ``roughness_limits`` the mean of R. A material outside the limits is never moved farther away.
     """
 
     hue_turns: float

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Panoramas outside of windows: time of day, panorama, brightness."""
+"""Panoramas outside windows: time of day, panorama, brightness."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def draw_daytime(
 ) -> Daytime | None:
     """The time of day outside a room (the first of ``assets``).
 
-    None if the recipe has none, or if the room is closed or has its own sky.
+    None if the recipe has no panoramas, or if the room is closed or has its own sky.
     """
     room = assets[0]
     assert isinstance(room, EnvironmentAsset)

@@ -3,7 +3,7 @@
 
 A candidate is an object, a surface, a scale, a yaw and a position. The object falls onto the room: points of
 its underside are cast down onto the triangles, and it rests on the highest hit, even if the declared
-rectangle is slightly off. It must be stable (centre of mass above the hull of its contacts), must not
+rectangle is slightly off. The object must be stable (centre of mass above the hull of its contacts), must not
 intersect the room or another object (triangle against triangle, FCL) and must not lie inside one of them.
 """
 

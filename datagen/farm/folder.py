@@ -200,7 +200,7 @@ class DatasetFolder:
         return read_json(FailureRecord, inside(self.root, self.failed_path / f"{unit_id}.json"))
 
     def is_done(self, unit: PlannedUnit) -> bool:
-        """Whether the unit's manifest exists, and its shard with the recorded size."""
+        """Whether the unit's manifest exists and its shard has the recorded size."""
         try:
             manifest = self.read_manifest(unit)
         except InputError:

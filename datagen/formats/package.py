@@ -3,7 +3,7 @@
 
 Opening a package reads ``asset.json`` and checks that the named files exist; pixels and vertices are checked
 by ``datagen.asset_check``. Zips are read in place, never unpacked completely; links, devices, encrypted
-members, zip bombs and members with paths outside of the package are refused.
+members, zip bombs and members with paths outside the package are refused.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Package:
         return sha256_hex("".join(lines).encode())
 
     def close(self) -> None:
-        """Close the zip and remove unpacked files. Without effect on a folder and when repeated."""
+        """Close the zip and remove unpacked files; no effect on a folder or when repeated."""
         if self._unpacked is not None:
             shutil.rmtree(self._unpacked, ignore_errors=True)
             self._unpacked = None

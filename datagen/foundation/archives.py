@@ -27,7 +27,7 @@ _REMEDY = "do not use this file"
 
 
 def check_archive(archive: zipfile.ZipFile, path: Path, budget: Budget) -> None:
-    """Refuse members outside of the archive's folder, links, devices, encrypted members, unusual compression
+    """Refuse members outside the archive's folder, links, devices, encrypted members, unusual compression
     methods, and more members or bytes than the ``budget``.
 
     Raises :class:`InputError`.

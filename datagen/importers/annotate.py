@@ -133,7 +133,9 @@ def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
 
 
 def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
-    """Upright area lights of window size, which scenes place in windows and doors. They point inwards."""
+    """Upright area lights of window size, which scenes place in windows and doors. The openings point
+    inwards.
+    """
     found = []
     for light in lights:
         if isinstance(light, AreaLight) and light.shape == "rectangle" and is_window_sized(light, 0.4):

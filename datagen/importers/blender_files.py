@@ -38,7 +38,7 @@ def import_by_blender(
 ) -> list[ImportedAsset]:
     """Convert a file that Blender reads to packages below ``out_library``.
 
-    Images outside of the file's own folder and ``options.allowed`` are left out. Raises :class:`InputError`
+    Images outside the file's own folder and ``options.allowed`` are left out. Raises :class:`InputError`
     if Blender's module is not installed or cannot read the file, and as :func:`import_gltf` does.
     """
     options = options or ImportOptions()

@@ -153,7 +153,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Like :func:`read_image`, and also for BMP, TGA, TIFF and HDR, which packages do not support."""
+    """Like :func:`read_image`, but also reads BMP, TGA, TIFF and HDR, which packages do not support."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2

@@ -53,7 +53,7 @@ def import_mesh_file(
 ) -> list[ImportedAsset]:
     """Convert an OBJ, PLY or STL file to a package below ``out_library``.
 
-    Raises :class:`InputError` for damaged files, for named files that are missing or outside of the allowed
+    Raises :class:`InputError` for damaged files, for named files that are missing or outside the allowed
     folders, and for an unknown licence.
     """
     options = options or ImportOptions()

@@ -60,7 +60,7 @@ def check_finite(view: View, where: str) -> list[Fault]:
 
 
 def check_range(view: View, where: str) -> list[Fault]:
-    """Values outside of the registered range; NaN is covered by another check."""
+    """Values outside the registered range; NaN is covered by another check."""
     faults = []
     for name, array in view.items():
         buffer = BUFFERS[name]

@@ -303,7 +303,7 @@ def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
 
 
 def outside(shell: Shell, draws: Draws) -> list[Placed]:
-    """Random scenery outside of windows: ground below, then hedges, trees or houses."""
+    """Random scenery outside windows: ground below, then hedges, trees or houses."""
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))

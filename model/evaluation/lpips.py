@@ -24,7 +24,7 @@ _REVISION = 1
 class Lpips:
     """LPIPS-VGG, if its weights are available; ``absence`` gives the reason if not.
 
-    ``folder``: where features of true images are stored; None for nowhere.
+    ``folder``: folder in which features of true images are stored, if any.
     """
 
     def __init__(self, folder: Path | None = None, layers: Sequence[Any] | None = None) -> None:

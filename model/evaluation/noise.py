@@ -2,7 +2,7 @@
 """Noise of figures.
 
 A figure is a mean over views, with noise from the choice of views, estimated by bootstrap, and noise from the
-renderer's samples, estimated by rendering some views with a second seed. Both are added in quadrature. For
+renderer's samples, estimated by rendering some views with a second seed. The two are added in quadrature. For
 the difference of two methods on the same views, the bootstrap is paired: variation common to both cancels.
 """
 

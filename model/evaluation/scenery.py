@@ -2,7 +2,8 @@
 """The true scene and its reconstructions as configurations with the same lights and cameras but different
 surfaces.
 
-Own light: the scene's lamps and lights unchanged. Modified light: the same times a gain, and further lights.
+Own light: the scene's lamps and lights unchanged. Modified light: these lights times a gain, and further
+lights.
 """
 
 from __future__ import annotations

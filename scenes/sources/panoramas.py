@@ -30,8 +30,7 @@ _IMAGE = "panorama.exr"
 
 @dataclass(frozen=True)
 class Source:
-    """A panorama: ``file`` is below the folder of Poly Haven's maps or, if ``is_blender``, of Blender's maps.
-    """
+    """A panorama: ``file`` is below the folder of Poly Haven's maps or, if ``is_blender``, of Blender's maps."""
 
     id: str
     title: str

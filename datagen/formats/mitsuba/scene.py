@@ -3,7 +3,7 @@
 resolved, camelCase names of old files converted to current ones, transforms as matrices.
 
 Nothing is interpreted here; the meaning of a plugin is up to the modules that use the tree. DOCTYPE and
-entities are refused, and so are includes outside of the scene's folder and circular includes. References turn
+entities are refused, and so are includes outside the scene's folder and circular includes. References turn
 the tree into a graph, whose expanded size is counted before any of it is expanded.
 """
 

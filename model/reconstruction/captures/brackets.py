@@ -41,7 +41,7 @@ class BracketSource:
         return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """Empty: photographs have no ground truth."""
+        """An empty dictionary: photographs have no ground truth."""
         return {}
 
 

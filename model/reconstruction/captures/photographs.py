@@ -57,7 +57,7 @@ class PhotographSource:
         return replace(found, limit=self.exposure_scale) if has_limit else found
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """Empty: photographs have no ground truth."""
+        """An empty dictionary: photographs have no ground truth."""
         return {}
 
 

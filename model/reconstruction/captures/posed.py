@@ -64,7 +64,7 @@ class ImageMissing(Exception):
 class ImageFinder:
     """Finds images by their names in calibrations.
 
-    Names may be absolute paths of another computer, lack their suffix or differ in case. Files outside of the
+    Names may be absolute paths of another computer, lack their suffix or differ in case. Files outside the
     folder, or links that lead there, are not found, since calibrations are untrusted.
     """
 
@@ -154,7 +154,7 @@ def read_text(path: Path) -> str:
 
 
 def head_of(path: Path, num_bytes: int = 4096) -> str:
-    """The file's beginning as text, '' if it cannot be read; for recognising formats."""
+    """The beginning of a file as text, to recognise its format; '' if it cannot be read."""
     try:
         if not path.is_file():
             return ""

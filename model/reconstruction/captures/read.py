@@ -114,7 +114,7 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
 
 
 def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None:
-    """Refuse images and meshes outside of the folders given by the user, since captures are untrusted."""
+    """Refuse images and meshes outside the folders given by the user, since captures are untrusted."""
     problems = []
     for field, name in [
         *((f"photographs[{k}].image", p.image) for k, p in enumerate(record.photographs)),

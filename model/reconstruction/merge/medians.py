@@ -77,7 +77,7 @@ class Surface(NamedTuple):
 
 @compiled
 def _project(state: Any, camera: Any, rules: Any) -> None:
-    """Project all lanes into a view; the limit of the depth test is -1 for lanes outside of it."""
+    """Project all lanes into a view; the limit of the depth test is -1 for lanes outside it."""
     r00, r01, r02, r10, r11, r12 = camera[0], camera[1], camera[2], camera[3], camera[4], camera[5]
     r20, r21, r22, cx, cy, cz = camera[6], camera[7], camera[8], camera[9], camera[10], camera[11]
     fx, fy, px, py, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]

@@ -72,7 +72,7 @@ class Radiometry:
 
 
 def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Values decoded as sRGB from a camera whose response deviates from it by ``curve``.
+    """Values decoded as sRGB from a camera whose response deviates from sRGB by ``curve``.
 
     ``value`` is linear, relative to the clipping limit.
     """

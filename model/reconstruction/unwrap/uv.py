@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """UVs for an atlas: the mesh's own UVs if they are a valid unwrap, else new UVs by xatlas.
 
-Valid: all inside the unit square, none missing, no two triangles on the same texel. xatlas runs in separate
-processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped by Blender's Smart
-UV Project, if bpy is installed; if that fails too, its triangles are laid out one by one, which always works.
-Pieces are packed so that a metre has the same length everywhere on the atlas.
+UVs are valid if all are inside the unit square, none is missing and no two triangles cover one texel. xatlas
+runs in separate processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped
+by Blender's Smart UV Project, if bpy is installed; if that fails too, its triangles are laid out one by one,
+which always works. Pieces are packed so that a metre has the same length everywhere on the atlas.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ TABLETOP = "table, shelf, counter, sill"
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """``supports``: kinds of surface for the object; ``scale``: range of its size; ``yaw_degrees``: None =
+    """``supports``: kinds of surface for the object; ``scale``: range of its size; ``yaw_degrees``: None for
     any.
     """
 
