@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Panoramas outside of windows: which rooms get one, how bright it is, that lamps are on when it is dark."""
+"""Panoramas outside windows: which rooms get one, how bright it is, that lamps are on when it is dark."""
 
 from __future__ import annotations
 
