@@ -50,7 +50,7 @@ def alpha_from_roughness(roughness: Array) -> Array:
 def effective_roughness(roughness: Array) -> Array:
     """The roughness used in rendering: clamped to [0, 1], NaN becomes 1."""
     # NaN compares false and becomes 1. The comparisons include the ends, so that a parameter at an end keeps
-    # # its derivative and an optimiser can leave it again.
+    # its derivative and an optimiser can leave it again.
     below_one = dr.select(roughness <= 1.0, roughness, 1.0)
     return dr.select(below_one >= 0.0, below_one, 0.0)
 

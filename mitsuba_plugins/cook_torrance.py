@@ -199,7 +199,7 @@ class _Lobes:
         if self.has_specular:
             half = self.wi + wo
             # wi.h = |wi + wo| / 2 for unit vectors: exact where 1 + wi.wo would cancel. Likewise 1 - wi.h is
-            # # sin^2 / (1 + wi.h) with sin = |wi - wo| / 2: no cancellation where light and viewer coincide.
+            # sin^2 / (1 + wi.h) with sin = |wi - wo| / 2: no cancellation where light and viewer coincide.
             cos_half = 0.5 * dr.sqrt(dr.maximum(dr.squared_norm(half), 1e-30))
             one_minus_cos = 0.25 * dr.squared_norm(self.wi - wo) / (1.0 + cos_half)
             fresnel = self.specular + (1.0 - self.specular) * _fifth_power(dr.minimum(one_minus_cos, 1.0))

@@ -93,7 +93,7 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
 
 
 # Problems collected while a scene loads, or None outside such a context. A plain list: appending is
-# # atomic, and Mitsuba builds plugins on several threads.
+# atomic, and Mitsuba builds plugins on several threads.
 _gathered: list[Problem] | None = None
 
 

@@ -210,7 +210,7 @@ class _GlobalLink(nn.Module):
 
 def _draw_normal(weights: Tensor, deviation: float, mean: float = 0.0) -> None:
     # on the meta device, where a checkpoint is checked, initialisation would only import torch's compiler
-    # # (1 s), which makes a folder in the system's temporary one
+    # (1 s), which makes a folder in the system's temporary one
     if not weights.is_meta:
         nn.init.normal_(weights, mean, deviation)
 
