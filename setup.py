@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The packages; everything else is in pyproject.toml.
 
-The bundled library, recipes and small suite lie in ``scenes/`` of the repository and are installed inside
-of the package ``datagen``, as ``datagen/scenes``: pyproject.toml cannot express that for discovered packages.
+The bundled library, recipes and small suite lie in ``scenes/`` of the repository and are installed inside the
+package ``datagen``, as ``datagen/scenes``: pyproject.toml cannot express that for discovered packages.
 """
 
 from setuptools import find_packages, setup

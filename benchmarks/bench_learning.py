@@ -84,9 +84,8 @@ def metal_errors(
 ) -> dict[str, float]:
     """Errors of a checkpoint's specular albedo on metal (any channel above 0.2) and elsewhere.
 
-    They are, over ``num_views`` evenly spaced validation views, the share of metal among pixels with a
-    surface and in the sum of squared errors, and the mean squared error and mean prediction on metal and
-    elsewhere.
+    Over ``num_views`` evenly spaced validation views: the share of metal among surface pixels and in the sum
+    of squared errors, and the mean squared error and mean prediction on metal and elsewhere.
     """
     network, device = load_checkpoint(path).network, torch.device("cpu")
     data = open_data(datasets, network.config, 16)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checks that the named qualities lie on the Pareto front of error and time (docs/decisions/0071).
 
-    python -m benchmarks.bench_qualities                      3 rooms, 4 views of 320x192; exit code 1 if not
+    python -m benchmarks.bench_qualities                      3 rooms, 4 views of 320x192
     python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
 
 Plans configurations of the bundled library and compares ``draft`` and ``standard`` (with ``--reference`` also

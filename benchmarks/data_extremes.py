@@ -171,8 +171,8 @@ def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, f
     """Largest and median relative difference of a pixel from the room of scale 1 and radiance 1, for each
     case.
 
-    The random numbers are the same: differences come from rounding and from the origins of rays, so that a
-    path may hit the light just within its edge in one room and miss it in the other: a 64th of a pixel.
+    The random numbers are the same, so that differences come from rounding. Near the light's edge, one of a
+    pixel's 64 paths may hit the light in one room and miss it in the other.
     """
     expected = lit_floor(1.0, 1.0)
     found = [np.abs(lit_floor(metres, radiance) / radiance / expected - 1) for metres, radiance in cases]

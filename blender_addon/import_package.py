@@ -28,9 +28,7 @@ _OFF_CENTRE_M = 1e-4
 
 @dataclass
 class Imported:
-    """The new collection, and remarks on parts of the package that Blender cannot represent, or only
-    differently.
-    """
+    """The new collection, and remarks on parts of the package that Blender cannot represent exactly."""
 
     collection: bpy.types.Collection
     remarks: list[str] = field(default_factory=list)

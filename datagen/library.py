@@ -192,7 +192,7 @@ def find_packages(root: Path) -> list[Path]:
 
 
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
-    """Material classes of an asset: a material's own, or the classes of the slots of an object or room."""
+    """Classes of a material, or of the slots of an object or room."""
     if isinstance(asset, PanoramaAsset):
         return ()
     if isinstance(asset, MaterialAsset):

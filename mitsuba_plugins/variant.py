@@ -117,8 +117,7 @@ def has_cuda() -> bool:
 def resolve_variant(name: str | None = None) -> str:
     """Name of the variant that :func:`select_variant` would choose, without importing mitsuba.
 
-    None and ``auto`` choose as that function does. Raises :class:`InputError` on a name that is not
-    supported.
+    None and ``auto`` choose as that function does. Raises :class:`InputError` on an unsupported name.
     """
     name = None if name == "auto" else name
     name = name or os.environ.get("SCENE_MATERIALS_VARIANT") or (CUDA_VARIANT if has_cuda() else CPU_VARIANT)

@@ -63,7 +63,7 @@ def train(
 ) -> None:
     """Train the two tracks and the confidence networks on datasets.
 
-    Interrupt it with Ctrl-C and start it again with the same arguments: it continues bit for bit.
+    After Ctrl-C, the same command continues, bit for bit.
 
     Several GPUs: torchrun --nproc-per-node 4 -m model.cli train DATA --out RUN.
 

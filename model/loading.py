@@ -44,7 +44,7 @@ class ViewStream(IterableDataset[dict[str, Any]]):
     ``crop_px`` None and views of several sizes, a loader needs ``batch_size`` 1. Crops are shuffled within
     groups of eight views. ``rank`` and ``num_ranks`` come from ``torch.distributed`` if it is running; all
     ranks yield equally many samples, for which the last few views of an epoch may be dropped. Raises
-    :class:`InputError` for paths that are no dataset, if there are no views, and for damaged views, with
+    :class:`InputError` for paths that are not datasets, if there are no views, and for damaged views, with
     shard and view.
     """
 

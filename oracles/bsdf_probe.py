@@ -75,7 +75,7 @@ def _texels(values: np.ndarray) -> np.ndarray:
 
 
 def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **options: Any) -> Any:
-    """A cook_torrance whose channels differ from lane to lane: D, S (n, 3) or number, R (n,) or number.
+    """A cook_torrance whose channels differ from lane to lane: D, S (n, 3) or a number, R (n,) or a number.
 
     Values are set after construction, so that they may lie outside the range that the plugin accepts.
     """

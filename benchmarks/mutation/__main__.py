@@ -71,7 +71,7 @@ class Copy:
         return {**os.environ, **own, **more}
 
     def run_once(self, tests: tuple[str, ...], **more: str) -> None:
-        """Run tests in a separate process; ends this one if they fail."""
+        """Run tests in a separate process; exit if they fail."""
         command = [sys.executable, "-m", "pytest", *self._arguments(tests)]
         if more:
             command += ["-p", "benchmarks.mutation.tracing"]

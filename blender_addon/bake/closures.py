@@ -2,8 +2,8 @@
 """A graph of closures as a list of weighted lobes, each with a diffuse reflectance, an F0 and a roughness.
 
 Mix Shader weights its inputs, Add Shader sums them, groups are entered. Closures without a counterpart in the
-project's BSDF are approximated with a statement of the error, or refused by name: the policy for each closure
-is in the function that handles it, and described in docs/blender.md.
+project's BSDF are approximated with a statement of the error, or refused with their name: the policy for each
+closure is in the function that handles it, and described in docs/blender.md.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class Dependencies:
 
     @property
     def needs_mesh(self) -> bool:
-        """Whether a bake on a plane cannot replace one on the mesh."""
+        """Whether a bake on a plane cannot replace a bake on the mesh."""
         return self.mesh or self.world or len(self.uv_layers) > 1
 
     @property

@@ -72,7 +72,9 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
 
 
 def image_frame(stack: Stack, node: bpy.types.Node) -> UvFrame | None:
-    """The frame in which an Image Texture reads its image; None if it is no affine map of a UV layer."""
+    """The frame in which an Image Texture reads its image; None if that is not an affine map of a UV
+    layer.
+    """
     legacy = node.texture_mapping
     if (
         tuple(legacy.translation) != (0, 0, 0)

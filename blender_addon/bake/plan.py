@@ -42,7 +42,7 @@ class PlainImage:
 class MaterialPlan:
     """Export plan of one material.
 
-    ``constants`` need at most the bake of one value; ``images`` are used unchanged, including a normal map if
+    ``constants`` need a bake of one value at most; ``images`` are used unchanged, including a normal map if
     normals are exported and ``bakes_normal`` is not needed for them; ``varying`` are baked on a plane, or on
     the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
     """

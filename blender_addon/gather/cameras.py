@@ -36,7 +36,7 @@ def gather_camera(
     metres_per_unit: float,
     problems: ProblemList,
 ) -> CameraData | None:
-    """One perspective camera; others are refused by name. Pixels may be non-square."""
+    """One perspective camera; other cameras are refused. Pixels may be non-square."""
     camera = thing.data
     if camera.type != "PERSP":
         problems.add(

@@ -22,7 +22,7 @@ WORLD_FROM_ENVIRONMENT = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0
 def gather_world(
     scene: bpy.types.Scene, session: BakeSession, problems: ProblemList, size_px: int = 2048
 ) -> tuple[dict[str, Any], NDArray[np.float32] | None] | None:
-    """The environment light and, if it is no constant, its image (H, W, 3), row 0 at the top.
+    """The environment light and, if it is not constant, its image (H, W, 3), row 0 at the top.
 
     None if the world is black or missing. An equirectangular image, rotated at most about Z, keeps its
     pixels; any other graph is rendered as a panorama ``size_px`` wide.

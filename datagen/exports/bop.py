@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` and so on.
 
-Millimetres, camera x right, y down, z forward, as in this project. BOP's poses are rigid: each scale of an
-object is a separate model. ``boxes3d.json`` holds every object's box in the world, in metres, visible or not.
-``mask_visib`` and ``bbox_visib`` cover the visible pixels, ``bbox_obj`` the whole silhouette.
+Lengths are in millimetres; camera axes are as in this project: x right, y down, z forward. BOP's poses are
+rigid: each scale of an object is a separate model. ``boxes3d.json`` holds every object's box in the world, in
+metres, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels, ``bbox_obj`` the whole
+silhouette.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """Boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
 Masks are run-length encoded in COCO's compressed form: lengths of runs down the columns, beginning with
-background, each as the difference to the length before the previous one, in groups of five bits.
+background, each as the difference from the second-last length, in groups of five bits.
 """
 
 from __future__ import annotations

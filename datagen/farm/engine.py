@@ -68,7 +68,7 @@ def with_setup(options: SlurmOptions, root: Path) -> str:
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """Shell commands of every collecting job; the exit code is that of the last failed step."""
+    """Shell commands of every collecting job; they exit with the code of the last failed step."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?

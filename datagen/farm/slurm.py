@@ -97,7 +97,7 @@ exit "$code"
 def collect_script(root: Path, options: SlurmOptions) -> str:
     """The dependent job's script: status, index, verification, report.
 
-    The job requests no GPU; its exit code is that of the last failed step.
+    The job requests no GPU; it exits with the code of the last failed step.
     """
     check_folder(root, "slurm")
     directives: dict[str, str | None] = {

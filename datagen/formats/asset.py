@@ -100,7 +100,7 @@ class Material(StrictModel):
 
 
 class SlotMaterial(Material):
-    """A material inside an object or environment. Its name is its slot.
+    """A material inside an object or environment, with the name of its slot.
 
     ``replaceable_by``: classes of material that suit the geometry and may replace it; empty = fixed.
     ``baked_from``: the material of which this slot holds a bake for one mesh; slots with the same origin are

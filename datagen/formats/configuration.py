@@ -82,7 +82,7 @@ class ViewCamera(PinholeFields):
 
     @classmethod
     def from_camera(cls, name: str, camera: Camera) -> ViewCamera:
-        """The file form of a camera."""
+        """A camera as stored in a file."""
         rows = tuple(tuple(float(x) for x in row) for row in camera.world_from_camera)
         return cls(
             name=name,

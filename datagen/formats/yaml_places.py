@@ -22,7 +22,7 @@ class YamlPlaces:
     def __call__(self, location: tuple[int | str, ...]) -> str:
         """``FILE:LINE:COLUMN`` of a field, or of its parent if it is missing.
 
-        A part that is no key is skipped: models put the kind of a choice into their paths.
+        A part that is not a key is skipped: models put the kind of a choice into their paths.
         """
         mark, node = (self._root.start_mark if self._root is not None else None), self._root
         for part in location:

@@ -25,7 +25,7 @@ def fault_of(
     """The file (or folder) behind a name in ``folder``, links followed; or None and the reason for its
     refusal.
 
-    ``allowed`` are further permitted folders. Missing files are no fault.
+    ``allowed`` are further permitted folders. Missing files are not faults.
     """
     name = name.replace("\\", "/")
     if not name:
@@ -71,7 +71,7 @@ def named_file(
 
 
 def inside(root: Path, path: Path) -> Path:
-    """``path`` if it stays below ``root`` when links are followed, and is no pipe, device or folder.
+    """``path`` if it stays below ``root`` when links are followed, and is not a pipe, device or folder.
 
     A missing file is reported by its reader. Raises :class:`InputError`.
     """

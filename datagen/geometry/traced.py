@@ -153,7 +153,7 @@ def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArra
 
 
 def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.int32]:
-    """Index (M,) of each triangle's smooth region: triangles joined over edges that bend less than the angle.
+    """Index (M,) of each triangle's smooth region: triangles joined over edges bent less than the angle.
 
     Vertices at equal positions count as one. The two sides of a sharp edge, and objects that do not touch,
     are different regions.

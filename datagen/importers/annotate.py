@@ -225,7 +225,7 @@ def _is_same(
 
 
 def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
-    """The surfaces except treads: surfaces beside which there is one a step higher and one a step lower.
+    """The surfaces except treads, which have neighbours a step higher and a step lower beside them.
 
     Shelves have such neighbours too, but directly above and below.
     """

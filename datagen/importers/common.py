@@ -52,9 +52,9 @@ class ImportOptions:
     removed, solid bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent
     files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file; None is 1,
     or a plausible value for formats that state no unit. ``defines`` are values for ``$names`` of a Mitsuba
-    scene. Empty strings are detected or derived. ``allowed`` are folders, in addition to the source's own,
-    from which files may be read; ``limits`` apply to each source and are by default from the environment
-    variables.
+    scene. Options that are empty strings are detected or derived. ``allowed`` are folders, in addition to the
+    source's own, from which files may be read; ``limits`` apply to each source and are by default from the
+    environment variables.
     """
 
     kind: ImportKind = "auto"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""glTF materials as D, S and R; other properties are approximated or refused by name."""
+"""glTF materials as D, S and R; other properties are approximated, or refused with their name."""
 
 from __future__ import annotations
 

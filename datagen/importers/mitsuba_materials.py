@@ -3,7 +3,7 @@
 
 A BSDF first becomes a :class:`Draft`, which names the visible channels and their sources; drafts of
 transparent BSDFs carry their kind, so that the scene importer can apply the policy chosen by the user. BSDFs
-without a mapping are refused by name.
+without a mapping are refused with their name.
 """
 
 from __future__ import annotations

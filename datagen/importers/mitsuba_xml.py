@@ -2,7 +2,8 @@
 """A Mitsuba 3 scene (XML) as an environment package: one part per shape, metres, Z up.
 
 docs/importing.md lists the conversions and their errors. Nothing is dropped or replaced silently: content
-without a conversion is refused by name, or replaced by option and listed in the record of the import.
+without a conversion is refused with its name or, if an option allows, replaced and listed in the record of
+the import.
 """
 
 from __future__ import annotations

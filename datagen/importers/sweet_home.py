@@ -3,7 +3,7 @@
 
 A model is rotated by its catalogue's rotation, scaled to the catalogue's width, depth and height, oriented
 upright (the file's +Y is up, its +Z the front, which becomes -Y) and put on z = 0. Pieces that cannot be
-imported are refused by name; all other pieces are imported. Existing packages are kept, so that an
+imported are listed in the error; all other pieces are imported. Existing packages are kept, so that an
 interrupted import resumes.
 """
 
@@ -80,7 +80,7 @@ def import_sweet_home(
     """Import every possible piece of a .sh3f file; returns the records of all pieces imported now or
     kept from earlier runs.
 
-    Raises :class:`InputError` if the file is no catalogue, and at the end with all refused pieces.
+    Raises :class:`InputError` if the file is not a catalogue, and at the end with all refused pieces.
     """
     options = options or ImportOptions()
     _check_options(path, options)

@@ -122,7 +122,7 @@ class Catalogue:
 def open_catalogue(path: Path, budget: Budget) -> Catalogue:
     """Open a .sh3f file and read its pieces; ``budget`` applies to the whole file.
 
-    Raises :class:`InputError` if it is no catalogue.
+    Raises :class:`InputError` if it is not a catalogue.
     """
     expected = f"a Sweet Home 3D furniture library: a zip that holds {CATALOGUE_FILE}"
     try:

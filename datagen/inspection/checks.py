@@ -39,7 +39,7 @@ def _first(mask: NDArray) -> str:
 
 
 def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: str) -> list[Fault]:
-    """Buffers that are missing or differ from the camera's size."""
+    """Find buffers that are missing or differ from the camera's size."""
     faults = [Fault("buffer", where, f"no {name}", "this buffer") for name in expected if name not in view]
     for name, array in view.items():
         shape = (camera.height_px, camera.width_px, BUFFERS[name].num_channels)
@@ -49,7 +49,7 @@ def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: st
 
 
 def check_finite(view: View, where: str) -> list[Fault]:
-    """NaN and Inf in any buffer."""
+    """Find NaN and Inf in any buffer."""
     faults = []
     for name, array in view.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
@@ -60,7 +60,7 @@ def check_finite(view: View, where: str) -> list[Fault]:
 
 
 def check_range(view: View, where: str) -> list[Fault]:
-    """Values outside the registered range; NaN is covered by another check."""
+    """Find values outside the registered range; NaN is covered by another check."""
     faults = []
     for name, array in view.items():
         buffer = BUFFERS[name]
@@ -78,7 +78,7 @@ def check_range(view: View, where: str) -> list[Fault]:
 
 
 def check_normals(view: View, where: str) -> list[Fault]:
-    """Normals on surfaces that are not of unit length."""
+    """Find normals of surface pixels that do not have unit length."""
     surface = view["surface_mask"][..., 0] > 0
     normal = view["normal_world"].astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -118,7 +118,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 
 
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Fireflies; a small number is a warning, since a small highlight can look like one.
+    """Find fireflies; a small number is a warning, since a small highlight can look like one.
 
     Metal and gloss are excluded, since they have such highlights of lamps and the sun.
     """
@@ -135,7 +135,7 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Black, flat and overexposed frames; ``exposure`` is the median exposure of the configuration's
+    """Find black, flat and overexposed frames; ``exposure`` is the median exposure of the configuration's
     views.
     """
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
@@ -157,7 +157,7 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
 
 
 def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> list[Fault]:
-    """Order of the statistics, counts of 0 on surfaces, counts above ``most_views``, and differing
+    """Find statistics out of order, counts of 0 on surfaces, counts above ``most_views``, and a differing
     background.
 
     ``has_own``: a view's own pixel is a candidate, so that no surface may have the count 0.
@@ -215,7 +215,7 @@ def check_roughness(
     textured: Mapping[str, float],
     where: str,
 ) -> list[Fault]:
-    """Materials of constant roughness that should vary.
+    """Find materials whose roughness is constant although their texture varies.
 
     ``names`` maps ids (as text) to material names, ``textured`` names to the range of their texture's values.
     Materials with few pixels, or with a nearly constant texture, are ignored.

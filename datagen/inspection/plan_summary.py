@@ -41,7 +41,7 @@ def plan_summary(configurations: Iterable[Configuration]) -> str:
 
 
 def lack_for_training(metal_share: float, gloss_share: float) -> str:
-    """Shares of metal and gloss that are too small in training views, and the remedy; "" for neither."""
+    """Shares of metal and gloss that are too small in training views, and the remedy; "" if both suffice."""
     shares = (("S > 0.3", metal_share, MIN_METAL_SHARE), ("R < 0.3", gloss_share, MIN_GLOSS_SHARE))
     short = [
         f"{name} in {share:.1%} of them (at least {least:.0%})"

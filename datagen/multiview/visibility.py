@@ -199,7 +199,7 @@ def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projecti
 
 
 def max_distance(views: PackedViews, points: mi.Point3f) -> mi.Float:
-    """max_j d_jp over all cameras, whether or not the point is visible there (*traced*)."""
+    """Largest distance from each point to any camera, max_j d_jp, visible or not (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 

@@ -49,7 +49,7 @@ class Furnished:
 
 
 def faults_of(room: Furnished) -> list[Fault]:
-    """All faults of a room; empty for a sound one."""
+    """All faults of a room; empty if there are none."""
     boxes = [item.boxes() for item in room.items]
     bounds = [hull_of(b) for b in boxes]
     found = _outside(room, bounds)

@@ -215,7 +215,9 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats, is_print: bool = False) -> Shape:
-    """A smooth sheet over a (rows, columns, 3) lattice; from its front, columns run right and rows up."""
+    """A smooth sheet over a (rows, columns, 3) lattice; seen from its front, columns run right and rows
+    up.
+    """
     rows, columns = points.shape[:2]
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)

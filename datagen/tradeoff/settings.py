@@ -121,7 +121,7 @@ def base_setting(variant: str) -> Setting:
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
-    """Base, one-at-a-time sweeps and factorial, each setting once, in a fixed order.
+    """The base point, the one-at-a-time sweeps and the factorial: each setting once, in a fixed order.
 
     A sweep is a field's name, or ``NAME=VALUE,VALUE`` with custom values. Raises :class:`InputError`.
     """

@@ -33,7 +33,7 @@ def evaluate(
 ) -> None:
     """Evaluate reconstructions on test scenes: tables of maps, re-renderings and time; a page of pictures.
 
-    Interrupt it with Ctrl-C and start it again with the same arguments: it continues.
+    After Ctrl-C, the same command continues.
 
     Example: materials evaluate small --out evaluation
     """

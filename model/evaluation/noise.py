@@ -84,7 +84,7 @@ class Difference:
 
     @property
     def is_none(self) -> bool:
-        """Whether it may well be due to chance."""
+        """Whether the difference may be due to chance."""
         return not abs(self.this - self.other) > SURE * self.error
 
 

@@ -79,7 +79,7 @@ def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, Judg
 
 
 def _summary(scene: SceneResult) -> str:
-    """The main figures; the best of the methods that are no bounds is bold."""
+    """The main figures; the best method, apart from bounds, is bold."""
     judged = [method for method in scene.methods if not method.skipped]
     heads = [f"{letter} (MSE)" for letter in LETTERS.values()]
     heads += [f"{light} light, {views} (dB)" for light in LIGHTS for views in VIEW_SETS]

@@ -91,9 +91,8 @@ class PreparedScene:
 
     ``capture`` is a shard for :func:`model.reconstruction.captures.read_capture`, with the true maps of every
     view; ``library`` its asset folders, ``package`` the room with its true materials and lights.
-    ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: hashes that must not
-    occur in a checkpoint's training data, of each package by its id and of each of its files by
-    ``<id>/<file>``.
+    ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: hashes of the packages,
+    by id, and of their files, by ``<id>/<file>``, none of which may occur in a checkpoint's training data.
     """
 
     name: str
@@ -109,8 +108,8 @@ class PreparedScene:
 class PlannedScene:
     """A test scene with known assets and cameras, not yet rendered.
 
-    ``asset_sha256``: hashes that must not occur in a checkpoint's training data, of each package by its id
-    and of each of its files by ``<id>/<file>``.
+    ``asset_sha256``: hashes of the packages, by id, and of their files, by ``<id>/<file>``, none of which may
+    occur in a checkpoint's training data.
     """
 
     recipe: TestScene

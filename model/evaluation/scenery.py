@@ -48,7 +48,7 @@ class Scenery:
     library: tuple[Path, ...]
 
     def seen_by(self, cameras: Sequence[str]) -> Scenery:
-        """The scenery from these cameras only, in this order."""
+        """The scenery with only ``cameras``, in this order."""
         by_name = {camera.name: camera for camera in self.configuration.cameras}
         chosen = tuple(by_name[name] for name in cameras)
         return self._with({"cameras": chosen})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Perceptual distances between images (B, 3, H, W) in [0, 1]: E-LPIPS, LPIPS, and one without learned
+"""Perceptual distances between images (B, 3, H, W) in [0, 1]: E-LPIPS, LPIPS, and a distance without learned
 weights.
 
 E-LPIPS (Kettunen et al. 2019) is LPIPS after random but identical transforms of both images and dropout with

@@ -26,7 +26,9 @@ NUM_COVERAGE_BINS = 32
 
 @dataclass(frozen=True)
 class Axis:
-    """Bins of a histogram: ``edges`` increase; ``scale`` is their spacing (whole: one per whole number)."""
+    """Bins of a histogram: ``edges`` increase; ``scale`` is their spacing (``whole``: one bin for each whole
+    number).
+    """
 
     title: str
     unit: str

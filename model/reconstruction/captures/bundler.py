@@ -33,7 +33,7 @@ _LISTS = ("list.txt", "image_list.txt", "bundle.out.list.txt")
 
 
 def find(path: Path) -> Path | None:
-    """The file at ``path``, or the only ``.out`` in that folder."""
+    """The file at ``path``, or the only ``.out`` file in that folder."""
     files = sorted(path.glob("*.out")) if path.is_dir() else [path] if path.suffix == ".out" else []
     found = [file for file in files if head_of(file).startswith("# Bundle file")]
     return found[0] if len(found) == 1 else None

@@ -60,7 +60,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
-    """Every registered image, by file name. Binary files are preferred if the folder has both forms."""
+    """Every registered image, by file name. Binary files are preferred if the folder has both formats."""
     if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
         lenses, poses = (
             _read_binary_cameras(folder / "cameras.bin", budget),

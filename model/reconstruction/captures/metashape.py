@@ -51,7 +51,7 @@ class _Sensor:
 
 
 def find(path: Path) -> Path | None:
-    """The camera file at ``path``, or the only one in that folder."""
+    """The camera file at ``path``, or the only camera file in that folder."""
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path] if path.suffix.lower() == ".xml" else []
     found = [file for file in files if "<document" in head_of(file) and "<chunk" in head_of(file)]
     return found[0] if len(found) == 1 else None

@@ -7,9 +7,9 @@ where t1 multiplies (r^2 + 2 x^2): OpenCV's p2, p1. The files have no image size
 available.
 
 CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera that
-looks along -z with y up: all zero looks straight down with north (+y) at the top. XMP: ``Rotation`` is
-camera_from_world row by row, of a camera with y down and z forward; ``Position`` is the centre
-("RealityCapture XMP camera math").
+looks along -z with y up: with all angles zero it looks straight down, with north (+y) at the top. XMP:
+``Rotation`` is camera_from_world row by row, of a camera with y down and z forward; ``Position`` is the
+centre ("RealityCapture XMP camera math").
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _FILM_MM = 36.0
 
 
 def find_csv(path: Path) -> Path | None:
-    """The CSV at ``path`` or the only one of this kind in that folder."""
+    """The CSV at ``path``, or the only CSV of this kind in that folder."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
     found = [file for file in files if _columns(head_of(file)) is not None]
     return found[0] if len(found) == 1 else None

@@ -65,7 +65,7 @@ class WarpMatch:
     """Rotation (clockwise in the image) and magnification of the mesh's image about the camera axis that
     align it with the photograph's.
 
-    Each has the gain of its peak in standard deviations. ``at_peak``: the higher of both peaks.
+    For each, the gain of its peak is given in standard deviations. ``at_peak``: the higher of both peaks.
     """
 
     roll_rad: float

@@ -39,7 +39,8 @@ class Registration:
     """The common error, as far as it is significant.
 
     ``offset_m``: offset of the mesh relative to the cameras, None if insignificant. ``scale``: scale of the
-    mesh relative to the cameras, 1 if correct. The rest is the remaining shift of each view.
+    mesh relative to the cameras, 1 if correct. ``left_px``: remaining shift of each view. ``center_m``: the
+    cameras' mean position.
     """
 
     offset_m: tuple[float, float, float] | None

@@ -36,7 +36,7 @@ SURE = 5.0  # standard deviations: a peak of this height is not chance
 class ViewCheck:
     """Findings of a view.
 
-    Shares are shares of the view's pixels; ``off_deg`` is the shift as an angle of the camera, None if the
+    Shares are fractions of the view's pixels; ``off_deg`` is the shift as an angle of the camera, None if the
     edges do not determine it; ``depth_m`` and ``zoom_depth_m``: distances of edges that apply to shifts and
     to magnifications.
     """

@@ -77,7 +77,7 @@ def mask_png(atlas: Atlas) -> bytes:
 def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``.
 
-    If confidence is known, also ``confidence.png`` and ``.exr`` with D, S and R in R, G and B.
+    If confidence is known, ``confidence.png`` and ``.exr`` are written too, with D, S and R in R, G and B.
     """
     folder.mkdir(parents=True, exist_ok=True)
 

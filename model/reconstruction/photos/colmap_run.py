@@ -168,7 +168,7 @@ class ColmapRun:
 
 
 def _size(model: Path) -> int:
-    """Bytes of a model's images; 0 if it is no model."""
+    """Bytes of a model's images; 0 if there is no model."""
     for name in ("images.bin", "images.txt"):
         if (model / name).is_file():
             return (model / name).stat().st_size

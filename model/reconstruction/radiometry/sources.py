@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Sources that clip in all photographs: emitters, openings and surfaces.
 
-Each clipped emitter is a source, each connected part of a face of the room's box with clipped background, and
-each patch of neighbouring surfels that no view shows below the limit. A source has one colour, unknown in the
-clipped channels.
+Each clipped emitter is a source. So is each connected part of a face of the room's box with clipped
+background, and each patch of neighbouring surfels that no view shows below the limit. A source has one
+colour, unknown in the clipped channels.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ MAX_SOURCES = 24
 class Sources:
     """Sources (S) that clip.
 
-    ``bound`` (S, 3) is the photographed radiance, ``is_open`` (S, 3) tells in which channels it is a lower
-    bound; the rest is the source of each emitter (K,), background bin (B,) and surfel (N,), -1 for none.
+    ``bound`` (S, 3) is the photographed radiance, a lower bound in the channels where ``is_open`` (S, 3) is
+    True. The other arrays hold the index of the source of each emitter (K,), background bin (B,) and surfel
+    (N,), -1 for none.
     """
 
     bound: NDArray[np.float64]
