@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baseline of bench_cycles.py: Cycles from pip's bpy, set up as in BlenderProc. It must not share a process
-with mitsuba.
+"""Baseline of bench_cycles.py: Cycles from pip's bpy, set up as in BlenderProc. The module must not share a
+process with mitsuba.
 
     python -m benchmarks.cycles_baseline build EXPORT OUT.blend
     python -m benchmarks.cycles_baseline render BLEND OUT VIEW... --samples 32 --max-depth 8 [--noisy]

@@ -42,7 +42,7 @@ class RecipeChanges:
     views: Annotated[int | None, typer.Option(help="Views per configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
-        """The recipe's file, which may be a bundled one, and the recipe; flags override the file, which
+        """The recipe's file, which may be a bundled file, and the recipe; flags override the file, which
         overrides defaults.
         """
         from datagen.formats.base import parse_model, read_yaml

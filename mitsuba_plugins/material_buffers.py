@@ -339,8 +339,8 @@ class MaterialBuffers(mi.SamplingIntegrator):
     """The integrator ``material_buffers``: all channels of :data:`CHANNELS` as one tensor (H, W, 17).
 
     Parameter ``hide_emitters`` (default false). Ids are numbered in the scene's order by
-    :func:`mitsuba_plugins.surface_material.number_shapes`; assign ``integrator.ids`` to choose them. They are
-    exact as floats: below 2^24.
+    :func:`mitsuba_plugins.surface_material.number_shapes`; assign ``integrator.ids`` to choose them. Ids
+    below 2^24 are exact as floats.
     """
 
     def __init__(self, props: mi.Properties):

@@ -138,7 +138,7 @@ def check_variant(name: str | None = None) -> None:
 def select_variant(name: str | None = None) -> str:
     """Set the Mitsuba variant of this process and return its name. Repeated calls are cheap.
 
-    ``name`` is one of :data:`VARIANTS`. None and ``auto`` choose the active one, else
+    ``name`` is one of :data:`VARIANTS`. None and ``auto`` choose the active variant, else
     ``SCENE_MATERIALS_VARIANT`` from the environment, else CUDA if a GPU responds, else LLVM. Raises
     ``RuntimeError`` if another variant is already active, and :class:`InputError` if the installed LLVM is
     too old.

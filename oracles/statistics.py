@@ -2,7 +2,7 @@
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
 The loops follow the definitions literally and are correct by inspection. The vectorised version must equal
-them; it also returns how close every pixel is to a decision that float32 could take differently, and is the
+them; it also returns the distance of every pixel from a decision that could differ in float32, and is the
 baseline for speed. Both are independent of the kernels that they check. A view is any object with ``camera``,
 ``color`` (H, W, 3), ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
@@ -23,7 +23,7 @@ Occlusion = Callable[[NDArray, NDArray], NDArray]
 
 @dataclass(frozen=True)
 class OracleOptions:
-    """The options of the project's kernels; ``occlusion`` replaces the depth test by an exact one."""
+    """The options of the project's kernels; ``occlusion`` replaces the depth test by an exact test."""
 
     best_views: int = 12
     include_self: bool = True

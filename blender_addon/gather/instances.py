@@ -47,7 +47,7 @@ class Instance:
 
 @dataclass
 class Gathered:
-    """``meshes`` by key, and their instances."""
+    """Gathered ``meshes`` by key, and their instances."""
 
     meshes: dict[int, MeshArrays] = field(default_factory=dict)
     instances: list[Instance] = field(default_factory=list)

@@ -72,8 +72,8 @@ class LightProbe:
     def irradiance(self, points: Floats, draws: Draws, rays_per_point: int = 8) -> Floats:
         """Irradiance (P, G, 3) in W/m^2 at free points (P, 3), averaged over the orientation of the receiver.
 
-        This is a quarter of the fluence rate, sampled by emitters for direct light and by random rays for
-        indirect light.
+        The result is a quarter of the fluence rate, sampled by emitters for direct light and by random rays
+        for indirect light.
         """
         count = len(points)
         direct = np.zeros((count, len(self.groups), 3))

@@ -380,8 +380,8 @@ def choose_views(
 def choose_overlapping(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float
 ) -> tuple[list[int], int]:
-    """Like :func:`choose_views`, for views of a room: the next view is the one with the largest overlap with
-    the chosen views.
+    """Like :func:`choose_views`, for views of a room: the view with the largest overlap with the chosen views
+    is chosen next.
 
     The score of a view is its mean overlap with the chosen views in both directions, plus a small bonus for
     being different. Views without walls are used once :data:`_ROOM_SHARE` of the views with walls are chosen.

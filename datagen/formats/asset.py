@@ -76,7 +76,7 @@ MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
 class Material(StrictModel):
     """The three channels of the project's BSDF, opacity, normal map and emission.
 
-    ``classes``: the first one is the main class. ``tile_size_m``: side of the square that one UV unit covers
+    ``classes``: the first is the main class. ``tile_size_m``: side of the square that one UV unit covers
     on a surface, for materials that may be assigned to any object; None for unique UV layouts. ``normal``:
     tangent-space normal texture (linear, OpenGL convention, +Y up). ``opacity``: 1 = opaque. ``emission``:
     radiance in W/(m^2 sr); an emitter has no ground-truth channels and is masked. ``approximations``:

@@ -47,7 +47,7 @@ _NOUNS: dict[LimitName, str] = {
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an import; ``_NOUNS`` explains each count.
+    """Limits of an import on each count that a budget charges.
 
     A mesh counts as many triangles as it has faces or, if more, a third of its vertices.
     """

@@ -4,8 +4,8 @@
 A point p of view a, with normal n, is projected into view b, where the pixel's own depth gives a point q.
 Either q is on p's surface, or q lies in front (the point is occluded in b, which is allowed), or q lies
 behind, so that b shows something beyond a surface visible in a. For matched points the residual is the
-distance of q from p's tangent plane, |n . (q - p)| / z: on flat surfaces it vanishes wherever in b's pixel p
-falls, so that it measures errors of depth and pose, not the size of pixels.
+distance of q from p's tangent plane, |n . (q - p)| / z: on flat surfaces it is zero wherever p falls within
+b's pixel, so that it measures errors of depth and pose, not the size of pixels.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 
 A reference holds, for each view, two independent images (so that their own noise adds nothing to the errors,
 see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed from the
-denoised means of both images with traced visibility and the maximum number of best views. It is named by the
-hash of everything that affects it, so that another library, configuration, resolution, sample count or
-renderer never reuses it.
+denoised means of both images with traced visibility and the maximum number of best views. A reference is
+named by the hash of everything that affects it, so that another library, configuration, resolution, sample
+count or renderer never reuses it.
 """
 
 from __future__ import annotations

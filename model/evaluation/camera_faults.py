@@ -10,7 +10,7 @@ limit are clipped: ``clipped_share`` of all pixels of all images at the common e
 first. A curve steeper than sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG
 of quality ``jpeg``. The reader assumes sRGB for 8 bits and linear values for 14, as ``materials infer`` does.
 The poses given to methods are off by ``pose_mm`` along each axis and by an angle of ``pose_deg`` about a
-random one (standard deviations), and the mesh has the errors of ``geometry`` unless the method sets its own.
+random axis (standard deviations), and the mesh has the errors of ``geometry`` unless the method sets its own.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _DARK = 1e-6  # keeps the ratio of two black pixels at 1
 
 
 def common_exposure(views: Sequence[JudgedView]) -> float:
-    """One exposure for all views: it maps the 95th percentile of the luminance of their surface pixels to
+    """One exposure for all views, which maps the 95th percentile of the luminance of their surface pixels to
     0.9.
     """
     return exposure_for(np.concatenate([view.color[view.surface_mask] for view in views]))

@@ -173,7 +173,7 @@ class Suite(StrictModel):
 
 
 def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
-    """The suite of a file, or a bundled one by its name, with absolute paths.
+    """The suite in a file, or the bundled suite with that name, with absolute paths.
 
     ``checkpoint`` replaces the bundled checkpoint. Raises :class:`InputError` with every fault of the file
     and every missing file that it names.

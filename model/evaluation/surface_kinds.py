@@ -32,7 +32,9 @@ _LIFT_M = 1e-3  # offset of a shadow ray from its surface, to avoid self-shadowi
 
 @dataclass(frozen=True)
 class ViewSurfaces:
-    """``kinds``: masks (H, W) by name, True on surface only; ``region``: indices (H, W), -1 for none."""
+    """Kinds of surface in a view: ``kinds``, masks (H, W) by name, True on surface only; ``region``, indices
+    (H, W), -1 for none.
+    """
 
     kinds: dict[str, NDArray[np.bool_]]
     region: NDArray[np.int32]

@@ -37,7 +37,9 @@ _ALL = {
 
 @dataclass(frozen=True)
 class Table:
-    """``rows`` have a cell for each column, None if it is empty; ``digits``: number of digits by column."""
+    """A table; ``rows`` have a cell for each column, None if it is empty; ``digits``: number of digits by
+    column.
+    """
 
     name: str
     title: str

@@ -30,8 +30,8 @@ FINAL_FILE = "final.safetensors"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """``run.json`` (inputs of the run), ``state.safetensors`` (its progress), ``best-<phase>.safetensors``
-    and ``final.safetensors``.
+    """A run's folder: ``run.json`` (inputs of the run), ``state.safetensors`` (its progress),
+    ``best-<phase>.safetensors`` and ``final.safetensors``.
 
     All ranks call each method; the first rank writes.
     """

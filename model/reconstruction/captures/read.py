@@ -209,7 +209,9 @@ def _calibrated(
 
 
 def has_cameras(path: Path) -> bool:
-    """Whether there is a capture of a known format at ``path``; its faults are found when it is read."""
+    """Whether there is a capture of a known format at ``path``; the capture's faults are found when it is
+    read.
+    """
     is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
     return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
 
@@ -254,7 +256,7 @@ def open_capture(
     mesh_in_its_frame: Mesh | None = None,
     budget: Budget | None = None,
 ) -> Capture:
-    """A capture of photographs; its mesh is read unless given, and its images are checked to exist."""
+    """A capture of photographs; the mesh is read unless given, and the images are checked to exist."""
     problems = [
         Problem(base / p.image, "", "no such file", "the view's image", "correct capture.json")
         for p in record.photographs

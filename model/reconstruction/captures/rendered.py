@@ -60,7 +60,7 @@ def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
     """The library of a shard: the given paths, else the library from which its dataset was made, else the
     bundled library.
 
-    The hashes in the configuration tell whether the library is the right one.
+    The hashes in the configuration show whether the library is the same.
     """
     folder = DatasetFolder(shard.parent.parent)
     if paths:

@@ -75,7 +75,7 @@ def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
 def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
     """Slots by name.
 
-    They are ``surface``; ``lamp-0``, ``lamp-1``, ..., the emissive parts of the geometry, with recovered
+    The slots are ``surface``; ``lamp-0``, ``lamp-1``, ..., the emissive parts of the geometry, with recovered
     radiance if there is any; and ``found-0``, ... (``found_lights``).
     """
     mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry

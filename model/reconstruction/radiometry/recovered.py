@@ -156,7 +156,7 @@ def doubt_of(
     """A function that returns the uncertain luminance (N,) of diffuse shading at positions and normals (N,
     3).
 
-    This is the part from sources of uncertain radiance, weighted by the uncertainty.
+    Only sources of uncertain radiance contribute, weighted by the uncertainty.
     """
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
     return lambda position_m, normal: (

@@ -13,7 +13,7 @@ Builder = Callable[[bpy.types.Collection], None]
 
 @dataclass(frozen=True)
 class EnvironmentSource:
-    """``build`` fills a collection that is tagged as an environment."""
+    """A room's source: ``build`` fills a collection that is tagged as an environment."""
 
     title: str
     build: Builder

@@ -16,8 +16,8 @@ TABLETOP = "table, shelf, counter, sill"
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """``supports``: kinds of surface for the object; ``scale``: range of its size; ``yaw_degrees``: None for
-    any.
+    """An object's source. ``supports``: kinds of surface for the object; ``scale``: range of its size;
+    ``yaw_degrees``: None for any.
     """
 
     title: str
