@@ -316,11 +316,11 @@ def render_material_buffers(
 ) -> dict[str, np.ndarray]:
     """Ground-truth buffers of one view as NumPy arrays (H, W, C), by the names of ``foundation.buffers``.
 
-    float32 except for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers it
-    contains ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to
-    (instance id, material id); a :class:`SceneMaterials` made once serves all views of a scene.
-    ``hide_emitters`` must be as in the beauty image's integrator. Raises :class:`InputError` if a
-    shape's material has no D, S and R or a shape is missing from ``ids``.
+    float32 except for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers, the
+    result contains ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids
+    to (instance id, material id); a :class:`SceneMaterials` made once serves all views of a scene.
+    ``hide_emitters`` must be as in the beauty image's integrator. Raises :class:`InputError` if a shape's
+    material has no D, S and R or a shape is missing from ``ids``.
     """
     _check_spp(spp)
     view = _make_view(scene, sensor, ids, hide_emitters)

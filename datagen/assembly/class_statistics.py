@@ -3,10 +3,10 @@
 
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
-For each main class, this prints the number of materials, the 5th, 50th and 95th percentile of the brightest
-channel of their mean D and of their mean R with the limits of variation, and the spread of texels about the
-material's mean: hue (as a share of a turn), saturation and value as factors, roughness as an offset (medians
-over the materials of the root mean square).
+For each main class, this prints the number of materials, the 5th, 50th and 95th percentiles, over materials,
+of the brightest channel of mean D and of mean R, each with its limits of variation, and the spread of texels
+about the material's mean: hue (as a share of a turn), saturation and value as factors, roughness as an offset
+(medians over the materials of the root mean square).
 """
 
 from __future__ import annotations

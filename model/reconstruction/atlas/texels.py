@@ -53,7 +53,8 @@ class TexelSurface:
         *,
         is_highest: bool = True,
     ) -> NDArray[np.int32]:
-        """Triangle of each texel of a rectangle, (height, width), at ``offset`` inside it; -1 for none.
+        """Triangle at each texel of a rectangle, (height, width), sampled at ``offset`` within the texel; -1
+        for none.
 
         Where triangles overlap, the highest index is used or, without ``is_highest``, the lowest.
         """
@@ -72,7 +73,9 @@ class TexelSurface:
         return points, normals
 
     def overlap_mask(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
-        """(covered, covered by several triangles), each (size, size), at ``offset`` inside every texel."""
+        """(covered, covered by several triangles), each (size, size), sampled at ``offset`` within every
+        texel.
+        """
         highest, lowest = (
             self.faces(0, 0, self.size, self.size, offset, is_highest=is_highest)
             for is_highest in (True, False)
