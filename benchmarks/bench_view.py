@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Time of a view and its distance from convergence: the converted ``staircase``, complete costs.
 
-    python benchmarks/bench_view.py                             640x384, 40 views, as `make` would render them
+    python benchmarks/bench_view.py                             640x384, 40 views
     python benchmarks/bench_view.py --samples 2 4 8 --views 8   a sweep
     python benchmarks/bench_view.py --overlap                   sequential and overlapped rendering in turn
 

@@ -6,8 +6,9 @@
 
 1. The study of the bundled library, which is not in the training data of the bundled checkpoint, with
    objects, ceiling light and daylight; cameras on a walk around its middle, looking across.
-2. Cycles (benchmarks/cycles_photographs.py) renders them with depth of field; :func:`developed` adds shot and
-   read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone mapping.
+2. Cycles (benchmarks/cycles_photographs.py) renders the views with depth of field; :func:`developed` adds
+   shot and read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone
+   mapping.
 3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
    camera centres, here all of them with 5 mm of error per axis.
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs.

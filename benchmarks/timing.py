@@ -89,7 +89,7 @@ class Stopwatch:
 
 
 def machine() -> dict[str, Any]:
-    """Processor and interpreter to which figures apply."""
+    """Processor and interpreter with which figures were measured."""
     return {
         "processor": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),

@@ -68,7 +68,7 @@ class ObjectRecipe(AssetFilter):
 
     ``library_weights``: relative probability (default 1) that the next object is from a folder of
     ``library``, by the folder's name there, so that a few custom objects are not lost in a large library.
-    Empty: all folders form one pool.
+    If empty, all folders form one pool.
     """
 
     count: CountRange = (8, 20)

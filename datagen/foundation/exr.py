@@ -2,7 +2,7 @@
 """One multi-layer OpenEXR file per view: encoded to bytes and decoded, by buffer name.
 
 Channels are named by the registry (``R, G, B`` for beauty, ``layer.channel`` for the rest), scan lines run
-top-down, no timestamps are written: equal arrays give equal bytes with one OpenEXR version.
+top-down, and no timestamps are written: with one OpenEXR version, equal arrays give equal bytes.
 """
 
 from __future__ import annotations

@@ -150,7 +150,7 @@ def prepare_scene(
 
 
 def photograph(planned: PlannedScene, progress: Progress = lambda stage, done, total: None) -> PreparedScene:
-    """Render a planned scene unless that is done. Raises :class:`InputError` if rendering fails."""
+    """Render a planned scene unless it is rendered already. Raises :class:`InputError` if rendering fails."""
     folder = planned.folder
     (unit,) = planned.plan.units
     if not folder.is_done(unit):

@@ -133,7 +133,7 @@ def choose_configurations(index: DatasetIndex, max_views: int | None, first: Ite
 def estimate_tile_bytes(index: DatasetIndex, chosen: set[str]) -> int:
     """Approximate bytes of the pixels of ``chosen``.
 
-    base64 makes the shards a third larger, and the source views add about as much again as a few buffers.
+    Base64 adds a third to the size of the shards; the source views need about as much space as a few buffers.
     """
     return int(1.55 * sum(shard.num_bytes for shard in index.shards if shard.configuration in chosen))
 

@@ -247,7 +247,7 @@ def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
 def shift_scores(
     mesh_field: NDArray[np.float32], photograph: NDArray[np.float32], radius_px: int
 ) -> NDArray[np.float64]:
-    """Mean agreement (2 R + 1, 2 R + 1) of the fields, with the mesh's moved by (column - R, row - R)."""
+    """Mean agreement (2 R + 1, 2 R + 1) of the fields, the mesh's field moved by (column - R, row - R)."""
     height, width = mesh_field.shape[:2]
     shape = [cv2.getOptimalDFTSize(side + radius_px) for side in (height, width)]
     total = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex64)
