@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Generated parts of the site: the API reference and the index of decisions.
 
-MkDocs calls the ``on_...`` functions (``hooks`` in mkdocs.yml), mkdocstrings the extension. Both lists are
-made from the files, so that no module and no decision is left out.
+MkDocs calls the ``on_...`` functions (``hooks`` in mkdocs.yml), and mkdocstrings calls the extension. Both
+lists are made from the files, so that no module and no decision is left out.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 class PlainDocstrings(griffe.Extension):
-    """Rewrites docstrings, written for readers of the code: ``[m]`` is a unit, not a link, and ``:class:`` is
-    noise.
+    """Rewrites docstrings for the site, since they are written for readers of the code: ``[m]`` is a unit,
+    not a link, and ``:class:`` is noise.
     """
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:

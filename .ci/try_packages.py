@@ -2,9 +2,9 @@
 """Builds the sdist and the wheel into dist/, and tries each outside the checkout.
 
 The wheel is built from the sdist. It is installed with its dependencies into a new environment, first the
-base alone, then the extra `train`; the sdist into a second environment, which takes the dependencies from the
-first. In both, the commands run outside the checkout, and every imported module must lie in the
-environment. Usage: try_packages.py CONSTRAINTS
+base alone, then the extra `train`; the sdist is installed into a second environment, which takes the
+dependencies from the first. In both, the commands run outside the checkout, and every imported module must
+lie in the environment. Usage: try_packages.py CONSTRAINTS
 """
 
 from __future__ import annotations

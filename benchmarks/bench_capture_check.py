@@ -3,9 +3,9 @@
 
     python -m benchmarks.bench_capture_check SHARD ... --trials 4
 
-On rendered captures, with these changes: none; one camera in five rotated by 1 degree about an axis across
-its view, rolled by 2 degrees, or moved by 10 cm along its view; the mesh moved by 2 cm in a random direction,
-or enlarged by 2 %. ``--snap 0.02`` coarsens the mesh, as retopology does.
+The check runs on rendered captures with each of these changes: none; one camera in five rotated by 1 degree
+about an axis across its view, rolled by 2 degrees, or moved by 10 cm along its view; the mesh moved by 2 cm
+in a random direction, or enlarged by 2 %. ``--snap 0.02`` coarsens the mesh, as retopology does.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from model.reconstruction.check.capture_check import CheckReport, check_capture
 def changed(
     capture: Capture, rng: np.random.Generator, change: Callable[[NDArray, np.random.Generator], NDArray]
 ) -> tuple[Capture, set[str]]:
-    """The capture with one view in five at another pose, and their names; ``change`` multiplies
+    """The capture with one view in five at another pose, and the names of these views; ``change`` multiplies
     world_from_camera from the right.
     """
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)

@@ -13,9 +13,9 @@ empty kernel cache, and as for the second configuration of a dataset.
 
 The baseline: bpy as used by BlenderProc (cycles_baseline.py): one process, persistent data, path tracing with
 the same number of segments, OIDN with prefiltered albedo and normal, one EXR per view with depth, normal,
-diffuse and glossy colour, object and material index. Its scene is a .blend made beforehand from the same
-exported configuration, which is not counted. It has no roughness, no multi-view statistics and no error
-control.
+diffuse and glossy colour, object and material index. The baseline's scene is a .blend made beforehand from
+the same exported configuration, which is not counted. The baseline has no roughness, no multi-view statistics
+and no error control.
 
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images by the same renderer, because the materials differ by more
@@ -121,7 +121,7 @@ def read_cycles(path: Path) -> NDArray[np.float32]:
 
 
 class Comparison:
-    """The steps, in order; each stores its result in ``folder``."""
+    """The steps of the comparison, in order; each stores its result in ``folder``."""
 
     def __init__(self, arguments: argparse.Namespace):
         self.arguments = arguments

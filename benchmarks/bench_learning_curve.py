@@ -51,7 +51,7 @@ def part_of(dataset: Path, count: int, judge: Path, out: Path) -> Path:
     """A dataset folder with ``count`` training configurations of ``dataset`` and the validation
     configurations of ``judge``.
 
-    Shards are linked, or copied if that is impossible. Raises ``SystemExit`` for too few.
+    Shards are linked, or copied if that is impossible. Raises ``SystemExit`` if there are too few.
     """
     source, judged = Dataset(dataset), Dataset(judge)
     training = [shard for shard in source.index.shards if shard.split == "train"]

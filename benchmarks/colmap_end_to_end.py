@@ -115,7 +115,7 @@ def run(*command: str, log: Path, is_module: bool = True) -> None:
 
 @dataclass
 class EndToEnd:
-    """The steps, in order; each stores its result in ``out``."""
+    """The steps of the pipeline, in order; each stores its result in ``out``."""
 
     out: Path
     views: int

@@ -3,7 +3,7 @@
 
     python -m benchmarks.data_extremes            all tables as Markdown
 
-``tests/benchmarks/test_extremes.py`` asserts the tables; both call the functions below. The scene of boxes is
+``tests/benchmarks/test_extremes.py`` checks the tables; both call the functions below. The scene of boxes is
 in ``oracles``.
 """
 

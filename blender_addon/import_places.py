@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lights, the world, cameras and markers of an asset package as Blender objects: the inverse of ``gather``.
 
-Package values are metres and W; ``metres`` is the scene's unit scale, metres per Blender unit. Parts without
-a counterpart in Blender are left out and listed in ``remarks``, one sentence each.
+Values in packages are in metres and watts; ``metres`` is the scene's unit scale, metres per Blender unit.
+Parts without a counterpart in Blender are left out and listed in ``remarks``, one sentence each.
 """
 
 from __future__ import annotations

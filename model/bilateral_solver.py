@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The fast bilateral solver (Barron and Poole 2016) in torch, with its analytic adjoint.
 
-It smooths a map t inside the regions of a guide image, weighting each pixel by its confidence c. Letters: P
-pixels and V occupied cells ("vertices") of all images of a batch together; S (V x P) sums pixels into cells,
-S^T copies cells to pixels; B is the blur over the grid, 10 on the diagonal and 1 for each occupied neighbour
-along x, y, luma and the two chromas; n and m make the blur bistochastic. The system of one channel is
+The solver smooths a map t inside the regions of a guide image, weighting each pixel by its confidence c.
+Letters: P pixels and V occupied cells ("vertices") of all images of a batch together; S (V x P) sums pixels
+into cells, S^T copies cells to pixels; B is the blur over the grid, 10 on the diagonal and 1 for each
+occupied neighbour along x, y, luma and the two chromas; n and m make the blur bistochastic. The system of one
+channel is
 
     A y = S (c t),   A = lambda (diag(m) - diag(n) B diag(n)) + diag(S c),   filtered = S^T y.
 

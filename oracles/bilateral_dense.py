@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The bilateral solver with dense float64 matrices, for images of some hundred pixels."""
+"""The bilateral solver with dense float64 matrices, for images of a few hundred pixels."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class ImageSource(Protocol):
 
 @dataclass(frozen=True)
 class CaptureView:
-    """One view. ``camera`` has no distortion, and the resolution at which the view is processed."""
+    """One view. ``camera`` is without distortion, at the resolution at which the view is processed."""
 
     name: str
     camera: Camera

@@ -2,7 +2,7 @@
 """Configurations: one room with objects, materials, lights and cameras, ready to render; readable JSON.
 
 A configuration names every asset by id and content hash and holds all decisions: the renderer makes no random
-choice of content. It is a pure function of (recipe, index, library).
+choice of content. A configuration is a pure function of (recipe, index, library).
 """
 
 from __future__ import annotations

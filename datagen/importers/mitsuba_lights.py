@@ -44,7 +44,9 @@ MITSUBA_FROM_ENVIRONMENT = np.array(
 
 @dataclass
 class LightConverter:
-    """Collects the lights of a scene; problems are gathered in ``problems``. ``matrix``: ``A`` above."""
+    """Collects the lights of a scene; problems are gathered in ``problems``. ``matrix`` is ``A`` of the
+    module's docstring.
+    """
 
     scene: Path
     matrix: NDArray[np.float64]

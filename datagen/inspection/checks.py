@@ -94,8 +94,8 @@ def check_normals(view: View, where: str) -> list[Fault]:
 def firefly_mask(view: View) -> NDArray[np.bool_]:
     """Isolated bright pixels (H, W): over 20 times the median of their 5x5 neighbourhood.
 
-    The median counts as at least the frame's. A firefly has at most 4 pixels, away from pixels without a
-    reflecting surface.
+    That median is raised to at least the frame's median. A firefly has at most 4 pixels, away from pixels
+    without a reflecting surface.
     """
     import cv2
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Rasteriser for atlases: the triangle that covers each texel's centre, and the surface point there.
 
-It works on any rectangle of the atlas. Edge functions are computed in float64 from the edge's ends in a fixed
-order for both adjacent triangles, so that no texel falls between two triangles that share an edge. Where
-triangles overlap, the highest index is used. Row 0 of an atlas is at v = 1. Triangles are binned, so that a
-rectangle tests only nearby ones.
+The rasteriser works on any rectangle of the atlas. Edge functions are computed in float64 from the edge's
+ends in a fixed order for both adjacent triangles, so that no texel falls between two triangles that share an
+edge. Where triangles overlap, the highest index is used. Row 0 of an atlas is at v = 1. Triangles are binned,
+so that a rectangle tests only nearby ones.
 """
 
 from __future__ import annotations

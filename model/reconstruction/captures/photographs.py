@@ -111,8 +111,8 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
     """The image (H, W, C) as stored or, if only the upright image has the camera's shape, upright.
 
-    Calibration tools differ in whether they apply EXIF; the size that they write shows it. If both fit, the
-    image is used as stored, as in COLMAP. Raises :class:`InputError` if neither fits.
+    Calibration tools differ in whether they apply EXIF; the image size that they write shows whether they
+    did. If both fit, the image is used as stored, as in COLMAP. Raises :class:`InputError` if neither fits.
     """
     if _has_shape_of(pixels, camera):
         return pixels
