@@ -45,7 +45,7 @@ def captured(scene: TestScene, cache: Path) -> Capture:
 
 
 def predicted(traced: TracedCapture, checkpoint: Path) -> Iterator[dict[str, NDArray]]:
-    """Maps of the views, one after another."""
+    """Maps (H, W, C) by name, one view after another."""
     views = traced.statistics
     predictor = Predictor(load_checkpoint(checkpoint, "cpu"), capture_exposure(views), PredictOptions())
     gathered = compute_statistics(views, StatisticsOptions())

@@ -43,7 +43,7 @@ def changed(
 
 
 def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The pose rotated by 1 degree about an axis across the view."""
+    """The pose (4, 4) rotated by 1 degree about an axis across the view."""
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
@@ -51,20 +51,20 @@ def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
 
 
 def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The pose rolled by 2 degrees."""
+    """The pose (4, 4) rolled by 2 degrees."""
     way = rng.choice([-1.0, 1.0])
     matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, np.radians(2.0) * way]).as_matrix()
     return matrix
 
 
 def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The pose moved by 10 cm along the view."""
+    """The pose (4, 4) moved by 10 cm along the view."""
     matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
     return matrix
 
 
 def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Capture, np.ndarray]:
-    """The capture with its mesh moved in a random direction, and the offset."""
+    """The capture with its mesh moved in a random direction, and the offset (3,) in metres."""
     way = rng.normal(size=3)
     offset = metres * way / np.linalg.norm(way)
     matrix = np.eye(4)

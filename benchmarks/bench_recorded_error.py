@@ -121,8 +121,8 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
 
 
 def figures(points: list[Point]) -> dict[str, Any]:
-    """Shares of views whose recorded error is within a factor of the true one, and the worst ratios of
-    recorded to true error.
+    """Share of views whose recorded error is within a factor of 2 of the true error, and statistics of the
+    ratio of recorded to true error.
 
     Only views with a known true error count.
     """

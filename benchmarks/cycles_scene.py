@@ -141,7 +141,9 @@ class RoomExport:
 
 
 def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[np.float32]:
-    """Radiance of a sky or environment light without its sun, in Blender's layout: centre +X, left +Y."""
+    """Radiance (H, W, 3) of a sky or environment light without its sun, in Blender's layout: centre +X, left
+    +Y.
+    """
     rows, columns = SKY_SIZE
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi

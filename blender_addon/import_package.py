@@ -160,7 +160,7 @@ def _is_sheared(matrix: NDArray[np.float64]) -> bool:
 
 
 def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int32]]:
-    """Vertex columns by name and triangles of a binary little-endian PLY as in packages."""
+    """Vertex columns (N,) by name and triangles (M, 3) of a binary little-endian PLY as in packages."""
     content = path.read_bytes()
     end = content.find(b"end_header\n")
     if not content.startswith(b"ply") or end < 0:

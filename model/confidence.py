@@ -84,7 +84,8 @@ def filter_maps(
     confidences: Mapping[str, Tensor],
     config: SolverConfig | None = None,
 ) -> dict[str, Tensor]:
-    """Maps with specular albedo and roughness filtered, guided by ``maps["diffuse_albedo"]``.
+    """Maps (B, 3 or 1, H, W) with specular albedo and roughness filtered, guided by
+    ``maps["diffuse_albedo"]``.
 
     Both maps share one grid and one solve. Gradients flow to the confidences and to the filtered maps.
     """

@@ -61,7 +61,7 @@ class OwnNetwork(nn.Module):
         depth_max_m: Tensor | None = None,
         tracks: tuple[TrackName, ...] = ("diffuse", "specular"),
     ) -> dict[str, Tensor]:
-        """Maps by name. Raises :class:`InputError` if the maps violate the contract."""
+        """Maps (B, 3 or 1, H, W) by name. Raises :class:`InputError` if the maps violate the contract."""
         shaped = exposure.reshape(-1, 1, 1, 1)
         inputs = {name: encode_input(name, buffers, shaped, depth_max_m) for name in self.inputs}
         maps = self.module(inputs)

@@ -99,7 +99,7 @@ def geometry_of(mesh: Mesh) -> CaptureGeometry:
 
 
 def view_maps(mesh: Mesh, camera: Camera) -> dict[str, NDArray]:
-    """Exact maps of a view by float64 rays against the quads, without the tracer under test."""
+    """Exact maps (H, W, C) of a view by float64 rays against the quads, without the tracer under test."""
     uv, _ = uv_of_pixels(mesh, camera)
     return materials_at(np.nan_to_num(uv))
 

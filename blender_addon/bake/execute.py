@@ -228,7 +228,9 @@ class BakeSession:
     def bake_normal(
         self, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str = BAKE_UV
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Bake the tangent-space normal (encoded as (n + 1) / 2, +Y up) of the original surface."""
+        """Bake the tangent-space normal of the original surface like a channel, encoded as (n + 1) / 2, +Y
+        up.
+        """
         tree = working.material.node_tree
         end = tree.get_output_node("CYCLES").inputs["Surface"]
         assert working.surface is not None

@@ -53,7 +53,7 @@ def padded_window(low: NDArray, high: NDArray) -> Window:
 
 
 def padded_mask(size: int) -> NDArray[np.bool_]:
-    """The texels inside the border that :func:`padded_window` adds."""
+    """Mask (size, size) of the texels inside the border that :func:`padded_window` adds."""
     centre = (np.arange(size) + 0.5) / size
     inside = (centre > BORDER) & (centre < 1 - BORDER)
     return inside[:, None] & inside[None, :]

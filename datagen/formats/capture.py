@@ -111,7 +111,7 @@ class ImageSource(Protocol):
         """The image of the undistorted ``camera``. Raises :class:`InputError` if it cannot be read."""
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-        """Stored ground truth by buffer name; empty for photographs."""
+        """Stored ground truth (H, W, C) by buffer name; empty for photographs."""
 
 
 @dataclass(frozen=True)

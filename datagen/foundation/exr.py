@@ -111,7 +111,7 @@ def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dic
 def decode_view(
     source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """Decode an EXR file to buffers as stored (half stays float16); ``names`` None = all.
+    """Decode an EXR file to buffers (H, W, C) as stored (half stays float16); ``names`` None = all.
 
     Raises :class:`InputError` if the file is damaged, too large, or lacks a requested buffer.
     """

@@ -39,7 +39,7 @@ def dielectric_f0(ior: float) -> float:
 
 
 def conductor_f0(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """((eta - 1)^2 + k^2) / ((eta + 1)^2 + k^2), per channel."""
+    """((eta - 1)^2 + k^2) / ((eta + 1)^2 + k^2), per channel (C,)."""
     eta, k = np.asarray(eta, dtype=np.float64), np.asarray(k, dtype=np.float64)
     return ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
 
@@ -55,7 +55,7 @@ def conductor_fresnel(cos_i: NDArray, eta: NDArray, k: NDArray) -> NDArray[np.fl
 
 
 def conductor_mean(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """Reflectance of a conductor under diffuse light, 2 * integral of F(c) c dc, per channel."""
+    """Reflectance of a conductor under diffuse light, 2 * integral of F(c) c dc, per channel (C,)."""
     cosine = (np.arange(2000) + 0.5) / 2000
     return 2 * (conductor_fresnel(cosine, eta, k) * cosine[:, None]).mean(axis=0)
 

@@ -80,7 +80,7 @@ def render_original(
     seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
-    """The original from its own camera, rendered by Mitsuba's path tracer with a box filter."""
+    """The original (H, W, 3) from its own camera, rendered by Mitsuba's path tracer with a box filter."""
     import mitsuba as mi
 
     scene = load_original(path, optimize=True)
@@ -143,7 +143,9 @@ def render_converted(
     seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
-    """The imported environment, rendered from its first camera with the project's BSDF; not denoised."""
+    """The imported environment (H, W, 3) from its first camera, rendered with the project's BSDF; not
+    denoised.
+    """
     configuration = native_configuration(library.package(asset_id), width_px, seed, height_px)
     recipe = RenderRecipe(
         variant=select_variant(),  # type: ignore[arg-type]

@@ -207,7 +207,9 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
 
 
 def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Cells reachable from every door, and the fault if doors are not connected ("": none)."""
+    """Cells (rows, columns) reachable from every door, and the fault if doors are not connected ("":
+    none).
+    """
     from scipy.ndimage import label
 
     free = free_cells(shell, boxes)

@@ -174,7 +174,7 @@ def castor(item: Item, x: float, y: float, radius: float = 0.026) -> None:
 
 
 def ring_of(count: int, radius: float, start: float = 0.0) -> list[tuple[float, float]]:
-    """Points on a circle."""
+    """``count`` points (x, y) on a circle about the origin, from the angle ``start`` in radians."""
     return [
         (
             radius * math.cos(start + 2 * math.pi * k / count),

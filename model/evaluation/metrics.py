@@ -32,7 +32,7 @@ def common_exposure(views: Sequence[JudgedView]) -> float:
 
 
 def shown(color: NDArray, exposure: float) -> NDArray[np.float64]:
-    """An image exposed, clipped and sRGB-encoded, in [0, 1]."""
+    """An image (H, W, 3) exposed, clipped and sRGB-encoded, in [0, 1]."""
     return np.asarray(srgb_from_linear(np.clip(color.astype(np.float64) * exposure, 0.0, 1.0)))
 
 

@@ -111,7 +111,7 @@ def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
 
 
 def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8]:
-    """The image in 8 bits, at most ``max_width_px`` wide."""
+    """The image (H, W, 3) in 8 bits, at most ``max_width_px`` wide."""
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels, np.float32)
     if width > max_width_px:
@@ -121,7 +121,9 @@ def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8
 
 
 def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDArray[np.uint8]:
-    """An image of labelled pictures: a row for each method or, if ``is_turned``, for each kind of picture."""
+    """An image (H, W, 3) of labelled pictures: a row for each method or, if ``is_turned``, for each kind of
+    picture.
+    """
     table = [[row.pictures[column] for column in columns] for row in rows]
     across, down = list(columns), [row.label for row in rows]
     if is_turned:

@@ -115,7 +115,7 @@ class VggFeatures(nn.Module):
         self.register_buffer("scale", torch.tensor(_SCALE).reshape(1, 3, 1, 1), persistent=False)
 
     def forward(self, images: Tensor, masks: list[Tensor] | None = None) -> list[Tensor]:
-        """14 feature maps of images in [-1, 1]; ``masks`` multiply the input of each convolution
+        """14 feature maps of images (B, 3, H, W) in [-1, 1]; ``masks`` multiply the input of each convolution
         (dropout)."""
         x = (images - self.get_buffer("shift")) / self.get_buffer("scale")
         features = [x]

@@ -99,7 +99,7 @@ def radiance_of(path: Path) -> NDArray[np.float32]:
 
 
 def reduced(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The image at :data:`SIZE_PX`, by the mean over areas."""
+    """The image (H, W, 3) reduced to :data:`SIZE_PX` by averaging over areas."""
     import cv2
 
     return np.asarray(cv2.resize(pixels, SIZE_PX, interpolation=cv2.INTER_AREA), dtype=np.float32)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Figures of a dataset: histograms over fixed bins, so that the counts of shards add up to those of the
-dataset.
+"""Figures of a dataset: histograms over fixed bins, so that the counts of shards add up to the dataset's
+counts.
 
 Values beyond a histogram's ends are counted in its outermost bins. Only surface pixels are counted: pixels
 hit by a ray and at least half covered by reflecting surface. Luminance is Rec.709 of linear colour. The

@@ -75,7 +75,7 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
 
 
 def read_tile(path: Path) -> NDArray:
-    """The array of a tile's file; raises :class:`InputError` for other files."""
+    """The array (H, W, C) of a tile's file; raises :class:`InputError` for other files."""
     page = path.read_text(encoding="utf-8")
     packed, head_text = _BYTES.search(page), _HEAD.search(page)
     if packed is None or head_text is None:

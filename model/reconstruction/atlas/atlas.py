@@ -40,7 +40,7 @@ class Atlas:
 
     @property
     def unseen_mask(self) -> NDArray[np.bool_]:
-        """Mask of texels with surface that no view shows."""
+        """Mask (N, N) of texels with surface that no view shows."""
         return np.asarray((self.face >= 0) & (self.count == 0))
 
     def release(self) -> None:

@@ -40,7 +40,7 @@ class PageImage:
 
 
 def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
-    """The image averaged over squares of texels, so that neither side is longer than ``max_side``."""
+    """The image (H, W, C) averaged down so that neither side is longer than ``max_side``."""
     longest = max(pixels.shape[:2])
     if longest <= max_side:
         return pixels

@@ -41,7 +41,7 @@ class ShardSource:
         return ColorImage(beauty, np.ones(beauty.shape[:2], dtype=bool))
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """Stored buffers by name."""
+        """Stored buffers (H, W, C) by name."""
         return self._decode(names)
 
     def _decode(self, names: tuple[str, ...]) -> dict[str, NDArray]:

@@ -56,7 +56,7 @@ def texture_shrink(atlas: Atlas) -> int:
 
 
 def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
-    """Means over squares of texels, float32."""
+    """Means of (H, W, C) over squares of ``shrink`` texels a side, float32."""
     values = np.asarray(band, np.float32)
     if shrink == 1:
         return values

@@ -289,5 +289,5 @@ def write_renders(
 
 
 def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
-    """A linear image as 8-bit sRGB."""
+    """A linear image (H, W, 3) as 8-bit sRGB."""
     return (np.clip(srgb_from_linear(color * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
