@@ -125,8 +125,8 @@ class Library:
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 
     def including(self, package: Package) -> Library:
-        """This library with ``package`` added, or replacing the package of the same id; the rest is
-        shared.
+        """This library with ``package`` added, or replacing the package of the same id; all other packages
+        are shared.
         """
         other = copy.copy(self)
         other._packages = {**self._packages, package.id: package}

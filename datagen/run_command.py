@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 STAGES = ("render", "stats", "pack")
 
-RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), or the name of a bundled one.")]
+RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), or the name of a bundled recipe.")]
 LibraryOption = Annotated[
     list[str] | None,
     typer.Option("--library", help='Library folder, repeatable; "bundled" is the project\'s own.'),

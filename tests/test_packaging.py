@@ -116,7 +116,7 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
     own.touch()
     assert resolve_bundled(Path("smoke"), "recipes") == Path("smoke"), "a file of the user goes first"
     with pytest.raises(
-        InputError, match=r"a file, or the name of a bundled one: .*demo.*smoke.*check the path"
+        InputError, match=r"a file, or the name of a bundled file: .*demo.*smoke.*check the path"
     ):
         resolve_bundled(Path("smok"), "recipes")
     with pytest.raises(InputError, match="did you mean the bundled `smoke`"):

@@ -76,9 +76,9 @@ def retry(folder: FolderArgument) -> None:
 @farm.command()
 def cancel(
     folder: FolderArgument,
-    engine: Annotated[str, typer.Option(help="The queue that has them: slurm or pbs.")] = "slurm",
+    engine: Annotated[str, typer.Option(help="Queue of the jobs: slurm or pbs.")] = "slurm",
 ) -> None:
-    """Cancel this folder's jobs in the queue; finished units stay.
+    """Cancel this folder's jobs in the queue; finished units are kept.
 
     Example: datagen farm cancel paper
     """

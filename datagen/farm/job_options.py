@@ -84,7 +84,9 @@ class SlurmOptions:
     collect_time: Annotated[str, typer.Option(help="Time limit of the job that collects.")] = "04:00:00"
     collect_memory: Annotated[str, typer.Option(help="Memory of the job that collects.")] = "4G"
     collect_cpus: Annotated[int, typer.Option(min=1, help="Processors of the job that collects.")] = 1
-    collect_partition: Annotated[str, typer.Option(help="Its partition; else that of the units.")] = ""
+    collect_partition: Annotated[
+        str, typer.Option(help="Partition of the job that collects; default: partition.")
+    ] = ""
     collect_options: Annotated[
         tuple[str, ...],
         typer.Option("--collect-option", help="As --sbatch-option, for the job that collects."),

@@ -41,7 +41,7 @@ def _recipe() -> None:
 def new(
     file: Annotated[Path, typer.Argument(help="Recipe to write (YAML); its name names the dataset.")],
     configurations: Annotated[int | None, typer.Option(min=1, help="Number of rooms.")] = None,
-    views: Annotated[int | None, typer.Option(min=1, help="Views of each.")] = None,
+    views: Annotated[int | None, typer.Option(min=1, help="Views per configuration.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,
     quality: Annotated[str | None, typer.Option(help="draft, standard or reference.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random choices.")] = 0,

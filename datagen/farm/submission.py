@@ -79,7 +79,7 @@ def submit(
 
 
 def cancel(root: Path, engine: str = "slurm") -> list[str]:
-    """Cancel every job of this folder; finished units stay. Returns the ids."""
+    """Cancel every job of this folder; finished units are kept. Returns the ids."""
     DatasetFolder(root).read_plan()
     queue = engine_of(engine)
     ids = queue.jobs(root)

@@ -57,7 +57,7 @@ def resolve_bundled(path: Path, kind: BundledKind) -> Path:
     if str(path) in names:
         return bundled_folder() / kind / f"{path}.yaml"
     remedy = f"did you mean the bundled `{path.stem}`?" if path.stem in names else "check the path"
-    expected = f"a file, or the name of a bundled one: {', '.join(names)}"
+    expected = f"a file, or the name of a bundled file: {', '.join(names)}"
     raise input_error(path, "", "no such file", expected, remedy)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reads a dataset and reports faults of its content, shard by shard: ``datagen verify``.
 
-No fault ends the verification: a damaged member is one fault, and the rest is still checked. The checks
-themselves are in ``checks``, ``reprojection`` and ``shard_check``.
+No fault ends the verification: a damaged member is one fault, and everything else is still checked. The
+checks themselves are in ``checks``, ``reprojection`` and ``shard_check``.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from datagen.foundation.command_line import QuietOption
 
 
 def evaluate(
-    suite: Annotated[Path, typer.Argument(help="A suite (YAML), or the name of a bundled one: small.")],
+    suite: Annotated[Path, typer.Argument(help="A suite (YAML), or the name of a bundled suite: small.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the tables and the page.")],
     cache: Annotated[
         Path | None,

@@ -97,7 +97,8 @@ Method = Annotated[
 class ModifiedLight(StrictModel):
     """Another light: the scene's own lights times ``own_gain``, and ``lights``.
 
-    "ceiling" is a square of 0.6 m just below the ceiling, above the camera nearest to the centre of all.
+    "ceiling" is a square of 0.6 m just below the ceiling, above the camera nearest to the mean position of
+    all cameras.
     """
 
     own_gain: NonNegative = 0.0

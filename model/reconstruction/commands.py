@@ -109,7 +109,7 @@ def photos(
     checkpoint: CheckpointOption = None,
     colmap: Annotated[str, typer.Option(help="COLMAP's program.")] = "colmap",
     frames: Annotated[int, typer.Option(min=2, help="Frames of the turntable.")] = 24,
-    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel of it.")] = 8,
+    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel of the turntable.")] = 8,
     quiet: QuietOption = False,
 ) -> None:
     """Turn a folder of photographs into an asset: COLMAP's cameras and mesh, materials, a turntable.

@@ -43,7 +43,7 @@ class CheckpointMaps:
         parse_device(options.device)
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Stored maps, and predictions for the rest."""
+        """Stored maps, and predictions for all other views."""
         # torch, which other sources do not need
         from model.reconstruction.predict.view_maps import predicted_maps
 

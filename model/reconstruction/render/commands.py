@@ -41,7 +41,7 @@ class LightWords:
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16
     no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Render without the denoiser.")] = False
     stops: Annotated[
-        float, typer.Option(help="Exposure compensation of PNG and film: -1 halves the brightness.")
+        float, typer.Option(help="Exposure compensation of PNG and animation: -1 halves the brightness.")
     ] = 0.0
 
     def parse(self) -> RelightOptions:
@@ -62,7 +62,7 @@ class LightWords:
 def render(
     asset: Annotated[Path, typer.Argument(help="An environment package, such as OUT/asset.")],
     out: Annotated[
-        Path, typer.Option(help="Folder of images (EXR, PNG); or a film: FILE.gif, FILE.mp4 (VP9).")
+        Path, typer.Option(help="Folder of images (EXR, PNG), or an animation: FILE.gif, FILE.mp4 (VP9).")
     ],
     light: LightWords,
     film: FilmOptions,

@@ -17,12 +17,12 @@ class FilmOptions:
 
     way: Annotated[
         Literal["orbit", "cameras"],
-        typer.Option(help="Film: orbit inside the room, or through the asset's cameras."),
+        typer.Option(help="Animation: orbit inside the room, or through the asset's cameras."),
     ] = "orbit"
-    frames: Annotated[int, typer.Option(min=2, help="Film: number of frames.")] = 48
-    frames_per_second: Annotated[float, typer.Option("--fps", help="Film: frames per second.")] = 12.0
+    frames: Annotated[int, typer.Option(min=2, help="Animation: number of frames.")] = 48
+    frames_per_second: Annotated[float, typer.Option("--fps", help="Animation: frames per second.")] = 12.0
     max_width_px: Annotated[
-        int, typer.Option("--max-width", min=16, help="Film: wider frames are shrunk.")
+        int, typer.Option("--max-width", min=16, help="Animation: wider frames are shrunk.")
     ] = 480
 
     def __post_init__(self) -> None:
