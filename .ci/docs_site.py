@@ -52,7 +52,7 @@ def _api_index(pages: dict[str, list[str]]) -> str:
     lines = [
         "# API reference",
         "",
-        "Made from the docstrings of every module. Shapes, units and ranges are those of "
+        "Made from the docstrings of every module. Shapes, units and ranges follow "
         "[the conventions](../conventions.md); bad input raises "
         "`datagen.foundation.errors.InputError` everywhere.",
         "",

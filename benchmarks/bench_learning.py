@@ -132,7 +132,9 @@ def main() -> None:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("datasets", type=Path, nargs="+", metavar="DATASET")
-    parser.add_argument("--judge", type=Path, metavar="DATASET", help="the one whose validation views count")
+    parser.add_argument(
+        "--judge", type=Path, metavar="DATASET", help="dataset whose validation views are judged"
+    )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--preset", default="small")
     parser.add_argument("--threads", type=int, default=2)

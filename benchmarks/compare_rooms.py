@@ -131,7 +131,7 @@ def read_room(shard: Path, num_views: int) -> RoomFigures:
 def table(groups: dict[str, list[RoomFigures]]) -> str:
     """The figures of each group of rooms in Markdown."""
     lines = [
-        "| | rooms, views | S > 0.3 | R < 0.3 | clipped, median | at most 3 % clipped | outside of windows "
+        "| | rooms, views | S > 0.3 | R < 0.3 | clipped, median | at most 3 % clipped | outside windows "
         "| exposures within a room, median and most |",
         "|---|---|---|---|---|---|---|---|",
     ]

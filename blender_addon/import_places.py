@@ -149,7 +149,7 @@ class Places:
         """Make an environment light the scene's world; ``image`` is its equirectangular image."""
         scene = bpy.context.scene
         if scene.world is not None:
-            self.remarks.append(f"the world {scene.world.name!r} gave way to that of the package")
+            self.remarks.append(f"the world {scene.world.name!r} was replaced by the package's world")
         world = bpy.data.worlds.new(light["name"])
         if hasattr(world, "use_nodes") and not world.use_nodes:
             world.use_nodes = True

@@ -42,7 +42,7 @@ def leave_out_images(folders: list[Path]) -> None:
             continue
         real = Path(bpy.path.abspath(image.filepath)).resolve()
         if not any(real.is_relative_to(folder) for folder in folders):
-            print(f"{_MARK}{image.name}: an image at {real}, outside of the file's folder, left out")
+            print(f"{_MARK}{image.name}: an image at {real}, outside the file's folder, left out")
             bpy.data.images.remove(image)
 
 

@@ -291,7 +291,7 @@ def check_library(
             continue
         with package:
             if package.id in seen and seen[package.id].resolve() != path.resolve():
-                expected = f"an id of its own; {seen[package.id]} has it too"
+                expected = f"a unique id; {seen[package.id]} has it too"
                 errors.append(Problem(path, "id", repr(package.id), expected, "rename one"))
             seen.setdefault(package.id, path)
             report = check_package(package)

@@ -234,7 +234,7 @@ class SceneMaterials:
     def _evaluator_index(self, shape: Any, name: str, problems: list[Problem]) -> int:
         """Index of the shape's material among the evaluators; 0 after a problem."""
         if shape.class_name() == "Instance":
-            got, expected, remedy = "an instance", "a shape with a material of its own", "expand instances"
+            got, expected, remedy = "an instance", "a shape with its own material", "expand instances"
             problems.append(Problem("scene", f"shape {name}", got, expected, remedy))
             return 0
         bsdf = shape.bsdf()

@@ -107,7 +107,7 @@ def _meet(one: Interval, other: Interval) -> Interval | None:
 
 def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> Interval | None:
     """Factors that bring ``own`` into the range ``wanted``, at most ``max_factor`` and at least its inverse
-    or that of ``stain``.
+    or the inverse of ``stain``.
     """
     if own <= _GREY and _holds(wanted, own):
         return (1.0, 1.0)  # black and grey cannot be scaled to a colour

@@ -19,7 +19,7 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
     "dusk": (0.02, 0.15),
     "night": (5e-4, 4e-3),
 }
-"""Ratio of outside light to that of lamps: at night a street gives a few per mille of theirs."""
+"""Ratio of outside light to the lamps' light; at night a street gives a few per mille."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
 """Times of day when lamps are on."""
 

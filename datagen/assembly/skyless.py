@@ -33,7 +33,7 @@ def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
                     "and no openings, so no daylight reaches it; mark its windows, or give its scene a world"
                 )
             elif lights.panoramas is not None:
-                how = "so a panorama lies outside of its openings (lights.panoramas)"
+                how = "so a panorama lies outside its openings (lights.panoramas)"
             else:
                 how = (
                     f"so daylight comes through its openings in {lights.daylight_probability:.0%} of its "

@@ -61,7 +61,7 @@ def split_of(recipe: Recipe, index: int) -> Split:
         return "test"
     if shares["test"] == 1:
         return "test"
-    rank = index - tests  # among those outside of the test split
+    rank = index - tests  # among the configurations outside the test split
     share = shares["validation"] / (1 - shares["test"])
     return "validation" if _before(share, rank + 1) > _before(share, rank) else "train"
 

@@ -101,7 +101,7 @@ def _orphan(parent: int) -> bool:
 
 
 class _redirected_output:
-    """Redirects the process's stdout and stderr, including those of native code, to the end of a log file."""
+    """Redirects the process's stdout and stderr, including native code's output, to the end of a log file."""
 
     def __init__(self, log: Path):
         self.log = log

@@ -243,7 +243,7 @@ class _GeometryAsset(_AssetBase):
                 )
         names = [part.name for part in self.parts]
         if len(set(names)) != len(names):
-            raise ValueError("expected every part to have a name of its own")
+            raise ValueError("expected every part to have its own name")
         return self
 
 

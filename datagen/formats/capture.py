@@ -85,7 +85,7 @@ class CaptureFile(StrictModel):
     def _names_are_unique(self) -> CaptureFile:
         names = [photograph.camera.name for photograph in self.photographs]
         if len(set(names)) != len(names):
-            raise ValueError("expected every view to have a name of its own")
+            raise ValueError("expected every view to have its own name")
         return self
 
 

@@ -141,8 +141,8 @@ class Configuration(StrictModel):
     def _names_are_unique(self) -> Configuration:
         names = [placed.name for placed in (self.environment, *self.objects)]
         if len(set(names)) != len(names):
-            raise ValueError("expected every placed asset to have a name of its own")
+            raise ValueError("expected every placed asset to have its own name")
         cameras = [camera.name for camera in self.cameras]
         if len(set(cameras)) != len(cameras):
-            raise ValueError("expected every camera to have a name of its own")
+            raise ValueError("expected every camera to have its own name")
         return self

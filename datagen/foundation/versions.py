@@ -9,7 +9,7 @@ DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 10
 """Increased whenever a change of the code changes the bytes of a dataset but not its configurations."""
 LIGHT_REVISION = 2
-"""Increased whenever a change of the code changes nothing but recorded light: it concerns datasets with
+"""Increased whenever a change of the code changes recorded light alone, in datasets with
 ``statistics: {light: true}`` only."""
 PLAN_REVISION = 2
 """Increased whenever a change of the code changes the configurations or generated rooms of a recipe."""

@@ -73,5 +73,5 @@ def import_by_blender(
             findings.note(
                 f"{path.stem}: procedural materials are lost on the way; python -m blender_addon bakes them"
             )
-        turned = replace(options, up="y")  # that of glTF, whatever the file's was
+        turned = replace(options, up="y")  # glTF's up axis, whatever the file's was
         return import_gltf(converted, out_library, turned, split=split, origin=path, findings=findings)

@@ -116,7 +116,7 @@ class _MaterialImporter:
                 found.append(path)
         if len(found) > 1:
             names = ", ".join(p.name for p in found)
-            expected = "one image; put each resolution into a folder of its own"
+            expected = "one image; put each resolution into a separate folder"
             self.problems.append(Problem(self.folder, role, names, expected, "remove the others"))
         return found[0] if found else None
 

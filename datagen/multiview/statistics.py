@@ -296,7 +296,7 @@ def _fetch_colors(
 def _fetch_bilinear(
     packed: PackedViews, at: Any, colors: mi.Float, options: VisibilityOptions, active: mi.Bool
 ) -> mi.Vector4f:
-    """Colour interpolated between the four pixels around the projection, without those of another depth."""
+    """Colour interpolated between the four pixels around the projection, without pixels of another depth."""
     import drjit as dr
     import mitsuba as mi
 

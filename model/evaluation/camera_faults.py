@@ -139,7 +139,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
             raise ValueError(f"expected {EACH}, {', '.join(PRESETS)} or faults of your own, not {name!r}")
     known = [camera.name for camera in found]
     if len(set(known)) != len(known):
-        raise ValueError("expected every camera to have a name of its own")
+        raise ValueError("expected every camera to have its own name")
     return tuple(found)
 
 

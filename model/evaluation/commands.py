@@ -60,7 +60,7 @@ def evaluate(
         typer.echo("stopped; the same command continues", err=True)
         raise typer.Exit(130) from None
     if is_written(evaluation.result, out):
-        typer.echo("nothing to do: the results are those of these scenes, methods and settings", err=True)
+        typer.echo("nothing to do: the results already cover these scenes, methods and settings", err=True)
     else:
         write_results(evaluation.result, evaluation.truth, out)
     typer.echo((out / "evaluation.md").read_text(encoding="utf-8"))

@@ -34,7 +34,7 @@ RECOVERED = "recovered"
 """
 RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, which the photographs have
 _REVISION = 2
-"""Revision of atlases and renderings: those of another revision are computed again."""
+"""Revision of atlases and renderings; results of another revision are computed again."""
 
 
 @dataclass

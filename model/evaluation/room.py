@@ -227,7 +227,9 @@ def _file(source: Path) -> Path:
 
 
 def _library(scene: TestScene, folder: Path) -> tuple[Path, ...]:
-    """The library of the scene: the folder of its package, or else the one that the importer makes, once."""
+    """The library of the scene: the folder of its package, or else the folder that the importer makes,
+    once.
+    """
     if scene.is_drawn:
         return recipe_library(scene.source, imported(scene.imports, folder))
     if is_package(scene.source):

@@ -160,7 +160,7 @@ class Suite(StrictModel):
         scenes = [scene.name for scene in self.scenes]
         for names, what in ((scenes, "scene"), ([m.name for m in self.methods], "method")):
             if len(set(names)) != len(names):
-                raise ValueError(f"expected every {what} to have a name of its own")
+                raise ValueError(f"expected every {what} to have its own name")
         chosen_cameras(self.camera)
         unknown = sorted({*self.modified_light, *self.inserted} - set(scenes))
         if unknown:

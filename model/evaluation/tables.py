@@ -20,7 +20,7 @@ Cell = str | float | None
 LETTERS = dict(zip(MATERIAL_MAPS, "DSR", strict=True))
 PAPER = "paper: "
 LIGHTS = ("own", "modified", "recovered")
-"""The scene's own lights, these modified, and the lights recovered by a method in place of its own."""
+"""The scene's own lights, these lights modified, and the lights recovered by a method."""
 VIEW_SETS = ("input", "novel")
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
 _ALL = {

@@ -124,7 +124,7 @@ class TrainingConfig(StrictModel):
     gradient leads back."""
     average_decay: float = Field(default=0.0, ge=0, lt=1)
     """Validation and checkpoints use weights averaged over the last steps, about 1 / (1 - average_decay) of
-    them; 0: those of the last step."""
+    them; 0: the last step's weights."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the networks' activations; losses and weights stay float32."""
     channels_last: bool = False
@@ -149,8 +149,8 @@ class TrainingConfig(StrictModel):
 def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Merge ``over`` into ``base``.
 
-    A custom network in ``over`` replaces that of ``base`` with all settings, and the phases of its tracks
-    become one, as long as the first.
+    A custom network in ``over`` replaces the network of ``base`` with all settings, and the phases of its
+    tracks become one, as long as the first.
     """
     network = over.get("network")
     if isinstance(network, dict) and network.get("factory") is not None:

@@ -125,7 +125,9 @@ def make_context(
 
 
 def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:
-    """Random weights from the run's seed, or those of ``initial_checkpoint`` and the records of its data."""
+    """Random weights from the run's seed, or the weights of ``initial_checkpoint`` and the records of its
+    data.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)
@@ -152,7 +154,7 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
 
 
 def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tensor]:
-    """Weights of ``wider`` with those of ``network`` in place of its own.
+    """Weights of ``wider``, replaced by the weights of ``network`` where both have them.
 
     Weights of new inputs are 0, so that the outputs of ``network`` are unchanged until training changes them.
     New outputs keep the random weights of ``wider``, and do not affect the others.

@@ -42,7 +42,7 @@ class LossConfig(StrictModel):
     map_l1_weight: float = Field(default=0.1, ge=0)
     map_l2_weight: float = Field(default=0.0, ge=0)
     """Weight of the maps' mean squared errors. L1 alone gives medians: where metal is rare, the median of
-    specular albedo is that of dielectrics (decision 0015)."""
+    specular albedo is a dielectric's (decision 0015)."""
     perceptual_weight: float = Field(default=1.0, ge=0)
     """Weight of every perceptual term; 0 omits them."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)

@@ -171,7 +171,9 @@ class Elpips(nn.Module):
     """
 
     def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):
-        """``precision`` is that of VGG's activations; distances are summed in float32 either way."""
+        """``precision`` is the number format of VGG's activations; distances are summed in float32 either
+        way.
+        """
         super().__init__()
         self.heads, self.precision = heads, precision
         self.name = f"elpips-vgg16-{heads.name}"

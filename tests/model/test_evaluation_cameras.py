@@ -153,7 +153,7 @@ def test_a_suite_names_faults_and_bundles(tmp_path: Path) -> None:
     assert read_suite(SMALL).cameras == ()
     for camera, said in {
         "[fisheye]": "expected each, bits-8",
-        "[phone, phone]": "a name of its own",
+        "[phone, phone]": "its own name",
         "[{name: x, jpeg: 90}]": "bits: 8 with jpeg",
     }.items():
         with pytest.raises(InputError, match=said):

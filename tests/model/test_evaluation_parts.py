@@ -55,7 +55,7 @@ def test_all_faults_of_a_suite_are_told_at_once(tmp_path: Path) -> None:
     [
         ("kind: texture", "kind: textur", "methods"),
         ("atlas: 1024", "atlas: 5", "atlas"),
-        ("{name: oracle, kind: oracle}", "{name: ours, kind: oracle}", "name of its own"),
+        ("{name: oracle, kind: oracle}", "{name: ours, kind: oracle}", "its own name"),
         ("input_views: 4", "input_views: 4\nviews: 3", "no such key"),
         ("input_views: 4", "input_views: 4\nmodified_light: {kitchen: {own_gain: 1}}", "kitchen"),
         ("kind: texture", "kind: truth, geometry: {noise_m: 0.1}", "no geometry"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SINGULAR = 1e-15  # smaller determinants are those of flattening transforms
+SINGULAR = 1e-15  # smaller determinants belong to flattening transforms
 LYING_COSINE = 0.01  # a shading normal within 0.6 degrees of its triangle's plane is useless
 
 

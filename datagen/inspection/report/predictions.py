@@ -35,7 +35,7 @@ from datagen.foundation.transliteration import transliterated
 from datagen.inspection.report.tiles import write_tile
 
 TILES = "predictions"
-"""Folder of predicted pixels beside those of the configurations; part of their tiles' names."""
+"""Folder of predicted pixels beside the configurations' pixels; part of their tiles' names."""
 MAX_LISTED_PROBLEMS = 200
 _REVISION = 1
 _NEEDED = ("depth_z_m", "surface_mask", *MATERIAL_MAPS)

@@ -274,7 +274,7 @@ def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tup
 def _modes(
     values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
 ) -> tuple[float, Floats]:
-    """The room's mode and those of its regions (num_regions,).
+    """The room's mode and its regions' modes (num_regions,).
 
     Maximum likelihood with Student's t for points about their region's mode, and for regions about the
     room's.

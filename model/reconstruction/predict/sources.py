@@ -76,4 +76,4 @@ def _truth(view: CaptureView) -> Maps:
 
 
 TRUTH = GivenMaps("truth", lambda traced: [_truth(view) for view in traced.capture.views])
-"""The ground truth of a rendered capture: remaining errors are those of the later stages."""
+"""The ground truth of a rendered capture: the remaining errors come from the later stages."""

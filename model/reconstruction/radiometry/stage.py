@@ -79,6 +79,6 @@ def notes_of(found: Completed) -> list[str]:
         if len(found.radiance):
             text += f"; the radiance of {len(found.radiance)} sources is found from what they light"
         if unsure:
-            text += f", that of {unsure} hardly: photograph them with a shorter exposure, too"
+            text += f"; {unsure} of them are uncertain: photograph them with a shorter exposure, too"
         notes.append(text)
     return notes
