@@ -50,7 +50,7 @@ ListenerOption = Annotated[
 
 
 class Listeners:
-    """Calls every listener; without any, the cost is negligible."""
+    """Calls every listener; without listeners, the cost is negligible."""
 
     def __init__(self, listeners: Iterable[Listener] = ()):
         self._listeners = list(listeners)

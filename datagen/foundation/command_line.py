@@ -146,7 +146,9 @@ def _options_of(kind: type) -> list[tuple[str, Any, Any]]:
 
 
 def declared_options(kind: type) -> dict[str, tuple[str, float | None]]:
-    """For each field of a dataclass of options: its name on the command line, and its minimum if any."""
+    """For each field of a dataclass of options: its name on the command line, and its minimum, if it has
+    one.
+    """
     found = {}
     for name, hint, _ in _options_of(kind):
         (option,) = (extra for extra in get_args(hint)[1:] if isinstance(extra, OptionInfo))

@@ -62,7 +62,9 @@ def named_file(
     allowed: Sequence[Path] = (),
     remedy: str = "copy the file there",
 ) -> Path:
-    """The file named in ``field`` of the file ``where``; it may be absent. Raises :class:`InputError`."""
+    """The file named in ``field`` of the file ``where``; the file may be absent. Raises
+    :class:`InputError`.
+    """
     real, fault = fault_of(folder, name, allowed)
     if real is None:
         expected = f"a file inside {folder}"

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of a capture's mesh in each view, and normals for meshes without any."""
+"""Visibility of a capture's mesh in each view, and normals for meshes that have none."""

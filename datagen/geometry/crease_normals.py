@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Normals for meshes without any: smooth where the surface bends gently, discontinuous at creases."""
+"""Normals for meshes that have none: smooth where the surface bends gently, discontinuous at creases."""
 
 from __future__ import annotations
 

@@ -179,7 +179,7 @@ class NodeValues:
             self._textures.matrices.append(flat)
 
     def common_matrix(self, node: SceneNode) -> NDArray[np.float64] | None:
-        """The UV transform (3, 3) shared by all textures of the material; None without any."""
+        """The UV transform (3, 3) shared by all textures of the material; None if it has no textures."""
         matrices = self._textures.matrices
         if not matrices:
             return None

@@ -186,7 +186,8 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 
 
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
-    """The all-True rectangle of greatest area with both sides at least ``min_side``; (0, 0, 0, 0) if none.
+    """The all-True rectangle of greatest area with both sides at least ``min_side``; (0, 0, 0, 0) if there is
+    none.
 
     Computed row by row from the heights of the columns of True above (largest rectangle in a histogram).
     """

@@ -38,7 +38,8 @@ def is_package(path: Path) -> bool:
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """A capture of the package's cameras that have a photograph. Raises :class:`InputError` if none has.
+    """A capture of the package's cameras that have a photograph. Raises :class:`InputError` if there are
+    none.
 
     Photographs are in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
     ``exposure`` selects how recorded exposures are applied (see :class:`CaptureOptions`).
