@@ -76,10 +76,10 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Wall seconds of a pass with one path for each of 1,024 cells, replayed and newly recorded; medians of
-    5.
+    """Wall seconds of a pass with one path for each of 1,024 cells, with a recorded Dr.Jit kernel and with a
+    new recording; medians of 5.
 
-    Without reusable recordings, every pass would take as long as a newly recorded one.
+    If recordings could not be reused, every pass would take as long as with a new recording.
     """
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}
