@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common entry point of the importers, of which the kind of source selects one (``datagen import``)."""
+"""Common entry point of the importers (``datagen import``): the kind of source selects one."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 """Faults of a furnished room, measured on the shapes that will be rendered.
 
 Furniture must rest on a support and not intersect, doors must open, windows stay free, and a person must be
-able to walk from every door to the front of every cupboard. Boxes are of single shapes (a leg, a board), from
-their vertices.
+able to walk from every door to the front of every cupboard. Each box bounds the vertices of a single shape (a
+leg, a board).
 """
 
 from __future__ import annotations

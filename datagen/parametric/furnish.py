@@ -45,7 +45,9 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
 
 
 def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
-    """Place chairs at the long sides (``along`` each) and at the ends; raises :class:`Unfit` below two."""
+    """Place chairs at the long sides (``along`` each) and at the ends; raises :class:`Unfit` if fewer than
+    two fit.
+    """
     half = float(table.item.bounds[1, 0])
     made = 0
     for side in SIDES[:2]:

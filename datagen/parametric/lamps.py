@@ -258,7 +258,7 @@ def desk_lamp(draws: Draws, slot: str) -> Item:
 
 
 def wall_lamp(draws: Draws, slot: str) -> Item:
-    """An opal bar over a mirror or a cup on the wall; z = 0 is its middle."""
+    """An opal bar over a mirror, or a cup-shaped lamp on the wall; z = 0 is its middle."""
     item = Item("wall_lamp", hold="wall")
     if draws.chance(0.5):
         item.add("metal", box((0.1, 0.03, 0.06), (0, -0.0155, -0.03), 0.004))

@@ -179,7 +179,9 @@ class Furnisher:
         gap: float = OFF_WALL_M,
         s: float | None = None,
     ) -> Placed | None:
-        """Place an item with its back to a wall: anywhere, in a corner, or preferably in its middle."""
+        """Place an item with its back to a wall: anywhere, in a corner, or preferably in the middle of the
+        wall.
+        """
         b = item.bounds
         order = list(walls) if walls is not None else self.draws.shuffled(WALLS)
         for wall in order:

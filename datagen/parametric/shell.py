@@ -42,7 +42,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Door:
-    """A closed door that opens inwards: its middle at ``s`` along the wall; ``width`` is the leaf's,
+    """A closed door that opens inwards: its middle at ``s`` along the wall; ``width`` is the leaf's width,
     ``hinge`` is -1 on the left, 1 on the right.
     """
 

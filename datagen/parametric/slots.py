@@ -17,8 +17,9 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot. ``classes``: the main class first; materials of all of them may replace its own unless it is
-    fixed."""
+    """A slot. ``classes``: classes whose materials may replace the slot's own unless it is fixed, the main
+    class first.
+    """
 
     surface: Surface
     classes: Classes
@@ -131,7 +132,7 @@ _FINISHED = ("frame", "legs", "shade", "slats")
 
 
 def in_metal(slot: str) -> SlotMaterial:
-    """The slot's material for slots of metal; slender metal parts have the finish of handles and taps."""
+    """The material of a metal slot; slender metal parts have the finish of handles and taps."""
     surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
     return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
 

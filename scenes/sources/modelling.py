@@ -87,7 +87,7 @@ class Workshop:
         self.places.setdefault(part, []).append(matrix)
 
     def material(self, name: str) -> bpy.types.Material:
-        """The Blender material of a slot, made once."""
+        """The Blender material of a slot, created on first use."""
         if name not in self._materials:
             slot = self.slots[name]
             graph = Graph(name)

@@ -3,7 +3,7 @@
 
 Sources are Poly Haven's environment maps as Radiance files of 1024 x 512 (``FOLDER``), and the maps that come
 with Blender (``datafiles/studiolights/world``). Radiances keep their values: the sun's disc is not clipped.
-EXR's lossy DWAB compression changes radiances by 3 % in the mean and makes a file of 0.2 to 0.5 MB.
+EXR's lossy DWAB compression changes radiances by 3 % on average and makes a file of 0.2 to 0.5 MB.
 """
 
 from __future__ import annotations

@@ -22,7 +22,9 @@ Face = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Shape:
-    """Polygons: ``points`` (n, 3) m, ``faces`` f index tuples (counter-clockwise from outside), ``uvs`` (c, 2)."""
+    """Polygons: ``points`` (n, 3) in metres, ``faces`` f index tuples (counter-clockwise from outside),
+    ``uvs`` (c, 2).
+    """
 
     points: NDArray
     faces: list[Face]

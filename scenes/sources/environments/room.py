@@ -24,7 +24,9 @@ _WALLS = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
 
 @dataclass(frozen=True)
 class Window:
-    """An opening in a wall: centre ``s``, ``width``, from ``sill`` to ``sill + height``; panes per direction."""
+    """An opening in a wall: centre ``s``, ``width``, from ``sill`` to ``sill + height``; numbers of panes
+    across and up.
+    """
 
     wall: str
     s: float

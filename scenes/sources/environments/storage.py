@@ -89,8 +89,8 @@ def cabinet(
     slot: str = "cabinet", front: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
     panel: bool = False, knobs: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
-    """A chest, sideboard or kitchen base unit: carcass, plinth, fronts in ``rows`` shares of the height (top
-    first).
+    """A chest, sideboard or kitchen base unit: carcass, plinth and fronts. ``rows``: share of the height of
+    each row of fronts, top first.
     """
     front, top = front or slot, top or slot
     body = height - (top_thick if top_thick else 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Families of made materials: metal, plastic, rubber, ceramic, tiles, paint, plaster."""
+"""Families of man-made materials: metal, plastic, rubber, ceramic, tiles, paint, plaster."""
 
 from __future__ import annotations
 

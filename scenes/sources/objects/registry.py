@@ -17,7 +17,7 @@ TABLETOP = "table, shelf, counter, sill"
 @dataclass(frozen=True)
 class ObjectSource:
     """An object's source. ``supports``: kinds of surface for the object; ``scale``: range of its size;
-    ``yaw_degrees``: None for any.
+    ``yaw_degrees``: largest turn from facing -Y, None for any.
     """
 
     title: str
