@@ -108,7 +108,7 @@ class BilateralGrid:
 
 def guide_yuv(guide: Tensor) -> Tensor:
     """Guide (B, 3, H, W), linear RGB, divided by each image's maximum, times 255, as luma and two chromas
-    about 128.
+    centred at 128.
     """
     peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide has no edges
     matrix = torch.tensor(_YUV_FROM_RGB, dtype=guide.dtype, device=guide.device)

@@ -3,7 +3,7 @@
 
 Letters: ``wi`` viewer, ``wo`` light, unit (..., 3), local frame with z the normal; ``alpha`` the slope width;
 D, S, R the material's channels, D and S (..., 3) or broadcastable, R (...). Directions are used as given:
-rounding them to float32 first isolates the error of an implementation from that of its input.
+rounding them to float32 first isolates the error of an implementation from the error of its input.
 """
 
 from __future__ import annotations

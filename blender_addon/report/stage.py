@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Small scenes for comparing renderers: each material on a sphere and a plane, each light over a floor.
 
-All blocks belong to a :class:`~blender_addon.bake.execute.BakeSession` and are removed with it.
+All data-blocks belong to a :class:`~blender_addon.bake.execute.BakeSession` and are removed with it.
 """
 
 from __future__ import annotations

@@ -120,8 +120,8 @@ def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s"
     """Cost of ``point`` divided by the cost at which the front of ``others`` reaches its error.
 
     ``cost`` is a field of :class:`Point`. The front is interpolated in logarithms between its points; below 1
-    the point extends the front. An error that no other point reaches gives 0; an error above that of the
-    front's cheapest point is compared with that point.
+    the point extends the front. An error that no other point reaches gives 0; an error above the error of the
+    front's cheapest point is compared with this point.
     """
     costs = [getattr(p, cost) for p in others]
     front = [others[k] for k in pareto_front(costs, [p.rel_mse for p in others])]
