@@ -84,7 +84,7 @@ class MapSource(Protocol):
 
     @property
     def is_predicted(self) -> bool:
-        """Whether its maps are predictions, which stages before the merge may correct."""
+        """Whether the maps are predictions, which stages before the merge may correct."""
 
     def prepare(self, options: InferOptions) -> None:
         """Refuse unusable input before work starts. Raises :class:`InputError`."""
