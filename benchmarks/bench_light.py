@@ -42,6 +42,7 @@ ABLATIONS = {
     "no prior of the network": LightOptions(has_prior=False),
     "no correction of the shading": LightOptions(is_corrected=False),
     "no estimate of unseen surface": LightOptions(estimates_unseen=False),
+    "edges not unmixed": LightOptions(unmixes_edges=False),
     "mixed surfels not bounded": LightOptions(bounds_mixed=False),
     "estimates without gains": LightOptions(fits_estimates=False),
     "one round: metals pass their median on": LightOptions(num_rounds=1),

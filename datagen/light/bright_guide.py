@@ -23,7 +23,8 @@ _MIN_FACING = 0.05  # of the cosine at a rectangle, for points beside or behind 
 class BrightRectangle:
     """Rectangle with a corner, two edges and the unit normal of its bright side.
 
-    ``power``: luminance times area, summed over its cells; ``variance``: that of a ray (``bright_cells``).
+    ``power``: luminance times area, summed over its cells; ``variance``: relative variance
+    of the irradiance by one cosine-weighted ray (``bright_cells``).
     """
 
     corner_m: NDArray[np.float64]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Cells with the radiance of surface: those of the surfels, larger ones that enclose them, and larger ones
-outside of their grid.
+"""Cells with the radiance of surface: the surfels' cells, larger cells that enclose them, and larger cells
+outside their grid.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
 NUM_LEVELS = 3
 """Number of cell sizes: one, two and four times the surfels' side."""
 OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
-"""Side of the cells outside of the surfels' grid, in surfel cells, and how far they extend beyond it, which
+"""Side of the cells outside the surfels' grid, in surfel cells, and how far they extend beyond it, which
 is the diagonal of the photographed box."""
 
 
@@ -50,7 +50,7 @@ def unmixed_cells(surfels: Surfels) -> Cells:
 
 
 def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Index (N,) of the cell and side of points, -1 outside of the grid."""
+    """Index (N,) of the cell and side of points, -1 outside the grid."""
     at = np.floor((position_m - grid.low) / grid.cell_m).astype(np.int64)
     inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
     key = ((at[:, 0] * grid.shape[1] + at[:, 1]) * grid.shape[2] + at[:, 2]) * NUM_SIDES + side_of(normal)
@@ -88,7 +88,7 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 
 def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
-    """Estimated radiance (K, 3) of surface outside of the surfels' grid; None without any."""
+    """Estimated radiance (K, 3) of surface outside the surfels' grid; None if there is no such surface."""
     outer = _outer_grid(grid)
     keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
     keys, first = keys[keys >= 0], first[keys >= 0]

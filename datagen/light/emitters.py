@@ -58,7 +58,7 @@ class Emitters:
 def photographed_emitters(
     views: Sequence[TracedView], mesh: Mesh, emits: NDArray[np.bool_], region_of_face: NDArray[np.int32]
 ) -> Emitters:
-    """Emitters among the triangles where ``emits`` (M,); radiance 0 for those that no photograph shows."""
+    """Emitters among the triangles where ``emits`` (M,); radiance 0 where no photograph shows the emitter."""
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
         none = np.zeros(0, np.float32)

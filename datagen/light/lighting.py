@@ -43,7 +43,7 @@ class GatherOptions:
     """Options of :func:`light_surfels` and :func:`relight`.
 
     Rays per surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, and ``estimate_rays``
-    for unphotographed surface. Further the number of surfels over which shading is smoothed.
+    for unphotographed surface. ``smoothing_neighbours``: number of surfels over which shading is smoothed.
     ``estimates_unseen``: whether unphotographed surface gets the mean reflectance; ``fits_estimates``:
     whether gains of the estimates are fitted. ``bounds_mixed``: whether mixed surfels reflect at most their
     light.
@@ -117,7 +117,7 @@ def light_surfels(
 def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
     """The surfels with the radiance of mixed ones bounded by their incident light, as far as that is known.
 
-    In its photographs, a slat of a blind of a pixel's width has the radiance of the sky behind it.
+    A slat of a blind that is one pixel wide has the radiance of the sky behind it.
     ``unmixed`` bakes the light of the field without mixed surfels.
     """
     mixed = np.flatnonzero(surfels.is_mixed)

@@ -279,7 +279,7 @@ class RadianceField:
     def extended(
         self, position_m: NDArray, normal: NDArray, surfels: Surfels, radiance: NDArray
     ) -> RadianceField:
-        """The field with estimated radiance (K, 3) of unphotographed surface, also outside of the surfels'
+        """The field with estimated radiance (K, 3) of unphotographed surface, also outside the surfels'
         grid."""
         keys = cell_keys(surfels.grid, position_m, normal)
         inside = keys >= 0

@@ -54,8 +54,8 @@ class CellGrid:
 class Observations:
     """Observations (M) of the surfels, ordered by surfel and then by view.
 
-    Those of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight`` (M,), the
-    number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`.
+    The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight``
+    (M,), the number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`.
     """
 
     start: NDArray[np.int64]
@@ -70,7 +70,7 @@ class Surfels:
 
     ``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,) triangle,
     ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether most of its pixels lie at depth edges,
-    where the radiance is partly that of other surfaces, ``camera_m`` (V, 3) positions of the cameras. Per
+    where other surfaces contribute to the radiance, ``camera_m`` (V, 3) positions of the cameras. Per
     view: ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
     """
 
@@ -179,7 +179,7 @@ def _extent(
 
 @compiled
 def cell_of(position, normal, low, cell_m, shape):
-    """Index of the cell and side of a point, -1 outside of the grid."""
+    """Index of the cell and side of a point, -1 outside the grid."""
     index = 0
     for axis in range(3):
         at = int(np.floor((position[axis] - low[axis]) / cell_m))

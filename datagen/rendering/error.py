@@ -67,6 +67,6 @@ def relative_mse_of_parts(
     variance = scale**2 * np.var(references, axis=0, ddof=1) / ((scale * middle) ** 2 + EPSILON)
     variance = variance.mean(axis=-1)
     # Variance of e^2 - 2 e n + (mean of six products n n'), n the mean of four: e^2 s^2 + s^4 / 6. From four
-    # # values, the square of the variance is estimated 5/3 too large on average.
+    # values, the square of the variance is estimated 5/3 too large on average.
     noise = np.maximum(errors, 0.0) * variance + variance**2 / 10.0
     return float(errors.mean()), math.sqrt(float(noise.sum())) / noise.size

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Surfels of things thinner than a pixel: slats of a blind before a bright sky."""
+"""Things thinner than a pixel: slats of a blind before a bright sky."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
+from datagen.light.edge_pixels import edge_slope, unmixed
 from datagen.light.lighting import GatherOptions, light_surfels
 from datagen.light.surfels import Surfels, build_surfels
 
@@ -19,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 WALL, SLAT, SKY = 0.2, 0.05, 20.0
 """Radiance of the room's surfaces, of the slats and of the sky."""
 NUM_SLATS, SPACING_M, SLAT_M = 9, 0.11, 0.02
-SUBPIXELS = 6
+SUBPIXELS = 16
 NUM_WALL_FACES = 10
 
 
@@ -117,3 +120,55 @@ def test_mixed_surfels_of_possible_radiance_keep_it(traced: TracedGeometry) -> N
     views = _photographed(traced, sky=SLAT / 2)
     seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
     np.testing.assert_array_equal(_of_slats(found), _of_slats(seen))
+
+
+def _unmixed(views: tuple[TracedView, ...], traced: TracedGeometry) -> list[TracedView]:
+    nothing_emits = np.zeros(NUM_WALL_FACES + 2 * NUM_SLATS, bool)
+    surface = np.arange(len(nothing_emits), dtype=np.int32) // 2
+    return unmixed(views, traced, nothing_emits, surface)
+
+
+def _radiance(views: Sequence[TracedView], is_slat: bool) -> NDArray[np.float32]:
+    """Radiance (K,) of the pixels that show slats or walls."""
+    of_views = []
+    for view in views:
+        face = view.geometry.face.ravel()
+        shown = face >= NUM_WALL_FACES if is_slat else (face >= 0) & (face < NUM_WALL_FACES)
+        of_views.append(view.color[..., 0].ravel()[shown])
+    return np.concatenate(of_views)
+
+
+def test_pixels_of_slats_have_the_radiance_of_slats_alone(
+    views: tuple[TracedView, ...], traced: TracedGeometry
+) -> None:
+    found = _unmixed(views, traced)
+    slats, walls = _radiance(found, True), _radiance(found, False)
+    assert np.median(_radiance(views, True)) > 50 * SLAT
+    assert abs(np.median(slats) - SLAT) < 0.01 * SKY  # the coverage by 16 rays is off by a few percent
+    assert np.quantile(slats, 0.9) < 0.1 * SKY
+    assert np.quantile(np.abs(walls - WALL), 0.95) < 0.05 * WALL
+
+
+def test_pixels_without_other_surfaces_keep_their_values(
+    views: tuple[TracedView, ...], traced: TracedGeometry
+) -> None:
+    surfels = build_surfels(views)
+    for view, found, of_pixel in zip(views, _unmixed(views, traced), surfels.pixel_surfel, strict=True):
+        own = of_pixel.reshape(view.color.shape[:2])
+        is_mixed = (own >= 0) & surfels.is_mixed[own]
+        np.testing.assert_array_equal(found.color[~is_mixed], view.color[~is_mixed])
+
+
+@pytest.mark.parametrize(("part", "expected"), [(1.0, 1.0), (0.45, 0.5), (0.0, 0.0)])
+def test_slope_is_the_part_of_the_predicted_mixture_that_photographs_show(
+    part: float, expected: float
+) -> None:
+    """A part of 0.9 counts as exact."""
+    rng = np.random.default_rng(3)
+    share = rng.uniform(0.2, 0.8, 200_000)
+    known, beyond = rng.uniform(0.1, 1, (2, len(share), 1)) * np.ones(3)
+    other = (1 - share)[:, None] * beyond
+    color = known + part * (share[:, None] * known + other - known)
+    is_known = np.ones(len(share), bool)
+    assert abs(edge_slope(color, share, other, known, is_known) - expected) < 0.02
+    assert edge_slope(color, share, other, known, ~is_known) == 1.0

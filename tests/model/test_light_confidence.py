@@ -66,6 +66,15 @@ def test_light_is_not_trusted_where_more_is_reflected_than_arrives() -> None:
     np.testing.assert_array_equal(shares_of(radiance, is_metal=radiance[:, 0] > 1).trust(), 1.0)
 
 
+def test_surfels_with_radiance_of_other_surfaces_take_no_trust_away() -> None:
+    radiance = np.full((10 * BLOCK_CELLS, 3), 0.5)
+    radiance[: 2 * BLOCK_CELLS] = 1.5
+    mixed = replace(wall(radiance), is_mixed=radiance[:, 0] > 1)
+    num = len(radiance)
+    shares = impossible_shares(mixed, np.ones((num, 3)), np.zeros(num, bool), np.zeros(num, np.int32))
+    np.testing.assert_array_equal(shares.trust(), 1.0)
+
+
 def test_few_bright_surfels_of_a_room_take_no_trust_away() -> None:
     """Three blocks of thirty, as frames of windows are, leave their own neighbourhood trusted; six do not."""
     num = 30 * BLOCK_CELLS

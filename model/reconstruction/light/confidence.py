@@ -94,10 +94,10 @@ def impossible_shares(
 
     These have a radiance above :data:`MAX_REFLECTED` times ``diffuse`` (N, 3). Shares, weighted by views, are
     those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between blocks; blocks with few surfels
-    are shrunk to the whole region, small regions to the room. Metals are ignored.
+    are shrunk to the whole region, small regions to the room. Metals and mixed surfels are ignored.
     """
     excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
-    weight = (np.diff(surfels.observations.start) * ~is_metal).astype(np.float64)
+    weight = (np.diff(surfels.observations.start) * ~(is_metal | surfels.is_mixed)).astype(np.float64)
     grid = surfels.grid
     side_m = BLOCK_CELLS * grid.cell_m
     blocks = CellGrid(grid.low, side_m, -(-grid.shape // BLOCK_CELLS), grid.surfel)

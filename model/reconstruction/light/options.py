@@ -20,8 +20,9 @@ class LightOptions(GatherOptions):
     Rays per observation of a solved point and roughness level (``solve_rays``) and per observation of a
     surfel (``specular_rays``), beside the rays of :class:`GatherOptions`. At most ``max_points`` are solved,
     with ``num_observations`` each. ``num_rounds``: in a second round, the light has less noise, and rays are
-    reflected at the metals found in the first. ``has_prior``: whether the network's maps are a prior where
-    evidence is missing. ``is_corrected``: whether the shading gets a smooth correction where its light is not
+    reflected at the metals found in the first. ``unmixes_edges``: whether pixels of mixed surfels get
+    the radiance of those surfels alone. ``has_prior``: whether the network's maps are a prior where evidence
+    is missing. ``is_corrected``: whether the shading gets a smooth correction where its light is not
     photographed.
     """
 
@@ -32,12 +33,13 @@ class LightOptions(GatherOptions):
     num_rounds: int = 2
     prior: PriorWeights = field(default_factory=PriorWeights)
     has_prior: bool = True
+    unmixes_edges: bool = True
     is_corrected: bool = True
 
 
 STEPS = (
-    "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction", "maps",
-    "lights",
+    "edges", "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction",
+    "maps", "lights",
 )  # fmt: skip
 """Steps of the stage in order; with one round, those of the second are left out."""
 

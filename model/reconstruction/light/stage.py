@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
+from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
@@ -78,6 +79,9 @@ def materials_from_light(
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
     ordered, predicted = [views[index] for index in order], [maps[index] for index in order]
     lamps: UnseenLamps | None = None
+    if options.unmixes_edges:
+        with report.step("edges"):
+            ordered = unmixed(ordered, traced, emits, region_of_face)
 
     def completed(dark: Lit) -> Emitters:
         nonlocal lamps

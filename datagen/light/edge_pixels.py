@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: MIT
+"""Radiance of surfels that are visible only at depth edges, where a pixel shows several surfaces.
+
+With a_p the share of pixel p that its own surface covers, and b_p the radiance of everything else in the
+pixel times its share, the pixel's radiance is L = a_p x + b_p. Rays through the pixel give both: other
+surfaces have the radiance of their surfels, the outside that of the empty pixels around. The result is
+
+    x_p = (L - b_p) / a_p,
+
+shrunk to the surfel's median of x_p, weighted by a_p^2. A mesh with errors predicts its edges badly: 1 - a_p
+and b_p are multiplied by a slope, the median of (L - X) / (a_p X + b_p - X) over edge pixels of surfels whose
+radiance X is known from pixels without edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
+from datagen.light.background import photographed_background
+from datagen.light.cells import unmixed_cells
+from datagen.light.emitters import photographed_emitters
+from datagen.light.radiance_field import RadianceField
+from datagen.light.surfels import Surfels, build_surfels, camera_row, weighted_medians
+
+RAYS = 16
+"""Rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
+SHRINKAGE = 0.1
+"""Squared share of its own surface at which a pixel and its surfel's median have equal weight."""
+MIN_SHARE = 0.1
+"""Minimum share in the division."""
+WINDOW, MIN_SPREAD = 9, 0.01
+"""Side in pixels of the window of the regression for the outside's radiance, and variance of the shares at
+which the regression has the weight of the nearest empty pixel."""
+MIN_CONTRAST = 0.2
+"""Minimum difference between a pixel's surfaces, relative to the brighter one, for the slope."""
+EXACT_SLOPE = 0.9
+"""Slope from which on the mesh counts as exact: the development rooms have 0.90 to 1.04 with their own
+meshes, 0.25 to 0.84 with worse ones."""
+PRIOR_PIXELS = 1000
+"""Number of pixels of sufficient contrast at which the measured slope has the weight of the prior, 1."""
+
+
+def unmixed(
+    views: Sequence[TracedView],
+    traced: TracedGeometry,
+    emits: NDArray[np.bool_],
+    region_of_face: NDArray[np.int32],
+) -> list[TracedView]:
+    """The views with the radiance of mixed surfels alone in the pixels of those surfels.
+
+    ``emits`` (M,) and ``region_of_face`` (M,), the smooth surfaces, as in
+    :func:`~datagen.light.lighting.light_surfels`.
+    """
+    surfels = build_surfels(views)
+    emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
+    grid = surfels.grid
+    background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
+    field = RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
+    edges = [_edge_pixels(surfels, place, view) for place, view in enumerate(views)]
+    parts = [_parts(field, view, at, region_of_face) for view, at in zip(views, edges, strict=True)]
+    colors = [view.color.reshape(-1, 3)[at] for view, at in zip(views, edges, strict=True)]
+    owner = np.concatenate([surfels.pixel_surfel[place][at] for place, at in enumerate(edges)])
+    color, share = np.concatenate(colors), np.concatenate([part[0] for part in parts])
+    other = np.concatenate([part[1] for part in parts])
+    if not len(color):
+        return list(views)
+    slope = edge_slope(color, share, other, surfels.radiance[owner], ~surfels.is_mixed[owner])
+    share, other = 1 - slope * (1 - share), slope * other
+    own = np.maximum(color - other, 0) / np.maximum(share, MIN_SHARE)[:, None]
+    median = _medians(owner, own, share**2, len(surfels))[owner]
+    weight = (share**2 / (share**2 + SHRINKAGE))[:, None]
+    found = weight * own + (1 - weight) * median
+    found = np.where(surfels.is_mixed[owner, None], found, color).astype(np.float32)
+    ends = np.cumsum([0, *map(len, edges)])
+    result = []
+    for view, at, first, last in zip(views, edges, ends[:-1], ends[1:], strict=True):
+        changed = view.color.reshape(-1, 3).copy()
+        changed[at] = found[first:last]
+        result.append(replace(view, color=changed.reshape(view.color.shape)))
+    return result
+
+
+def edge_slope(
+    color: NDArray, share: NDArray, other: NDArray, known: NDArray, is_known: NDArray[np.bool_]
+) -> float:
+    """Share, in [0, 1], of the predicted mixture that the ``color`` (K, 3) of edge pixels shows.
+
+    The prediction is ``share`` (K,) times the own surface's radiance ``known`` (K, 3), valid where
+    ``is_known`` (K,), plus ``other`` (K, 3). Returns 1 without evidence.
+    """
+    own = known @ LUMINANCE_WEIGHTS
+    expected = share * own + other @ LUMINANCE_WEIGHTS - own
+    contrast = np.abs(expected) / np.maximum(np.maximum(own, own + expected), 1e-12)
+    used = is_known & (contrast > MIN_CONTRAST)
+    num = int(used.sum())
+    if not num:
+        return 1.0
+    shown = (color @ LUMINANCE_WEIGHTS - own)[used] / expected[used]
+    slope = float(np.clip(np.median(shown) / EXACT_SLOPE, 0, 1))
+    return (num * slope + PRIOR_PIXELS) / (num + PRIOR_PIXELS)
+
+
+def _edge_pixels(surfels: Surfels, place: int, view: TracedView) -> NDArray[np.int64]:
+    """Indices (K,) of a view's pixels at edges and creases whose value is not clipped."""
+    at_edge = (surfels.pixel_surfel[place] >= 0) & (surfels.pixel_weight[place] < 1)
+    if view.clipped_mask is not None:
+        at_edge &= ~view.clipped_mask.any(axis=2).ravel()
+    return np.flatnonzero(at_edge)
+
+
+def _parts(
+    field: RadianceField, view: TracedView, pixel: NDArray[np.int64], region_of_face: NDArray[np.int32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Share (K,) of each pixel's own surface, and radiance (K, 3) of everything else times its share.
+
+    Surface of unknown radiance counts as the pixel's own.
+    """
+    from scipy.ndimage import binary_dilation
+
+    if not len(pixel):
+        return np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
+    empty = (view.geometry.depth_z_m[..., 0] <= 0) & view.valid_mask
+    at_edge = np.zeros(empty.size, bool)
+    at_edge[pixel] = True
+    near = binary_dilation(at_edge.reshape(empty.shape), np.ones((WINDOW, WINDOW)))
+    rim = np.flatnonzero(empty & near)
+    radiance, is_known, face = _rays_through(field, view, np.concatenate([pixel, rim]))
+    leaves = face < 0
+    share = empty.astype(np.float32).ravel()
+    share[np.concatenate([pixel, rim])] = leaves.mean(axis=1)
+    num = len(pixel)
+    radiance, is_known, face, leaves = radiance[:num], is_known[:num], face[:num], leaves[:num]
+    own_face = view.geometry.face.ravel()[pixel]
+    is_own = ~leaves & (region_of_face[np.maximum(face, 0)] == region_of_face[own_face][:, None])
+    outside = _outside(view, pixel, share.reshape(empty.shape))
+    if outside is not None:
+        radiance = np.where(leaves[..., None], outside[:, None], radiance)
+        is_known = is_known | leaves
+    counts = is_known & ~is_own
+    other = (radiance * counts[..., None]).sum(axis=1) / RAYS
+    return (1 - counts.mean(axis=1)).astype(np.float32), other.astype(np.float32)
+
+
+def _rays_through(
+    field: RadianceField, view: TracedView, pixel: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int32]]:
+    """Radiance (K, RAYS, 3) along rays through each pixel, whether it is known (K, RAYS), and the triangles
+    hit (K, RAYS), -1 for none.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    row = camera_row(view)
+    width = int(row[16])
+    step = np.arange(RAYS)
+    inverse = sum((step >> bit & 1) / 2 ** (bit + 1) for bit in range(RAYS.bit_length() - 1))
+    x = (pixel % width)[:, None] + (step + 0.5) / RAYS
+    y = (pixel // width)[:, None] + inverse + 0.5 / RAYS
+    local = np.stack([(x - row[14]) / row[12], (y - row[15]) / row[13], np.ones_like(x)], axis=-1)
+    toward = local.reshape(-1, 3) @ row[:9].reshape(3, 3).T
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    direction: Any = mi.Vector3f(np.ascontiguousarray(toward.T, np.float32))
+    met = field.meet(mi.Ray3f(mi.Point3f(*row[9:12].tolist()), direction), mi.Bool(True))
+    face = dr.select(dr.isfinite(met.distance_m), mi.Int32(met.face), -1)
+    dr.eval(met, face)
+    shape = len(pixel), RAYS
+    radiance = np.asarray(met.radiance.numpy()).reshape(3, *shape).transpose(1, 2, 0)
+    return (
+        radiance,
+        np.asarray(met.is_known.numpy(), bool).reshape(shape),
+        np.asarray(face.numpy()).reshape(shape),
+    )
+
+
+def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDArray[np.float32] | None:
+    """Radiance (K, 3) of the outside at ``pixel`` (K,).
+
+    A regression of radiance on ``share`` (H, W), the part of each pixel without surface, around the pixel, at
+    a share of 1; where shares hardly differ, the nearest empty pixel. None without empty pixels.
+    """
+    from scipy.ndimage import distance_transform_edt, uniform_filter
+
+    if not (share == 1).any():
+        return None
+    rows, columns = distance_transform_edt(share < 1, return_distances=False, return_indices=True)
+    nearest = view.color[rows.ravel()[pixel], columns.ravel()[pixel]]
+
+    def mean(values: NDArray) -> NDArray:
+        return uniform_filter(values, WINDOW)
+
+    mean_share = mean(share)
+    spread = np.maximum(mean(share * share) - mean_share**2, 0)
+    found = np.empty_like(nearest)
+    weight = (spread / (spread + MIN_SPREAD)).ravel()[pixel]
+    for channel in range(3):
+        color = view.color[..., channel]
+        mean_color = mean(color)
+        slope = (mean(share * color) - mean_share * mean_color) / (spread + 1e-6)
+        at_one = np.maximum(mean_color + slope * (1 - mean_share), 0).ravel()[pixel]
+        found[:, channel] = weight * at_one + (1 - weight) * nearest[:, channel]
+    return found
+
+
+def _medians(owner: NDArray, values: NDArray, weight: NDArray, num: int) -> NDArray[np.float32]:
+    """Weighted median (``num``, 3) of the ``values`` (K, 3) of each owner (K,)."""
+    order = np.argsort(owner, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=num))]).astype(np.int64)
+    return weighted_medians(start, values[order].astype(np.float32), weight[order].astype(np.float32))
