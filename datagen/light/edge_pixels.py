@@ -39,6 +39,8 @@ MIN_SHARE = 0.1
 WINDOW, MIN_SPREAD = 9, 0.01
 """Side in pixels of the window of the regression for the outside's radiance, and variance of the shares at
 which the regression has the weight of the nearest empty pixel."""
+SAMPLED_EVERY = 7
+"""Of the edge pixels far from mixed surfels, one in so many is used, for the slope alone."""
 MIN_CONTRAST = 0.2
 """Minimum difference between a pixel's surfaces, relative to the brighter one, for the slope."""
 EXACT_SLOPE = 0.9
@@ -109,11 +111,19 @@ def edge_slope(
 
 
 def _edge_pixels(surfels: Surfels, place: int, view: TracedView) -> NDArray[np.int64]:
-    """Indices (K,) of a view's pixels at edges and creases whose value is not clipped."""
-    at_edge = (surfels.pixel_surfel[place] >= 0) & (surfels.pixel_weight[place] < 1)
+    """Indices (K,) of a view's unclipped pixels at edges and creases: those of mixed surfels, those around
+    them, and a sample of the rest.
+    """
+    from scipy.ndimage import maximum_filter
+
+    owner, shape = surfels.pixel_surfel[place], view.color.shape[:2]
+    at_edge = (owner >= 0) & (surfels.pixel_weight[place] < 1)
+    is_mixed = at_edge & surfels.is_mixed[owner]
+    is_near = maximum_filter(is_mixed.reshape(shape), WINDOW).ravel()
+    chosen = at_edge & (is_near | (np.arange(len(owner)) % SAMPLED_EVERY == 0))
     if view.clipped_mask is not None:
-        at_edge &= ~view.clipped_mask.any(axis=2).ravel()
-    return np.flatnonzero(at_edge)
+        chosen &= ~view.clipped_mask.any(axis=2).ravel()
+    return np.flatnonzero(chosen)
 
 
 def _parts(
@@ -123,15 +133,14 @@ def _parts(
 
     Surface of unknown radiance counts as the pixel's own.
     """
-    from scipy.ndimage import binary_dilation
+    from scipy.ndimage import maximum_filter
 
     if not len(pixel):
         return np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
     empty = (view.geometry.depth_z_m[..., 0] <= 0) & view.valid_mask
     at_edge = np.zeros(empty.size, bool)
     at_edge[pixel] = True
-    near = binary_dilation(at_edge.reshape(empty.shape), np.ones((WINDOW, WINDOW)))
-    rim = np.flatnonzero(empty & near)
+    rim = np.flatnonzero(empty & maximum_filter(at_edge.reshape(empty.shape), WINDOW))
     radiance, is_known, face = _rays_through(field, view, np.concatenate([pixel, rim]))
     leaves = face < 0
     share = empty.astype(np.float32).ravel()
