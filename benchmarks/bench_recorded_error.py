@@ -30,7 +30,7 @@ from benchmarks.bench_view import RESULTS, configuration_of, converted
 from datagen.assembly.plan import assemble
 from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
-from datagen.formats.recipe import AssetFilter, Recipe, RenderRecipe
+from datagen.formats.recipe import EnvironmentRecipe, Recipe, RenderRecipe
 from datagen.foundation.color import luminance
 from datagen.inspection.recheck import DEPTH, PARTS, ROULETTE_DEPTH
 from datagen.library import Library, resolve_library_paths
@@ -77,7 +77,7 @@ def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tup
         configurations=1,
         views=views,
         resolution=size,
-        environments=AssetFilter(include=(name,)),
+        environments=EnvironmentRecipe(include=(name,)),
     )
     return assemble(recipe, 0, library), library
 
