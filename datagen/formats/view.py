@@ -59,11 +59,11 @@ class RenderRecord(StrictModel):
 
     ``path_samples``: mean number of light paths per pixel. If a target error was given, ``most_path_samples``
     is the largest number for any pixel, ``estimated_rel_mse`` the error estimated from independent halves
-    (exposed relMSE of the beauty image), and ``at_ceiling`` is true if the sample limit was reached before
-    the target. ``firefly_clamp_radiance`` is the maximum radiance of a path of two or more bounces,
-    ``clamped_energy`` the share of the luminance removed by it. ``max_energy_left`` bounds the share of the
-    light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the cells of cached irradiance in
-    which paths ended; None if all light was traced.
+    (exposed relMSE of the beauty image) plus its standard error, and ``at_ceiling`` is true if the sample
+    limit was reached before the target. ``firefly_clamp_radiance`` is the maximum radiance of a path of two
+    or more bounces, ``clamped_energy`` the share of the luminance removed by it. ``max_energy_left`` bounds
+    the share of the light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the cells of
+    cached irradiance in which paths ended; None if all light was traced.
     """
 
     variant: str

@@ -113,6 +113,15 @@ class ErrorEstimate:
     bias_error: float
     spread_map: NDArray[np.float32]
 
+    @property
+    def bound(self) -> float:
+        """Estimate plus one standard error: compared with the target, and recorded.
+
+        Sampling stops when an estimate is low, which is often by chance: the estimates of finished views are
+        three quarters of their errors in the median, these bounds as large as them (decision 70).
+        """
+        return self.rel_mse + self.standard_error
+
 
 def estimate_error(
     halves: tuple[NDArray[np.float32], NDArray[np.float32]],
@@ -196,11 +205,8 @@ class SampleBudget:
     max_samples: int
 
     def is_met(self, estimate: ErrorEstimate) -> bool:
-        """Whether the target is met with a margin of one standard error.
-
-        Estimates from few and noisy samples are sometimes small by chance.
-        """
-        return estimate.rel_mse + estimate.standard_error <= self.max_rel_mse
+        """Whether the target is met with a margin of one standard error."""
+        return estimate.bound <= self.max_rel_mse
 
     def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
         """Samples per pixel of one half in the first pass, (H, W)."""
@@ -226,7 +232,7 @@ class SampleBudget:
         for share in (0.25, 0.5, 1.0, 2.0):
             after = _distribute(errors, before, tiles.areas, min(share * mean, room))
             gain = (errors * tiles.areas * before / after).sum() / (errors * tiles.areas).sum()
-            if gain * (estimate.rel_mse + estimate.standard_error) <= self.max_rel_mse:
+            if gain * estimate.bound <= self.max_rel_mse:
                 break
         return tiles.spread_out((after - before).astype(np.int64))
 

@@ -263,7 +263,7 @@ class ViewJob:
         if self.scene.tracer.irradiance is not None:
             fields["irradiance_cell_m"] = quantized(self.scene.tracer.irradiance.cells.side_m, 4)
         if self.budget is not None and self.estimate is not None:
-            fields["estimated_rel_mse"] = quantized(self.estimate.rel_mse, 4)
+            fields["estimated_rel_mse"] = quantized(self.estimate.bound, 4)
             fields["at_ceiling"] = not self.budget.is_met(self.estimate)
             fields["most_path_samples"] = int(sums.counts.max())
         if math.isfinite(self.clamp_limit):

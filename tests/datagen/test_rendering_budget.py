@@ -268,6 +268,18 @@ def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
     assert 0.3 * record.estimated_rel_mse < true < 2 * record.estimated_rel_mse
 
 
+def test_record_is_what_is_compared_with_the_target(budgeted: SceneRenderer) -> None:
+    """Estimate and standard error: views stop when the estimate alone is low, which is often by chance."""
+    for passes in (1, 3):
+        job = budgeted.view_job(1)
+        for _ in range(passes):
+            job.add_pass(4)
+        estimate, record = job.estimate_error(), job.finish().render
+        assert estimate.standard_error > 0.01 * estimate.rel_mse
+        assert record.estimated_rel_mse == pytest.approx(estimate.rel_mse + estimate.standard_error, rel=1e-3)
+        assert record.at_ceiling == (record.estimated_rel_mse > 0.01)
+
+
 def test_ceiling_is_kept_and_recorded(tmp_path: Path) -> None:
     record = make(tmp_path / "room", max_rel_mse=1e-6, max_path_samples=11).render_view(1).render
     assert record.at_ceiling and 4 < record.path_samples <= 11
