@@ -102,10 +102,9 @@ class PreparedScene:
         if not self.recipe.irradiance_cache:
             return
         cameras = [view.camera() for view in self.configuration.cameras]
-        num_pixels = sum(camera.width_px * camera.height_px for camera in cameras)
         chosen = cameras[:: math.ceil(len(cameras) / MAX_IRRADIANCE_VIEWS)]
         sensors = (self.sensor(camera) for camera in chosen)
-        self.tracer.gather_irradiance(self.materials, sensors, num_pixels, self.seed(0, "irradiance"))
+        self.tracer.gather_irradiance(self.materials, sensors, self.seed(0, "irradiance"))
 
     def seed(self, index: int, purpose: str) -> int:
         """:func:`view_seed` of this configuration."""

@@ -63,7 +63,7 @@ def test_cells_follow_the_scale_of_the_scene(scale: float) -> None:
     assert flat.side_m >= scale / 512 and flat.num_cells <= 6 * 512 * 512
 
 
-def test_means_forget_what_they_are_told_to_and_lean_on_their_surroundings() -> None:
+def test_means_lean_on_their_surroundings() -> None:
     import mitsuba as mi
 
     from datagen.rendering.transport.irradiance_cache import PRIOR_SAMPLES, IrradianceCache, SurfaceCells
@@ -83,8 +83,8 @@ def test_means_forget_what_they_are_told_to_and_lean_on_their_surroundings() -> 
     assert not means([0.05, 0.05, 0.05])[1].any()
     cache.add(np.array([near, near]), np.array([[1.0, 2.0, 3.0], [3.0, 4.0, 5.0]]))
     assert means([0.05, 0.05, 0.05])[0][0] == pytest.approx([2, 3, 4])
-    cache.add(np.array([near]), np.array([[8.0, 8.0, 8.0]]), keep=0.5)  # two samples count as one
-    assert means([0.05, 0.05, 0.05])[0][0] == pytest.approx([5, 5.5, 6])
+    cache.add(np.array([near]), np.array([[8.0, 9.0, 10.0]]))
+    assert means([0.05, 0.05, 0.05])[0][0] == pytest.approx([4, 5, 6])
     cache.add(
         np.repeat([near, beside, far], [996, 1, 1]),
         np.repeat([[10.0] * 3, [0.0] * 3, [7.0] * 3], [996, 1, 1], 0),
@@ -151,7 +151,7 @@ def test_reflectance_of_the_specular_lobe_is_that_of_the_bsdf() -> None:
             _, weight = bsdf.sample(mi.BSDFContext(), si, *draws)
             channels = SurfaceChannels(None, mi.Color3f(specular), mi.Float(roughness), None, None)
             fit = float(np.array(specular_reflectance(channels))[0, 0])
-            assert fit == pytest.approx(float(dr.mean(weight.x)[0]), abs=0.015 + 0.05 * specular)
+            assert fit == pytest.approx(float(dr.mean(weight.x)[0]), abs=0.004)
 
 
 def test_irradiance_does_not_pass_a_wall(tmp_path: Path) -> None:
@@ -242,10 +242,54 @@ def test_light_does_not_leak_under_what_is_smaller_than_a_cell(tmp_path: Path) -
     assert means["cached"] == pytest.approx(means["plain"], rel=0.25)
 
 
-def test_a_beam_goes_where_it_is_reflected_to(tmp_path: Path) -> None:
+def two_rooms() -> SmallScene:
+    """A closed room divided at y = 0 by a wall, which leaves a gap of 1 m; bright: light goes on for many
+    bounces."""
+    scene = closed_room(None)
+    scene.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (0.8,) * 3})}
+    scene.parts["divider"] = (quad([-2, 0, 0], [3, 0, 0], [0, 0, 2]), "wall")
+    return scene
+
+
+def test_rooms_that_no_camera_sees_are_not_dark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The light is around the corner: whole paths and those with a cache find as much of it. So do paths of
+    four segments of which only the last vertex has cached irradiance."""
+    from datagen.rendering.transport import irradiance_cache
+
+    bulb = PointLight(name="bulb", position_m=(-1.5, 1.8, 1.8), intensity=(5.0, 5.0, 5.0))
+    camera = Camera(24, 16, 16, 16, 12, 8, look_at([-1.5, -1.5, 1.0], [-0.5, -0.2, 1.0]))
+
+    def light(name: str, recipe: RenderRecipe, depth: int) -> float:
+        recipe = recipe.model_copy(update={"max_depth": depth})
+        room = renderer(tmp_path / name, two_rooms(), [camera], recipe, lights=(bulb,))
+        return float(room.tracer.accumulate(room.sensor(camera), 1024, 1).mean().mean())
+
+    plain = light("plain", PLAIN, 64)
+    assert light("cached", CACHED, 16) == pytest.approx(plain, rel=0.05)
+    monkeypatch.setattr(irradiance_cache, "MIN_SPREAD", 1e6)
+    assert light("last", CACHED, 4) == pytest.approx(plain, rel=0.05)
+    assert light("cut_off", PLAIN, 4) < 0.6 * plain
+
+
+def test_cache_does_not_depend_on_the_size_of_images(tmp_path: Path) -> None:
+    caches = []
+    for number, scale in enumerate((1, 4)):
+        camera = INDOORS.scaled(24 * scale, 16 * scale)
+        room = renderer(tmp_path / str(number), walled_room(), [camera], CACHED, lights=(LAMP,))
+        caches.append(room.tracer.irradiance)
+    small, large = caches
+    assert small is not None and large is not None and small.cells.side_m < 0.1
+    assert small.cells.side_m == pytest.approx(large.cells.side_m, rel=0.01)
+    assert small.num_records == pytest.approx(large.num_records, rel=0.05)
+
+
+@pytest.mark.parametrize(("roughness", "contrast", "tolerance"), [(0.25, 3.0, 0.35), (0.5, 2.0, 0.1)])
+def test_a_beam_goes_where_it_is_reflected_to(
+    tmp_path: Path, roughness: float, contrast: float, tolerance: float
+) -> None:
     """A lamp shines on a glossy wall, which throws its light on one part of the floor. Beside the beam it
     stays dark: what the wall receives is not what it sends to all sides."""
-    glossy = SlotMaterial(diffuse_albedo=(0, 0, 0), specular_albedo=(0.9, 0.9, 0.9), roughness=0.25)
+    glossy = SlotMaterial(diffuse_albedo=(0, 0, 0), specular_albedo=(0.9, 0.9, 0.9), roughness=roughness)
     scene = closed_room(None)
     scene.parts["left"] = (quad([-2, -2, 0], [0, 2, 0], [0, 0, 2]), "glossy")
     scene.parts["left_end"] = (quad([-2, 0, 0], [0, 2, 0], [0, 0, 2]), "wall")
@@ -258,8 +302,8 @@ def test_a_beam_goes_where_it_is_reflected_to(tmp_path: Path) -> None:
         for y in (-0.4, 1.6)
     ]
     means = means_of_views(tmp_path, scene, down, lamp)
-    assert means["plain"][0] > 3 * means["plain"][1]
-    assert means["cached"][1] == pytest.approx(means["plain"][1], rel=0.35)
+    assert means["plain"][0] > contrast * means["plain"][1]
+    assert means["cached"] == pytest.approx(means["plain"], rel=tolerance)
 
 
 def test_nothing_to_see_or_no_light_means_no_cache(tmp_path: Path) -> None:
@@ -270,13 +314,13 @@ def test_nothing_to_see_or_no_light_means_no_cache(tmp_path: Path) -> None:
 
 
 def test_white_walls_do_not_run_away(tmp_path: Path) -> None:
-    """In a scene that reflects all light, rounds add light without end, but a bounded amount each."""
+    """In a scene that reflects all light, bounces add light without end, but a bounded amount each."""
     white = SlotMaterial(diffuse_albedo=(1, 1, 1), specular_albedo=(1, 1, 1), roughness=0.3)
     room = closed_room(None)
     room.slots = {"wall": white}
     bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 1.0, 1.0))
     found = irradiance(renderer(tmp_path, room, [INDOORS], CACHED, lights=(bulb,)))
-    assert found.mean() < 30 * 4 * np.pi / 32  # rounds x what the bulb sends on 32 square metres
+    assert found.mean() < (64 + 12) * 4 * np.pi / 32  # bounces x what the bulb sends on 32 square metres
 
 
 RECORDS_IN_GARBAGE = """

@@ -100,18 +100,14 @@ class PathTracer:
         self.emitters.light_sampler = uniform_sampler(self.scene, guide)
         self.forget_recordings()
 
-    def gather_irradiance(
-        self, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
-    ) -> None:
+    def gather_irradiance(self, materials: SceneMaterials, sensors: Iterable[Any], seed: int) -> None:
         """Fill the irradiance cache and the light sampler from ``sensors``; from now on paths may end in the
         cache.
-
-        ``num_pixels`` of all views together limits the cost.
         """
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
-                self.irradiance = gather_irradiance(self.emitters, materials, sensors, num_pixels, seed)
+                self.irradiance = gather_irradiance(self.emitters, materials, sensors, seed)
         if self.irradiance is not None and (weights := self.irradiance.light_weights()).size:
             self.emitters.light_sampler = LightSampler(self.scene, self.sky_guide, weights)
 
@@ -258,6 +254,7 @@ class PathTracer:
         spread_m = mi.Float(0.0)  # side in metres of the area over which the path has spread
         is_cached = mi.Bool(False)  # whether the path may end in the cache here
         cached = mi.Color3f(0.0)  # mean incident radiance from the cache
+        narrow_pdf: Any = mi.Float(NARROW_PDF)  # density from which on paths go on nevertheless
         active = mi.Bool(True)  # lanes whose path goes on
         while active:
             si = walk.intersect(scene, active)
@@ -281,10 +278,11 @@ class PathTracer:
                 spread = spread_of(walk.previous, walk.previous_pdf, si, walk.ray.d)
                 spread_m += dr.select(returns, spread, 0.0)
                 record = cache.record_at(si, walk.ray.d, active_next & is_seen)
+                is_last = walk.depth + 2 >= self.max_depth  # what is beyond would be truncated
                 cached, is_cached = cache.mean_radiance(
-                    si, walk.ray.d, record, spread_m, sampler.next_2d(), returns
+                    si, walk.ray.d, record, dr.select(is_last, np.inf, spread_m), sampler.next_2d(), returns
                 )
-                active_emitter &= ~is_cached  # cached irradiance includes direct light
+                narrow_pdf = dr.select(is_last, np.inf, NARROW_PDF)
             ds, radiance = emitters.sample(si, sampler, record, active_emitter)
             active_emitter &= ds.pdf != 0.0
             wo = si.to_local(ds.d)
@@ -293,6 +291,7 @@ class PathTracer:
             value, pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
                 ctx, si, wo, sampler.next_1d(), sampler.next_2d(), active_next
             )
+            active_emitter &= ~is_cached | (pdf >= narrow_pdf)  # cached irradiance includes direct light
             weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))
             sampled = dr.select(active_emitter, throughput * value * radiance * weight, 0.0)
             direct += dr.select(walk.depth <= 1, met, 0.0) + dr.select(walk.depth == 0, sampled, 0.0)
@@ -304,14 +303,13 @@ class PathTracer:
                 bsdf_weight = dr.select(is_seen, bsdf_weight, 1.0)
 
             # ---- termination in the cache ------------------------------------------------------------------
-            ends = is_cached & ~passes & (bs.pdf < NARROW_PDF)
+            ends = is_cached & ~passes & (bs.pdf < narrow_pdf)
             indirect += dr.select(ends, throughput * bsdf_weight * cached, 0.0)
 
             # ---- next segment ------------------------------------------------------------------------------
             throughput *= bsdf_weight
             bounces = active_next & ~passes
-            # Cached vertices have no shadow ray: emission at the next hit of a narrow lobe has full weight.
-            is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | is_cached
+            is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
             walk.advance(si, bounces, passes, si.to_world(bs.wo), bs.pdf, is_delta, record)
 
             # ---- Russian roulette --------------------------------------------------------------------------

@@ -33,8 +33,9 @@ LEVELS = 3
 """Number of times that the side of this neighbourhood is doubled."""
 MIN_SPREAD = 8.0
 """Number of cell sides over which a path must have spread before it may end in the cache."""
-NARROW_PDF = 2.0
-"""Density [1/sr] from which on a lobe is too narrow for the mean over all directions."""
+NARROW_PDF = 0.4
+"""Density [1/sr] from which on a lobe is too narrow for the mean over all directions. A diffuse lobe has
+at most 1 / pi: paths trace nearly all specular reflection."""
 
 
 class SurfaceCells:
@@ -99,9 +100,8 @@ class IrradianceCache:
         """Number of cells with known irradiance."""
         return len(self._counts) - 1
 
-    def add(self, cells: NDArray[np.int64], samples: NDArray[np.float64], keep: float = 1.0) -> None:
-        """Add samples (N, 3 + T) to the means of cells (N,); earlier samples are weighted by ``keep`` from
-        now on.
+    def add(self, cells: NDArray[np.int64], samples: NDArray[np.float64]) -> None:
+        """Add samples (N, 3 + T) to the means of cells (N,).
 
         Columns: irradiance, and the squared contribution by technique of the light sampler.
         """
@@ -109,8 +109,8 @@ class IrradianceCache:
         self._record_of_cell[new] = np.arange(len(self._counts), len(self._counts) + len(new))
         self.cell_of_record = np.concatenate([self.cell_of_record, new])
         record, size = self._record_of_cell[cells], len(self.cell_of_record)
-        self._sums = keep * np.concatenate([self._sums, np.zeros((len(new), self._sums.shape[1]))])
-        self._counts = keep * np.concatenate([self._counts, np.zeros(len(new))])
+        self._sums = np.concatenate([self._sums, np.zeros((len(new), self._sums.shape[1]))])
+        self._counts = np.concatenate([self._counts, np.zeros(len(new))])
         self._counts += np.bincount(record, minlength=size)
         for channel in range(self._sums.shape[1]):
             self._sums[:, channel] += np.bincount(record, samples[:, channel], size)

@@ -35,42 +35,39 @@ if TYPE_CHECKING:
 
 Array = Any
 
-MAX_RAYS = 40960
-"""Camera rays of all views together; each gives samples of irradiance at up to four vertices."""
-MIN_RAYS = 4096
-PIXELS_PER_RAY = 16
-"""Pixels of all views per ray: the shared part must cost less than the views."""
-MAX_CELLS = 1 << 21
-"""Cells of the grid for ``MAX_RAYS``, nearly all of them empty air: 0.07 m in a room of 5 m."""
-BOX_PERCENTILE = 1.0
-"""Percentage of the visited points beyond each face of the grid's box, which excludes the street outside."""
+NUM_RAYS = 40960
+"""Camera rays of all views together; each gives samples of irradiance at up to four vertices. As many for
+small images: the noise of the cache is an error common to all views."""
+MAX_CELLS = 1 << 22
+"""Cells of the grid, nearly all of them empty air: 0.06 m in a room of 5 m."""
+BOX_PERCENTILE = 0.2
+"""Percentage of the visited points beyond each face of the grid's box, which excludes a far landscape."""
 BOX_MARGIN = 0.05
 """Margin of the box on each side, as a fraction of its longest side."""
 MIN_HITS = 64
 """Minimum number of hits for a cache."""
 BOUNCES = 3
-"""Bounces of a path in the later rounds."""
-WARM_UP_BOUNCES = 12
-"""Bounces of a path in the first rounds, which distribute light: in a white room, the share 0.9^12 remains.
-"""
+"""Bounces of a path in the later rounds, more where the irradiance is still unknown."""
+WARM_UP_BOUNCES = 64
+"""Maximum number of bounces of a path in the first rounds, which distribute light: what these leave out,
+later rounds make up for slowly."""
+MAX_SURVIVAL = 0.95
+"""Maximum probability that Russian roulette continues a path beyond the recorded vertices."""
 WARM_UP, ROUNDS = 6, 12
-"""Number of rounds with whole paths, whose weight is multiplied by ``KEEP`` in each later one, and number of
-rounds with full weight."""
-WARM_UP_SHARE, KEEP = 4, 0.25
-"""Divisor of the number of rays in warm-up rounds; factor on the weight of earlier rounds."""
+"""Number of rounds with whole paths, and of rounds that end in the irradiance of the rounds before."""
+WARM_UP_SHARE = 4
+"""Divisor of the number of rays in warm-up rounds."""
 
 
 def gather_irradiance(
-    emitters: SceneEmitters, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
+    emitters: SceneEmitters, materials: SceneMaterials, sensors: Iterable[Any], seed: int
 ) -> IrradianceCache | None:
     """Irradiance of the surfaces on paths from ``sensors``; None if the cameras see no surface.
 
-    ``sensors`` are read one after the other, so that an iterator may reuse one object. ``num_pixels`` of all
-    views together limits the cost.
+    ``sensors`` are read one after the other, so that an iterator may reuse one object.
     """
-    num_rays = min(MAX_RAYS, max(MIN_RAYS, num_pixels // PIXELS_PER_RAY))
     views = [(sensor.view, tuple(int(v) for v in sensor.film().crop_size())) for sensor in sensors]
-    rays = _camera_rays(views, num_rays, seed)
+    rays = _camera_rays(views, NUM_RAYS, seed)
     points = _visited(emitters.scene, rays, seed)
     if len(points) < MIN_HITS:
         return None
@@ -78,13 +75,11 @@ def gather_irradiance(
     margin = BOX_MARGIN * float((high - low).max())
     if not margin > 0.0:
         return None
-    # Equal samples for each occupied cell: the number of cells goes with the inverse square of the side
-    max_cells = int(MAX_CELLS * (num_rays / MAX_RAYS) ** 1.5)
     sampler = emitters.light_sampler
     if sampler is not None and sampler.num_techniques > MAX_LEARNED:
         sampler = None
     num_techniques = 0 if sampler is None else sampler.num_techniques
-    cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), max_cells), num_techniques)
+    cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), MAX_CELLS), num_techniques)
 
     def walk(scene: Any, ray: Any, numbers: Any, is_warm: Any) -> list[tuple[Any, ...]]:
         return _walk(emitters, scene, materials, cache, sampler, ray, numbers, is_warm)
@@ -95,7 +90,7 @@ def gather_irradiance(
     recorded: Any = dr.freeze(walk, state_fn=state)
     for number in range(WARM_UP + ROUNDS):
         is_warm = number >= WARM_UP
-        lane: Any = dr.arange(mi.UInt32, num_rays if is_warm else num_rays // WARM_UP_SHARE)
+        lane: Any = dr.arange(mi.UInt32, NUM_RAYS if is_warm else NUM_RAYS // WARM_UP_SHARE)
         chosen: Any = lane if is_warm else lane * WARM_UP_SHARE
         launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
         index = dr.opaque(mi.UInt32, number) + dr.zeros(mi.UInt32, dr.width(lane))
@@ -104,7 +99,7 @@ def gather_irradiance(
         with undisturbed():
             vertices = recorded(emitters.scene, ray, numbers, dr.opaque(mi.Bool, is_warm))
         dr.eval(vertices)
-        cache.add(*_observed(vertices, num_techniques), keep=1.0 if number > WARM_UP else KEEP)
+        cache.add(*_observed(vertices, num_techniques))
     recorded.clear()
     cache.finish()
     return cache
@@ -190,7 +185,6 @@ def _walk(
     contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]
     # Throughput from the end of the segment to each vertex before it, as irradiance
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
-    last = dr.select(is_warm, mi.UInt32(BOUNCES), mi.UInt32(WARM_UP_BOUNCES))
     active = mi.Bool(True)
     while active:
         si = walk.intersect(scene, active)
@@ -208,11 +202,12 @@ def _walk(
         known, is_known = cache.irradiance(cache.record(si.p, normal, arrives & hits), arrives & hits)
         diffuse, specular = channels.diffuse_albedo, channels.specular_albedo
         reflectance = dr.minimum((1.0 - specular) * diffuse + specular_reflectance(channels), 1.0)
-        is_known &= is_warm | (walk.depth > last)
+        is_known &= is_warm | (walk.depth > WARM_UP_BOUNCES)
         arriving = np.pi * (emitted * weight) + dr.select(is_known, reflectance * known, 0.0)
 
         # ---- direct light at this vertex ------------------------------------------------------------------
-        bounces = arrives & hits & (walk.depth <= last)
+        # Beyond the recorded vertices, a path goes on until the radiosity is known: unknown is not dark.
+        bounces = arrives & hits & (walk.depth <= dr.select(is_known, BOUNCES, WARM_UP_BOUNCES))
         ds, radiance = emitters.sample(si, numbers, mi.UInt32(0), bounces)
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
         weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
@@ -232,6 +227,13 @@ def _walk(
             irradiance[bounce] += throughput[bounce] * direct
         direction, pdf = cosine_bounce(normal, numbers.next_2d())
         walk.advance(si, bounces, passes, direction, pdf)
+
+        # ---- Russian roulette -----------------------------------------------------------------------------
+        plays = bounces & (walk.depth > BOUNCES + 1)
+        survival = dr.select(plays, dr.clip(dr.max(reflectance), 1e-3, MAX_SURVIVAL), 1.0)
+        for bounce in range(BOUNCES + 1):
+            throughput[bounce] /= survival
+        bounces &= ~plays | (numbers.next_1d() < survival)
         active = (bounces | (active & passes)) & (walk.num_crossed < MAX_CROSSINGS_BEFOREHAND)
     return list(zip(cells, is_found, irradiance, techniques, contributions, strict=True))
 
@@ -252,9 +254,10 @@ def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, dire
 def specular_reflectance(channels: Any) -> Array:
     """Directional-hemispherical reflectance of the specular lobe, averaged over directions, in [0, 1].
 
-    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere; the decrease of both parts with
-    roughness is fitted to the BSDF, to 0.01.
+    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere; the change of both parts with
+    roughness is fitted to the BSDF, to 0.0025: bounces multiply an error by 1 / (1 - reflectance).
     """
-    specular, square = channels.specular_albedo, channels.roughness * channels.roughness
-    grazing = (1.0 - specular) / 21.0 * dr.maximum(1.0 - 1.25 * square, 0.0)
-    return specular * (1.0 - 0.34 * square * channels.roughness) + grazing
+    specular, r = channels.specular_albedo, channels.roughness
+    normal = specular * (1.0 + r * r * (0.137 + r * (-0.540 + r * 0.057)))
+    grazing = (1.0 - specular) / 21.0 * (1.0 + r * r * (-1.427 + r * (-1.183 + r * 1.737)))
+    return normal + grazing
