@@ -167,7 +167,7 @@ def main() -> None:
     parser.add_argument("--rooms", nargs="+", choices=BUNDLED + IMPORTED, default=BUNDLED + IMPORTED)
     parser.add_argument("--size", type=int, nargs=2, default=(96, 64))
     parser.add_argument("--views", type=int, default=4)
-    parser.add_argument("--samples", type=int, default=256, help=f"plain paths a pixel, in {PARTS} parts")
+    parser.add_argument("--samples", type=int, default=1024, help=f"plain paths a pixel, in {PARTS} parts")
     parser.add_argument("--quality", choices=("draft", "standard"), default="standard")
     parser.add_argument("--cache", type=Path, default=RESULTS)
     parser.add_argument("--out", type=Path, default=RESULTS / "bench_recorded_error.json")
