@@ -4,10 +4,11 @@
 Near light, such as light through a window pane, is binned by direction and by the position at which a ray
 leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depends on direction alone and has
 finer bins (:data:`FAR`). Half of the views predict the background pixels of the other half, once by direction
-alone and once by position too; the layout with the smaller error is used. A bin holds the median of its
-pixels, or their mean in :data:`FAR`. An empty bin is filled from the nearest filled one, where a shift by the
-box's diagonal counts as :data:`PLACE_WEIGHT` radians. The result counts as photographed within the layout's
-``photographed_reach``, as an estimate within :data:`REACH`, and as unknown beyond.
+alone and once by position too; near light is used unless far light predicts clearly better
+(:data:`FAR_GAIN`). A bin holds the median of its pixels, or their mean in :data:`FAR`. An empty bin is filled
+from the nearest filled one, where a shift by the box's diagonal counts as :data:`PLACE_WEIGHT` radians. The
+result counts as photographed within the layout's ``photographed_reach``, as an estimate within :data:`REACH`,
+and as unknown beyond.
 """
 
 from __future__ import annotations
@@ -183,7 +184,7 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Whether direction alone predicts the pixels of other views better than direction and position."""
+    """Whether direction alone predicts pixels of other views clearly better than direction and position."""
     if not len(pixels.view):
         return False
     face, square = box_squares(pixels.origin, pixels.direction, low, high, JUDGED_PLACES)

@@ -28,7 +28,7 @@ from datagen.light.background import photographed_background
 from datagen.light.cells import unmixed_cells
 from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
-from datagen.light.surfels import Surfels, build_surfels, camera_row, weighted_medians
+from datagen.light.surfels import Surfels, build_surfels, weighted_medians
 
 RAYS = 16
 """Rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
@@ -64,7 +64,7 @@ def unmixed(
     surfels = build_surfels(views)
     emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
     grid = surfels.grid
-    background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
+    background = photographed_background(views, grid.low, grid.high)
     field = RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
     edges = [_edge_pixels(surfels, place, view) for place, view in enumerate(views)]
     parts = [_parts(field, view, at, region_of_face) for view, at in zip(views, edges, strict=True)]
@@ -167,17 +167,15 @@ def _rays_through(
     import drjit as dr
     import mitsuba as mi
 
-    row = camera_row(view)
-    width = int(row[16])
-    step = np.arange(RAYS)
+    camera, step = view.camera, np.arange(RAYS)
     inverse = sum((step >> bit & 1) / 2 ** (bit + 1) for bit in range(RAYS.bit_length() - 1))
-    x = (pixel % width)[:, None] + (step + 0.5) / RAYS
-    y = (pixel // width)[:, None] + inverse + 0.5 / RAYS
-    local = np.stack([(x - row[14]) / row[12], (y - row[15]) / row[13], np.ones_like(x)], axis=-1)
-    toward = local.reshape(-1, 3) @ row[:9].reshape(3, 3).T
+    x = (pixel % camera.width_px)[:, None] + (step + 0.5) / RAYS
+    y = (pixel // camera.width_px)[:, None] + inverse + 0.5 / RAYS
+    ends = camera.unproject(np.stack([x, y], axis=-1).reshape(-1, 2), np.ones(x.size))
+    toward = ends - camera.position_m
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     direction: Any = mi.Vector3f(np.ascontiguousarray(toward.T, np.float32))
-    met = field.meet(mi.Ray3f(mi.Point3f(*row[9:12].tolist()), direction), mi.Bool(True))
+    met = field.meet(mi.Ray3f(mi.Point3f(*camera.position_m.tolist()), direction), mi.Bool(True))
     face = dr.select(dr.isfinite(met.distance_m), mi.Int32(met.face), -1)
     dr.eval(met, face)
     shape = len(pixel), RAYS

@@ -49,6 +49,11 @@ class CellGrid:
     shape: NDArray[np.int64]
     surfel: NDArray[np.int32]
 
+    @property
+    def high(self) -> NDArray[np.float64]:
+        """Corner (3,) opposite to ``low``, in metres."""
+        return self.low + self.cell_m * self.shape
+
 
 @dataclass(frozen=True)
 class Observations:

@@ -44,8 +44,8 @@ class Segmentation:
 class Points:
     """Solved surfels (P) with O observations each, ordered by segment.
 
-    ``surfel`` (P,); ``row`` (P, O) observations and their ``weight`` (P, O), 0 for none; ``segment`` (G,) the
-    solved segments and ``start`` (G + 1,) of their points.
+    ``surfel`` (P,); ``row`` (P, O) indices of the observations and their ``weight`` (P, O), 0 for none;
+    ``start`` (G + 1,) first point of each segment, then P.
     """
 
     surfel: NDArray[np.int64]

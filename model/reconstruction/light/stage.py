@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The stage between prediction and merge: maps of the views from recorded light.
 
-Surfels and radiance field (``lighting``) → segments → S and R of segments (``points``, ``solve``) → in a
-second round, light with less noise and with reflecting metals, and S and R from it → specular part of every
-observation → correction of the shading where light is not photographed (``shading_correction``) → maps of the
-views (``view_maps``), blended with the network's by ``confidence``. See docs/light.md.
+Surfels and radiance field (``lighting``) → segments → S and R of segments (``points``, ``solve``) → a second
+round of both, with less noise and with rays reflected at metals → specular part of every observation →
+correction of the shading where light is not photographed (``shading_correction``) → maps of the views
+(``view_maps``), blended with the network's by ``confidence``. See docs/light.md.
 """
 
 from __future__ import annotations
