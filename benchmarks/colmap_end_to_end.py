@@ -3,6 +3,7 @@
 
     python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/measurements.md: 20 minutes
     python -m benchmarks.colmap_end_to_end --out DIR --cameras true    with the true cameras, without COLMAP
+    python -m benchmarks.colmap_end_to_end --out DIR --faults phone --mesh colmap    without anything true
 
 1. The study of the bundled library, which is not in the training data of the bundled checkpoint, with
    objects, ceiling light and daylight; cameras on a walk around its middle, looking across.
@@ -11,7 +12,9 @@
    mapping.
 3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
    camera centres, here all of them with 5 mm of error per axis.
-4. The mesh is the room welded and collapsed to ``--triangles``, without UVs.
+   ``--faults`` develops with a preset of model/evaluation/camera_faults.py instead.
+4. The mesh is the room welded and collapsed to ``--triangles``, without UVs, or the surface through COLMAP's
+   points of `materials photos`.
 5. ``materials infer``, with the check before it.
 6. Atlas and truth are rendered as maps from every third true camera and compared where both show the same
    surface (depth within 5 %). Baselines are a constant, each map's own mean, which is the best possible
@@ -42,14 +45,20 @@ from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.standalone import configuration_of
+from datagen.foundation.budget import Budget
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.foundation.images import read_image
+from datagen.foundation.meshes.ply import encode_ply
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
+from model.evaluation.camera_faults import PRESETS, photographed
 from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.colmap import read_sights
+from model.reconstruction.photos.colmap_run import MAX_POINT_ERROR_PX
+from model.reconstruction.photos.sparse_mesh import sparse_surface
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FOV_X_DEG = 72.0
@@ -124,11 +133,17 @@ class EndToEnd:
     triangles: int
     cameras: str
     atlas: str
+    faults: str | None = None
+    mesh: str = "retopology"
 
     def __post_init__(self) -> None:
         self.out.mkdir(parents=True, exist_ok=True)
-        self.capture = self.out / f"capture-{self.cameras}"
-        self.result = self.out / f"result-{self.cameras}"
+        taken = "" if self.faults is None else f"-{self.faults}"
+        meshed = "" if self.mesh == "retopology" else f"-{self.mesh}"
+        self.images = self.out / f"images{taken}"
+        self.capture = self.out / f"capture-{self.cameras}{taken}"
+        self.name = f"{self.cameras}{taken}{meshed}"
+        self.result = self.out / f"result-{self.name}"
 
     # ---------------------------------------------------------------- the room and its photographs
 
@@ -158,7 +173,7 @@ class EndToEnd:
         if not mesh.is_file():
             options = ("--triangles", str(self.triangles))
             run("benchmarks.cycles_photographs", "retopology", str(blend), str(mesh), *options, log=log)
-        rendered, images = self.out / "cycles", self.out / "images"
+        rendered, images = self.out / "cycles", self.images
         options = ("--samples", str(self.samples))
         run("benchmarks.cycles_photographs", "render", str(blend), str(rendered), *options, log=log)
         images.mkdir(exist_ok=True)
@@ -168,8 +183,18 @@ class EndToEnd:
         }
         exposure = exposure_for(np.stack(list(linear.values())))  # the same for all, as set by hand
         for number, view in enumerate(configuration.cameras):
-            pixels = developed(linear[view.name], exposure, number)
+            pixels = self._developed(linear[view.name], exposure, number, view)
             (images / f"{view.name}.jpg").write_bytes(jpeg(pixels, view.camera()))
+
+    def _developed(
+        self, linear: NDArray[np.float32], exposure: float, number: int, view: ViewCamera
+    ) -> NDArray[np.uint8]:
+        if self.faults is None:
+            return developed(linear, exposure, number)
+        read = photographed(
+            linear.astype(np.float64) * exposure, view.camera(), PRESETS[self.faults], view.name
+        )
+        return (srgb_from_linear(read) * 255 + 0.5).astype(np.uint8)
 
     # ---------------------------------------------------------------- cameras
 
@@ -179,7 +204,7 @@ class EndToEnd:
             return
         partial = self.capture.with_name(f"{self.capture.name}-partial")
         shutil.rmtree(partial, ignore_errors=True)
-        shutil.copytree(self.out / "images", partial / "images")
+        shutil.copytree(self.images, partial / "images")
         if self.cameras == "true":
             self._write_true_cameras(partial)
         else:
@@ -234,9 +259,14 @@ class EndToEnd:
     # ---------------------------------------------------------------- inference and comparison
 
     def infer(self) -> None:
-        """Run ``materials infer`` as a user would."""
-        mesh, log = str(self.out / "retopology.ply"), self.out / f"infer-{self.cameras}.log"
-        options = ("--mesh", mesh, "--out", str(self.result), "--atlas", self.atlas, "--quiet")
+        """Run the command as a user would."""
+        mesh, log = self.out / f"{self.mesh}.ply", self.out / f"infer-{self.name}.log"
+        if self.mesh == "colmap":
+            model = self.capture / "sparse"
+            surface = sparse_surface(read_sights(model, Budget(model), MAX_POINT_ERROR_PX))
+            mesh = self.capture / "sparse.ply"
+            mesh.write_bytes(encode_ply(surface))
+        options = ("--mesh", str(mesh), "--out", str(self.result), "--atlas", self.atlas, "--quiet")
         run("model.cli", "infer", str(self.capture), *options, log=log)
 
     def pose_errors(self) -> dict[str, float]:
@@ -276,7 +306,7 @@ class EndToEnd:
             for name in MATERIAL_MAPS:
                 sums[name].append(float(((ours[name] - truth[name])[mask] ** 2).mean()))
                 constants[name].append(truth[name][mask])
-            photograph = linear_from_srgb(read_image(self.out / "images" / f"{view.name}.jpg") / 255.0)
+            photograph = linear_from_srgb(read_image(self.images / f"{view.name}.jpg") / 255.0)
             taken.append(float(((photograph - truth["diffuse_albedo"])[mask] ** 2).mean()))
             if view.name in _SHOWN:
                 self._picture(view.name, ours, truth)
@@ -298,7 +328,7 @@ class EndToEnd:
 
     def _picture(self, name: str, ours: dict[str, NDArray], truth: dict[str, NDArray]) -> None:
         """Picture with photograph and true maps above a re-rendering and the atlas's maps."""
-        photograph = np.asarray(Image.open(self.out / "images" / f"{name}.jpg"))
+        photograph = np.asarray(Image.open(self.images / f"{name}.jpg"))
         rows = []
         for maps in (truth, ours):
             shown = [
@@ -308,7 +338,7 @@ class EndToEnd:
             ]
             first = photograph if maps is truth else _normals(maps["normal_world"])
             rows.append(np.concatenate([first, *((s * 255 + 0.5).astype(np.uint8) for s in shown)], axis=1))
-        folder = self.out / f"pictures-{self.cameras}"
+        folder = self.out / f"pictures-{self.name}"
         folder.mkdir(exist_ok=True)
         Image.fromarray(np.concatenate(rows)).save(folder / f"{name}.png")
 
@@ -343,16 +373,18 @@ def main() -> None:
     parser.add_argument("--triangles", type=int, default=20000)
     parser.add_argument("--cameras", choices=("colmap", "true"), default="colmap")
     parser.add_argument("--atlas", default="2048")
+    parser.add_argument("--faults", choices=tuple(PRESETS))
+    parser.add_argument("--mesh", choices=("retopology", "colmap"), default="retopology")
     chosen = parser.parse_args()
     steps = EndToEnd(chosen.out.resolve(), chosen.views, tuple(chosen.size), chosen.samples, chosen.triangles,
-                     chosen.cameras, chosen.atlas)  # fmt: skip
+                     chosen.cameras, chosen.atlas, chosen.faults, chosen.mesh)  # fmt: skip
     steps.photograph()
     steps.calibrate()
     found: dict[str, Any] = {"poses": steps.pose_errors()}
     print(json.dumps(found), flush=True)
     steps.infer()
     found.update(steps.compare())
-    (steps.out / f"found-{steps.cameras}.json").write_text(json.dumps(found, indent=1))
+    (steps.out / f"found-{steps.name}.json").write_text(json.dumps(found, indent=1))
     print(json.dumps(found, indent=1))
 
 

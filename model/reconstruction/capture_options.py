@@ -33,12 +33,15 @@ class FrameOptions:
     """The mesh, and the frames of mesh and cameras.
 
     ``up`` is the up axis of the cameras' world, ``unit_m`` its unit; "auto" and None estimate them
-    (``captures.frames``). Views wider than ``max_width_px`` are scaled down, since the networks are trained
-    on views of 640 pixels.
+    (``captures.frames``), "cameras" levels a world of arbitrary orientation. Views wider than
+    ``max_width_px`` are scaled down, since the networks are trained on views of 640 pixels.
     """
 
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
-    up: Annotated[Literal["auto", Axis], typer.Option(help="Up axis of the cameras' world.")] = "auto"
+    up: Annotated[
+        Literal["auto", "cameras", Axis],
+        typer.Option(help="Up axis of the cameras' world; cameras: level it by them."),
+    ] = "auto"
     unit_m: Annotated[
         float | None,
         typer.Option(

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import struct
 import sys
 from pathlib import Path
 
@@ -14,14 +16,19 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from datagen.formats.capture import Capture
 from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
-from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.meshes.ply import read_ply
+from datagen.geometry.traced import TracedGeometry
 from model.cli import app
-from tests.model.lit_box import SIZE, box_capture
+from model.reconstruction.photos.colmap_run import ColmapRun
+from tests.model.lit_box import SIDES, SIZE, box_capture
 from tests.model.test_light_infer import untrained
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+NUM_POINTS = 600
 _PROGRAM = """#!{python}
 import pathlib, shutil, sys
 truth = pathlib.Path({truth!r})
@@ -34,31 +41,52 @@ if verb == "patch_match_stereo":
     sys.exit("no CUDA")
 if verb == "mapper":
     shutil.copytree(truth / "model", pathlib.Path(options["--output_path"]) / "0")
-if verb == "delaunay_mesher":
-    assert (pathlib.Path(options["--input_path"]) / "images.txt").is_file()
-    shutil.copy(truth / "mesh.ply", options["--output_path"])
 """
 
 
+def points_of(capture: Capture) -> bytes:
+    """Points on the mesh's triangles in COLMAP's binary form, each with the views that show it."""
+    rng = np.random.default_rng(6)
+    triangles = capture.geometry.mesh.triangles().astype(np.float64)
+    area = np.linalg.norm(np.cross(*np.moveaxis(np.diff(triangles, axis=1), 1, 0)), axis=1)
+    shares = rng.dirichlet([1, 1, 1], NUM_POINTS)[..., None]
+    points = (triangles[rng.choice(len(area), NUM_POINTS, p=area / area.sum())] * shares).sum(axis=1)
+    traced = TracedGeometry(capture.geometry)
+    seen = []
+    for view in capture.views:
+        depth, camera = traced.trace_view(view.camera).depth_z_m[..., 0], view.camera
+        at, z = camera.project(points)
+        at = np.nan_to_num(at, nan=-1.0)
+        column, row = (np.clip(at[:, k].astype(int), 0, SIZE[k] - 1) for k in (0, 1))
+        is_inside = (at >= 0).all(axis=1) & (at < SIZE).all(axis=1) & (z > 0)
+        seen.append(is_inside & (np.abs(depth[row, column] - z) < 0.03 * z))
+    packed = struct.pack("<Q", NUM_POINTS)
+    for number, (point, views) in enumerate(zip(points, np.array(seen).T, strict=True)):
+        shown_in = np.flatnonzero(views) + 1
+        packed += struct.pack("<Q3d3BdQ", number, *point, 9, 9, 9, 0.5, len(shown_in))
+        packed += b"".join(struct.pack("<2i", image_id, 0) for image_id in shown_in)
+    return packed
+
+
 def photographed(folder: Path) -> tuple[Path, Path, Path]:
-    """Photographs of the lit box, a program that knows its cameras and mesh, and what the program keeps."""
+    """Photographs of the lit box, a program that knows its cameras and points, and what the program keeps."""
     images, truth = folder / "kitchen", folder / "truth"
     images.mkdir()
     (truth / "model").mkdir(parents=True)
     capture = box_capture()
-    lines = []
+    shown = struct.pack("<Q", len(capture.views))
     for number, view in enumerate(capture.views):
-        shown = srgb_from_linear(np.clip(view.read().color, 0, 1))
-        (images / f"{view.name}.png").write_bytes(encode_png((shown * 255 + 0.5).astype(np.uint8)))
+        encoded = srgb_from_linear(np.clip(view.read().color, 0, 1))
+        (images / f"{view.name}.png").write_bytes(encode_png((encoded * 255 + 0.5).astype(np.uint8)))
         pose = view.camera.camera_from_world
         x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-        words = (number + 1, w, x, y, z, *pose[:3, 3], 1, f"{view.name}.png")
-        lines.append(" ".join(map(str, words)) + "\n\n")
+        shown += struct.pack("<i7di", number + 1, w, x, y, z, *pose[:3, 3], 1)
+        shown += f"{view.name}.png".encode() + b"\0" + struct.pack("<Q", 0)
     camera = capture.views[0].camera
-    lens = f"{camera.fx_px} {camera.fy_px} {camera.cx_px} {camera.cy_px}"
-    (truth / "model" / "cameras.txt").write_text(f"1 PINHOLE {SIZE[0]} {SIZE[1]} {lens}\n")
-    (truth / "model" / "images.txt").write_text("".join(lines))
-    (truth / "mesh.ply").write_bytes(encode_ply(capture.geometry.mesh))
+    lens = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
+    (truth / "model" / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, *SIZE, *lens))
+    (truth / "model" / "images.bin").write_bytes(shown)
+    (truth / "model" / "points3D.bin").write_bytes(points_of(capture))
     program = folder / "colmap"
     program.write_text(_PROGRAM.format(python=sys.executable, truth=str(truth)))
     program.chmod(0o755)
@@ -87,8 +115,10 @@ def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
         "exhaustive_matcher",
         "mapper",
         "mapper",
-        "delaunay_mesher",
     ]
+    mesh = read_ply(out / "colmap" / "mesh.ply")
+    extent = np.ptp(box_capture().geometry.mesh.positions, axis=0)
+    np.testing.assert_allclose(np.ptp(mesh.positions, axis=0), extent, rtol=0.1)
     report = json.loads((out / "report.json").read_text())
     assert report["num_views"] == 12 and report["radiometry"]["clipped_share"] > 0.01
     with Image.open(out / "turntable.gif") as gif:
@@ -112,10 +142,28 @@ def test_without_the_program_the_commands_are_printed(tmp_path: Path) -> None:
         "apt-get install colmap",
         "feature_extractor",
         "mapper",
-        "delaunay_mesher",
         "materials photos",
     ):
         assert text in refused.output
     assert not (tmp_path / "out").exists()
     refused = CliRunner().invoke(app, ["photos", str(tmp_path / "truth"), "--out", str(tmp_path / "out")])
     assert refused.exit_code != 0 and "photographs = 0" in str(refused.exception) + refused.output
+
+
+def test_cameras_by_hand_need_no_program(tmp_path: Path) -> None:
+    """After the printed commands ran elsewhere, the model is used as it is; points without a surface are an
+    error that says so."""
+    images, _, truth = photographed(tmp_path)
+    told: list[str] = []
+    run = ColmapRun("no-such-colmap", images, tmp_path / "work", told.append)
+    assert not run.has_cameras
+    shutil.copytree(truth / "model", run.model)
+    assert run.cameras() == run.model and told == []
+    made = run.mesh()
+    np.testing.assert_allclose(np.ptp(read_ply(made).positions, axis=0), SIDES, rtol=0.1)
+    made.unlink()
+    assert run.mesh() == made and told == ["mesh"] and not made.exists()  # done once
+    (run.work / "mesh.done").unlink()
+    (run.model / "points3D.bin").write_bytes(struct.pack("<Q", 0))
+    with pytest.raises(InputError, match="no surface"):
+        run.mesh()

@@ -3,7 +3,7 @@
 
 Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up; p =
 -P / P.z, and the pixel is f (1 + k1 |p|^2 + k2 |p|^4) p from the image's centre, upwards. Cameras with f = 0
-have no pose. The file has no image sizes, so that the images must be available.
+have no pose. The file has no image sizes, so the images must be available.
 """
 
 from __future__ import annotations

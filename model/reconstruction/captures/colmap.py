@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""COLMAP models, text and binary: ``cameras`` and ``images`` as photographs. Points are not read.
+"""COLMAP models: ``cameras`` and ``images``, text and binary, as photographs; binary points with the images
+that show them.
 
 COLMAP's pose is camera_from_world (quaternion w x y z, translation), its camera looks along +z with y down
 and its pixel centres are at +0.5: the project's conventions. The world is the frame chosen by COLMAP.
@@ -8,6 +9,7 @@ and its pixel centres are at +0.5: the project's conventions. The world is the f
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +33,18 @@ _SUPPORTED = {name for name, _ in MODELS} - {"FOV", "THIN_PRISM_FISHEYE"}
 _REMEDY = "export the model again (colmap model_converter)"
 _UNDISTORT = "undistort the images (colmap image_undistorter), or calibrate with one of these"
 _UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and their simple forms"
+
+
+@dataclass(frozen=True)
+class Sights:
+    """``points`` (N, 3), camera ``centers`` (V, 3), and the ``camera`` (K,) and ``point`` (K,) of lines of
+    sight.
+    """
+
+    points: NDArray[np.float64]
+    centers: NDArray[np.float64]
+    camera: NDArray[np.int64]
+    point: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -246,12 +260,45 @@ def _read_binary_cameras(path: Path, budget: Budget) -> dict[int, _Lens]:
 
 
 def _read_binary_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDArray, NDArray]]:
+    return {name: values[1:] for name, values in _binary_images(path, budget)}
+
+
+def _binary_images(path: Path, budget: Budget) -> Iterator[tuple[str, tuple[int, int, NDArray, NDArray]]]:
+    """Name, and (image id, camera id, quaternion, translation), of each image."""
     cursor = _Cursor(path)
-    poses = {}
     for _ in range(cursor.take("Q")[0]):
         budget.spend("frames", 1, "images")
         values = cursor.take("i7di")
         name = cursor.text()
         cursor.skip(cursor.take("Q")[0] * 24)  # x, y as doubles and a point id per feature
-        poses[name] = (values[8], np.array(values[1:5]), np.array(values[5:8]))
-    return poses
+        yield name, (values[0], values[8], np.array(values[1:5]), np.array(values[5:8]))
+
+
+def read_sights(folder: Path, budget: Budget, max_error_px: float) -> Sights:
+    """Points of at most ``max_error_px`` mean reprojection error of a binary model, and the images that show
+    them.
+    """
+    where = folder / "images.bin"
+    images = [
+        (image_id, _pose(name, quaternion, translation, where)[:3, 3])
+        for name, (image_id, _, quaternion, translation) in _binary_images(where, budget)
+    ]
+    row_of = {image_id: row for row, (image_id, _) in enumerate(images)}
+    cursor = _Cursor(folder / "points3D.bin")
+    points: list[tuple[float, ...]] = []
+    camera: list[int] = []
+    point: list[int] = []
+    for _ in range(cursor.take("Q")[0]):
+        budget.spend("nodes", 1, "points")
+        _, *position, _, _, _, error, length = cursor.take("Q3d3BdQ")
+        shown_in = cursor.take(f"{2 * length}i")[::2]
+        if error <= max_error_px and np.isfinite(position).all():
+            camera += [row_of[image_id] for image_id in shown_in]
+            point += [len(points)] * length
+            points.append(tuple(position))
+    return Sights(
+        np.array(points).reshape(-1, 3),
+        np.array([center for _, center in images]).reshape(-1, 3),
+        np.array(camera, np.int64),
+        np.array(point, np.int64),
+    )

@@ -2,8 +2,10 @@
 """Up axis and unit of a capture: given, or guessed by two rules that are reported to the user.
 
 Up: photographers hold cameras upright, so that the axis within 30 degrees of the cameras' mean up direction
-is up. Unit: a room is 1 m to 100 m across (the diagonal of its bounding box); a larger mesh is in millimetres
-or centimetres, whichever brings it closer to 8 m.
+is up. Where structure from motion leaves the orientation open, up is the direction to which the rows of the
+images are most nearly perpendicular, however the cameras are tilted. Unit: a room is 1 m to 100 m across (the
+diagonal of its bounding box); larger ones are in millimetres or centimetres, whichever brings them closer to
+8 m.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from model.reconstruction.capture_options import Axis
 AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)
 _MIN_AGREEMENT = 0.3  # length of the mean up direction; it vanishes for cameras that look down with any roll
+_MIN_TURN = np.sin(np.radians(10.0)) ** 2  # variance of directions that turn by 10 degrees from their mean
 _LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0
 _SMALLEST_ROOM = 1.0
 
@@ -38,10 +41,26 @@ def z_up_from(up: Axis) -> NDArray[np.float64]:
     return np.array(_Z_FROM[up], dtype=np.float64)
 
 
-def world_from_source(up: Axis, unit_m: float) -> NDArray[np.float64]:
-    """Transform (4, 4) from the source's frame to metres with Z up."""
+def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """Rotation (3, 3) from a world of arbitrary orientation to +z up, by cameras that are not rolled.
+
+    Cameras that all look the same way determine no axis of least variance: then up is their mean up.
+    """
+    along_rows = np.array([camera.world_from_camera[:3, 0] for camera in cameras])
+    mean_up = -np.mean([camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
+    variance, directions = np.linalg.eigh(along_rows.T @ along_rows / len(cameras))
+    up = directions[:, 0] if variance[1] > _MIN_TURN else mean_up
+    up = up * np.sign(up @ mean_up) / np.linalg.norm(up)
+    level = along_rows - np.outer(along_rows @ up, up)
+    lengths = np.linalg.norm(level, axis=1)
+    across = level[lengths.argmax()] / lengths.max()
+    return np.stack([across, np.cross(up, across), up])
+
+
+def world_from_source(rotation: NDArray[np.float64], unit_m: float) -> NDArray[np.float64]:
+    """Transform (4, 4) to metres by a rotation (3, 3) to Z up."""
     matrix = np.eye(4)
-    matrix[:3, :3] = unit_m * z_up_from(up)
+    matrix[:3, :3] = unit_m * rotation
     return matrix
 
 

@@ -55,6 +55,7 @@ from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.frames import (
     judged_unit,
     judged_up,
+    level_rotation,
     up_of,
     world_from_source,
     z_up_from,
@@ -166,9 +167,11 @@ def _calibrated(
     notes = [f"{len(calibration.images)} cameras in {where}{kind}", *calibration.notes]
     up, unit_m = options.up, options.unit_m
     loaded = None
+    cameras = [image.camera for image in calibration.images]
     if up == "auto":
-        up, said = judged_up([image.camera for image in calibration.images])
+        up, said = judged_up(cameras)
         notes.append(said)
+    rotation = level_rotation(cameras) if up == "cameras" else z_up_from(up)
     if unit_m is None:
         loaded = load_mesh(mesh, budget)
         size = np.ptp(loaded.positions, axis=0) if len(loaded.positions) else np.zeros(3)
@@ -190,14 +193,15 @@ def _calibrated(
         name = unique(slug(below.with_suffix("").as_posix()), names)
         names.add(name)
         try:
-            camera = ViewCamera.from_camera(name, _in_world(image.camera, z_up_from(up), unit_m))
+            camera = ViewCamera.from_camera(name, _in_world(image.camera, rotation, unit_m))
         except ValidationError as error:
             problems += problems_of(f"{found}: {image.file}", error)
             continue
         photographs.append(PhotographRecord(camera=camera, image=str(file), distortion=image.distortion))
     problems += finder.absent(path, missing, "name its folder with --images")
     raise_problems(problems)
-    matrix = world_from_source(up if options.mesh_up == "same" else options.mesh_up, unit_m)
+    of_mesh = rotation if options.mesh_up == "same" else z_up_from(options.mesh_up)
+    matrix = world_from_source(of_mesh, unit_m)
     rows = tuple(tuple(float(v) for v in row) for row in matrix)
     record = CaptureFile(
         name=slug(path.resolve().name.removesuffix(".json") or "capture"),
@@ -256,7 +260,7 @@ def open_capture(
     mesh_in_its_frame: Mesh | None = None,
     budget: Budget | None = None,
 ) -> Capture:
-    """A capture of photographs; the mesh is read unless given, and the images are checked to exist."""
+    """Capture of the photographs in ``base``, which must exist; reads the mesh unless given."""
     problems = [
         Problem(base / p.image, "", "no such file", "the view's image", "correct capture.json")
         for p in record.photographs

@@ -3,7 +3,7 @@
 
 Both have a focal length for film 36 mm wide, where 36 mm is the image's longer side; and the principal point
 as an offset from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2
-where t1 multiplies (r^2 + 2 x^2): OpenCV's p2, p1. The files have no image sizes, so that the images must be
+where t1 multiplies (r^2 + 2 x^2): OpenCV's p2, p1. The files have no image sizes, so the images must be
 available.
 
 CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera that

@@ -19,10 +19,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.formats.base import write_bytes_atomically
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.ply import encode_ply
+from model.reconstruction.captures.colmap import read_sights
+from model.reconstruction.photos.sparse_mesh import sparse_surface
 
 MAX_IMAGE_PX = 2400
 """Larger photographs are shrunk to this longer side for features."""
+MAX_POINT_ERROR_PX = 2.0
+"""Mean reprojection error of the sparse points that the mesh goes through."""
 _OVERLAP = "take more photographs that overlap, sharp and large, from different places; see the log"
 _TAIL = 400  # characters of the log in an error
 
@@ -73,29 +79,19 @@ def dense_step(program: str, photographs: Path, work: Path) -> Step:
     )  # fmt: skip
 
 
-def sparse_step(program: str, work: Path) -> Step:
-    """A Delaunay surface through the sparse points."""
-    model, mesh = str(work / "sparse" / "0"), str(work / "mesh.ply")
-    command = (program, "delaunay_mesher", "--input_path", model, "--input_type", "sparse",
-               "--output_path", mesh)  # fmt: skip
-    return Step("mesh", (command,), ("mesh.ply",))
-
-
 def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
     """Instructions to install and run COLMAP if it is missing; ``rest`` is the command to continue with."""
-    largest = work / "sparse" / "0"
-    lines = [
-        "apt-get install colmap    # or https://colmap.github.io/install.html",
-        f"mkdir -p {work / 'found'}",
-    ]
-    steps = [*camera_steps(program, photographs, work), sparse_step(program, work)]
-    for step in steps:
-        if step.name == "mesh":
-            lines.append(
-                f"mkdir -p {largest} && cp {work / 'found' / '0'}/* {largest}    # the largest model"
-            )
-        lines += [shlex.join(command) for command in step.commands]
-    return "\n".join([*lines, shlex.join(rest)])
+    found, largest = work / "found", work / "sparse" / "0"
+    return "\n".join(
+        [
+            "apt-get install colmap    # or https://colmap.github.io/install.html",
+            f"mkdir -p {shlex.quote(str(found))}",
+            *(shlex.join(c) for step in camera_steps(program, photographs, work) for c in step.commands),
+            f"mkdir -p {shlex.quote(str(largest.parent))}",
+            f"cp -r {shlex.quote(str(found / '0'))} {shlex.quote(str(largest))}    # the largest model",
+            shlex.join(rest),
+        ]
+    )
 
 
 class ColmapRun:
@@ -105,12 +101,19 @@ class ColmapRun:
         self.program, self.photographs, self.work, self.tell = program, photographs, work, tell
 
     @property
+    def has_cameras(self) -> bool:
+        """Whether the cameras are computed, by this or by hand."""
+        return self.model.is_dir()
+
+    @property
     def model(self) -> Path:
         """Folder of the model with the cameras."""
         return self.work / "sparse" / "0"
 
     def cameras(self) -> Path:
         """Compute the cameras and return their folder. Raises :class:`InputError` if COLMAP fails."""
+        if self.has_cameras:
+            return self.model
         (self.work / "found").mkdir(parents=True, exist_ok=True)
         for step in camera_steps(self.program, self.photographs, self.work):
             self._do(step)
@@ -119,11 +122,10 @@ class ColmapRun:
             raise input_error(
                 self.work / "cameras.log", "cameras", "no model", "overlapping photographs", _OVERLAP
             )
-        if not self.model.is_dir():
-            partial = self.work / "sparse" / "partial"
-            shutil.rmtree(partial, ignore_errors=True)
-            shutil.copytree(max(models, key=_size), partial)
-            partial.rename(self.model)
+        partial = self.work / "sparse" / "partial"
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.copytree(max(models, key=_size), partial)
+        partial.rename(self.model)
         return self.model
 
     def mesh(self) -> Path:
@@ -131,14 +133,25 @@ class ColmapRun:
         mesh = self.work / "mesh.ply"
         if (self.work / "mesh.done").is_file() or (self.work / "dense.done").is_file():
             return mesh
-        if shutil.which("nvidia-smi") and not (self.work / "dense.failed").is_file():
+        if (
+            shutil.which("nvidia-smi")
+            and shutil.which(self.program)
+            and not (self.work / "dense.failed").is_file()
+        ):
             try:
                 self._do(dense_step(self.program, self.photographs, self.work))
                 return mesh
             except subprocess.SubprocessError:
                 write_bytes_atomically(self.work / "dense.failed", b"")
                 self.tell("dense points need a COLMAP with CUDA; the sparse ones serve")
-        self._do(sparse_step(self.program, self.work))
+        self.tell("mesh")
+        surface = sparse_surface(read_sights(self.model, Budget(self.model), MAX_POINT_ERROR_PX))
+        if not len(surface.faces):
+            raise input_error(
+                self.model, "points3D.bin", "no surface", "points that enclose a room", _OVERLAP
+            )
+        write_bytes_atomically(mesh, encode_ply(surface))
+        write_bytes_atomically(self.work / "mesh.done", b"")
         return mesh
 
     def _do(self, step: Step) -> None:

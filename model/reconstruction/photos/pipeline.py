@@ -89,26 +89,31 @@ def make_asset(
     """
     has_own = has_cameras(folder)
     photographs = [] if has_own else photographs_in(folder)
-    if not has_own and shutil.which(options.program) is None:
+    run = ColmapRun(options.program, folder, out / "colmap", say)
+    if not has_own and not run.has_cameras and shutil.which(options.program) is None:
         rest = ["materials", "photos", str(folder), "--out", str(out)]
         say(missing_program(options.program, folder, out / "colmap", rest))
         remedy = "install it and give the same command again, or run the commands above"
         raise InputError(Problem(options.program, "", "no such program", "COLMAP 3.7 or later", remedy))
     _claim(out, folder, photographs, source, options)
+    inference = options.inference
     if has_own:
         capture, reading = folder, options.reading
     else:
-        run = ColmapRun(options.program, folder, out / "colmap", say)
         capture = run.cameras()
-        mesh = options.reading.mesh or run.mesh()
-        reading = replace(options.reading, mesh=mesh, images=folder)
+        reading = replace(options.reading, mesh=options.reading.mesh or run.mesh(), images=folder)
+        if reading.up == "auto":
+            reading = replace(reading, up="cameras")
+        if options.reading.mesh is None:
+            # a surface through the cameras' own points is in their frame, but has few edges of the room's
+            inference = replace(inference, is_checked=False)
     report = None
     if not (out / "report.json").is_file():
         opened = replace(read_capture(capture, reading), name="room")
         registered = len(opened.views)
         if photographs and registered < len(photographs):
             say(f"COLMAP placed {registered} of {len(photographs)} photographs")
-        report = infer(opened, out, source, options.inference, tell)
+        report = infer(opened, out, source, inference, tell)
     turntable = out / TURNTABLE
     if not turntable.is_file():
         relight = RelightOptions(samples=options.samples)

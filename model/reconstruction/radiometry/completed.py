@@ -67,7 +67,7 @@ def completed_views(
         return Completed(found, radiometry, np.zeros((0, 3)), np.zeros(0), share)
     grid = surfels.grid
     emitters = photographed_emitters(found, traced.mesh, emits, region_of_face)
-    background = photographed_background(found, grid.low, grid.low + grid.cell_m * grid.shape, NEAR)
+    background = photographed_background(found, grid.low, grid.high, NEAR)
     sources = find_sources(found, surfels, emitters, background, emits, region_of_face, traced.mesh)
     radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
     if len(sources):

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""A closed surface through the sparse points of structure from motion, which needs no dense depth.
+
+Labatut, Pons and Keriven (2007): Delaunay tetrahedra of the points are divided into free and solid ones by a
+minimum cut. Every line of sight from a camera to a point demands that the tetrahedra that it crosses are free
+and that the one behind the point is solid. The surface is where free meets solid; wide triangles bridge what
+has no points. COLMAP's own mesher of this kind needs CGAL, without which Debian builds it.
+
+Letters: N points, V cameras, K lines of sight, T tetrahedra, M triangles.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.multiview.compiled import compiled
+from model.reconstruction.captures.colmap import Sights
+
+SMOOTHNESS = 0.3
+"""Cost of a triangle of the surface, in lines of sight that cross it."""
+SPREAD_QUANTILE = 0.25
+"""Quantile of the edges' lengths that is taken for the standard deviation of the points."""
+_UNITS = 256  # of capacities, which are integers
+_OUTSIDE = 1.0  # of the box around the points, by which the tetrahedra extend beyond it
+_FACETS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # opposite of each corner
+
+
+def sparse_surface(sights: Sights) -> Mesh:
+    """The surface as a mesh whose triangles face free space, without triangles if there are no points."""
+    from scipy.spatial import Delaunay
+
+    if not len(sights.points):
+        return Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+    low = np.minimum(sights.points.min(axis=0), sights.centers.min(axis=0))
+    high = np.maximum(sights.points.max(axis=0), sights.centers.max(axis=0))
+    reach = _OUTSIDE * (high - low).max()
+    corners = np.array(np.meshgrid(*np.stack([low - reach, high + reach], axis=1))).reshape(3, -1).T
+    vertices = np.concatenate([sights.points, corners])
+    tetrahedra = Delaunay(vertices)
+    edges = (
+        vertices[tetrahedra.simplices[:, [0, 0, 0, 1, 1, 2]]]
+        - vertices[tetrahedra.simplices[:, [1, 2, 3, 2, 3, 3]]]
+    )
+    spread = float(np.quantile(np.linalg.norm(edges, axis=2), SPREAD_QUANTILE))
+    origin, target = sights.centers[sights.camera], sights.points[sights.point]
+    length = np.linalg.norm(target - origin, axis=1)
+    is_ray = length > spread
+    origin, target, length = origin[is_ray], target[is_ray], length[is_ray]
+    direction = (target - origin) / length[:, None]
+    crossed = np.zeros((len(tetrahedra.simplices), 4))
+    start = tetrahedra.find_simplex(origin)
+    inverse = np.ascontiguousarray(tetrahedra.transform)
+    _cross(origin, direction, length, start, inverse, tetrahedra.neighbors, spread, crossed)
+    behind = tetrahedra.find_simplex(target + spread * direction)
+    is_free = _free(tetrahedra.neighbors, crossed, start, behind)
+    return _boundary(vertices, tetrahedra.simplices, tetrahedra.neighbors, is_free, len(sights.points))
+
+
+@compiled
+def _cross(
+    origin: Any,
+    direction: Any,
+    length: Any,
+    start: Any,
+    inverse: Any,
+    neighbors: Any,
+    spread: Any,
+    crossed: Any,
+) -> None:
+    """Add the lines of sight to the facets (T, 4) that they cross, less near their point, which errs."""
+    for ray in range(len(origin)):
+        tetrahedron = start[ray]
+        for _ in range(len(neighbors)):
+            if tetrahedron < 0:
+                break
+            leaving, facet = np.inf, -1
+            last_at, last_step = 1.0, 0.0  # barycentric coordinates add up to 1
+            for k in range(4):
+                at, step = last_at, last_step
+                if k < 3:
+                    at, step = 0.0, 0.0
+                    for axis in range(3):
+                        at += inverse[tetrahedron, k, axis] * (
+                            origin[ray, axis] - inverse[tetrahedron, 3, axis]
+                        )
+                        step += inverse[tetrahedron, k, axis] * direction[ray, axis]
+                    last_at -= at
+                    last_step -= step
+                if step < 0 and -at / step < leaving:
+                    leaving, facet = -at / step, k
+            rest = (length[ray] - leaving) / spread
+            if facet < 0 or rest <= 1e-6:
+                break
+            crossed[tetrahedron, facet] += 1 - np.exp(-0.5 * rest * rest)
+            tetrahedron = neighbors[tetrahedron, facet]
+
+
+def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray) -> NDArray[np.bool_]:
+    """Which tetrahedra (T,) are free: the side of the cameras of the minimum cut."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order, maximum_flow
+
+    num = len(neighbors)
+    source, sink = num, num + 1
+    tetrahedron, facet = np.nonzero(neighbors >= 0)
+    cost = crossed[tetrahedron, facet] + SMOOTHNESS
+    solid = np.bincount(behind[behind >= 0], minlength=num)
+    cameras = np.unique(start[start >= 0])
+    ends = np.flatnonzero(solid)
+    rows = np.concatenate([tetrahedron, np.full(len(cameras), source), ends])
+    columns = np.concatenate([neighbors[tetrahedron, facet], cameras, np.full(len(ends), sink)])
+    most = np.iinfo(np.int32).max // (2 * max(len(cameras), 1))  # more than all lines of sight can carry
+    values = np.concatenate([_UNITS * cost, np.full(len(cameras), most), _UNITS * solid[ends]])
+    graph = coo_matrix((np.round(values).astype(np.int32), (rows, columns)), (num + 2, num + 2)).tocsr()
+    rest = graph - maximum_flow(graph, source, sink).flow
+    rest.data = np.maximum(rest.data, 0)
+    rest.eliminate_zeros()
+    is_free = np.zeros(num + 2, dtype=bool)
+    is_free[breadth_first_order(rest, source, return_predecessors=False)] = True
+    return is_free[:num]
+
+
+def _boundary(
+    vertices: NDArray, simplices: NDArray, neighbors: NDArray, is_free: NDArray[np.bool_], num_points: int
+) -> Mesh:
+    """The facets between free and solid tetrahedra, without those at the corners of the box."""
+    tetrahedron, facet = np.nonzero(is_free[:, None] & (neighbors >= 0) & ~is_free[neighbors])
+    faces = simplices[tetrahedron[:, None], _FACETS[facet]]
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    inward = vertices[simplices[tetrahedron, facet]] - a  # to the corner in free space
+    is_turned = (np.cross(b - a, c - a) * inward).sum(axis=1) < 0
+    faces[is_turned] = faces[is_turned][:, ::-1]
+    faces = faces[(faces < num_points).all(axis=1)]
+    used, index = np.unique(faces, return_inverse=True)
+    return Mesh(vertices[used].astype(np.float32), index.reshape(-1, 3).astype(np.int32))
