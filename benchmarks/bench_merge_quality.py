@@ -3,15 +3,15 @@
 
     python -m benchmarks.bench_merge_quality weights SHARD ...
     python -m benchmarks.bench_merge_quality sizes SHARD ... --sizes 0.5x,1x,2x,16384
-    python -m benchmarks.bench_merge_quality seams SHARD ...
+    python -m benchmarks.bench_merge_quality seams SHARD ... --views 12
 
-``weights``: mean squared error of predicted maps after merging with each choice of weights, and before
-merging (``views``). ``sizes``: the error of the ground truth itself after merging into atlases of several
-sides (2x: twice the side of ``auto``). ``seams``: the mean step of merged D between neighbouring texels of
-smooth true D, where the number of views differs (``border``) and where it does not (``inside``), by weights;
-printed without the other figures. An atlas is evaluated in the views: at the surface under each pixel's
-centre, between texels, against the pixel's truth; all surface pixels of all views of all shards have equal
-weight. ``--json`` stores the figures.
+``weights``: mean squared error of the maps from network and light after merging with each choice of weights,
+and before (``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x:
+twice the side of ``auto``). ``seams``: the mean step of merged D between neighbouring texels of smooth true
+D, where the number of views differs (``border``) and where it does not (``inside``), by weights, with the
+errors; printed by room. An atlas is evaluated in the views: at the surface under each pixel's centre, between
+texels, against the pixel's truth; all surface pixels of all views of all shards have equal weight. ``--json``
+stores the figures.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import argparse
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,17 +37,17 @@ from model.checkpoint import bundled_checkpoint
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.infer import map_stages
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
 from model.reconstruction.merge.weights import Weights
-from model.reconstruction.predict.sources import TRUTH
-from model.reconstruction.predict.view_maps import predicted_maps
+from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.stages import Run
 from model.reconstruction.unwrap.uv import unwrapped
 
-WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
+WEIGHTS: tuple[Weights, ...] = ("none", "borders", "angle", "distance", "confidence", "all")
 Maps = list[dict[str, NDArray]]
 MAX_TRUE_STEP = 0.004
 """Largest step of true D, in any channel, between neighbouring texels whose merged D should not step either.
@@ -170,9 +170,10 @@ def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeo
     return np.where(geometry.surface_mask > 0, uv, np.nan)
 
 
-def open_room(shard: Path, library: Sequence[Path]) -> Room:
-    """Read, trace and unwrap."""
+def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None) -> Room:
+    """Read, trace and unwrap; only the first ``num_views``, if given."""
     capture = read_capture(shard, CaptureOptions(library=tuple(library)))
+    capture = replace(capture, views=capture.views[:num_views])
     traced = trace_capture(capture)
     mesh, unwrap = unwrapped(traced.geometry.mesh)
     uvs = [pixel_uv(traced.geometry.mesh, mesh, view.camera, view.geometry) for view in traced.views]
@@ -183,11 +184,16 @@ def open_room(shard: Path, library: Sequence[Path]) -> Room:
 
 
 def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
-    """The checkpoint's maps of all views."""
+    """The maps of all views that ``materials infer`` merges."""
+    source = CheckpointMaps(checkpoint)
     with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
         (Path(folder) / "views").mkdir()
         run = Run(Path(folder), options, InferReport(), lambda *_: None)
-        return predicted_maps(room.traced, checkpoint, run)
+        source.prepare(options)
+        maps = source.maps(room.traced, run)
+        for stage in map_stages(source, options):
+            maps = stage(room.traced, maps, run)
+    return maps
 
 
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:
@@ -213,9 +219,14 @@ def print_seams(room: Room, checkpoint: Path) -> None:
     maps = predictions(room, checkpoint, InferOptions(weights="all"))
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:
-        found = steps(room.merged(maps, room.auto, None, weights), truth)
-        cells = (f"{name} {total / max(num, 1):.5f} ({num})" for name, (total, num) in found.items())
-        print(f"{weights:<36}" + "  ".join(cells), flush=True)
+        merged = room.merged(maps, room.auto, None, weights)
+        cells = [
+            f"{name} {total / max(num, 1):.5f} ({num})" for name, (total, num) in steps(merged, truth).items()
+        ]
+        cells += [
+            f"{name} {error / room.num_pixels:.5f}" for name, error in room.atlas_errors(merged).items()
+        ]
+        print(f"{weights:<12}" + "  ".join(cells), flush=True)
 
 
 def main() -> None:
@@ -225,6 +236,7 @@ def main() -> None:
     parser.add_argument("shards", nargs="+", type=Path)
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])
+    parser.add_argument("--views", type=int, help="only the first so many")
     parser.add_argument("--sizes", default="0.25x,0.5x,1x,2x")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -232,7 +244,7 @@ def main() -> None:
     sums: dict[str, dict[str, float]] = {}
     num_pixels = 0
     for shard in arguments.shards:
-        room = open_room(shard, arguments.library)
+        room = open_room(shard, arguments.library, arguments.views)
         num_pixels += room.num_pixels
         checkpoint = arguments.checkpoint or bundled_checkpoint()
         if arguments.what == "seams":

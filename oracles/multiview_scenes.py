@@ -36,7 +36,7 @@ POSES = (  # position, target
 
 
 def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> tuple[NDArray, NDArray]:
-    """Least positive ray parameter (N,), Inf without a hit, and outward normal (N, 3) there."""
+    """Minimum t > 0 (N,), Inf without a hit, and outward normal (N, 3); ``boxes`` (B, 2, 3) by corners."""
     nearest = np.full(len(origins), np.inf)
     normals = np.zeros((len(origins), 3))
     with np.errstate(divide="ignore", invalid="ignore"):

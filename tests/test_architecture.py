@@ -96,8 +96,9 @@ MATRIX = {
         "model.reconstruction.pose_mending": "datagen.foundation datagen.geometry",
         "model.reconstruction.pose_stage": "datagen.geometry model.reconstruction.pose_mending "
         "model.reconstruction.stages",
-        "model.reconstruction.photos": f"{_GROUND} model.reconstruction.captures model.reconstruction.infer "
-        "model.reconstruction.infer_options model.reconstruction.render model.reconstruction.stages",
+        "model.reconstruction.photos": f"{_GROUND} datagen.multiview.compiled model.reconstruction.captures "
+        "model.reconstruction.infer model.reconstruction.infer_options model.reconstruction.render "
+        "model.reconstruction.stages",
         "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.events model.reconstruction",
         "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "
         "model.checkpoint model.training model.reconstruction",

@@ -135,8 +135,8 @@ class MapMeasures:
 
 
 def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
-    """Scale figures of D (N, 3) in regions (N,): the best gain, the errors after it and after one gain per
-    region, and the level error.
+    """Scale errors of D (N, 3): the best gain, the MSE after it and after one gain per ``region`` (N,), and
+    the median |ln ratio| of the regions' luminance.
     """
     gain = _best_gain((estimate * truth).sum(), (estimate**2).sum())
     index = np.unique(region, return_inverse=True)[1]

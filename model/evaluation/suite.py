@@ -32,14 +32,14 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """Maps of a checkpoint. A missing checkpoint is left out of the tables, with a note. ``weights`` (of the
-    medians over views), ``is_leveled`` and ``materials`` are as for ``materials infer``.
+    """Maps of a checkpoint. A missing checkpoint is left out of the tables, with a note. ``weights`` (of
+    views in the merge), ``is_leveled`` and ``materials`` are as for ``materials infer``.
     """
 
     kind: Literal["network"]
     checkpoint: str = BUNDLED
     is_filtered: bool = True
-    weights: Weights = "none"
+    weights: Weights = "borders"
     is_leveled: bool = True
     materials: Materials = "both"
 

@@ -55,7 +55,7 @@ class AssetOptions:
 class InferOptions(AssetOptions):
     """Options of ``materials infer``.
 
-    ``weights``: weights of the medians over views (see :class:`MergeOptions`), with the checkpoint's
+    ``weights``: weights of the views in the merge (see :class:`MergeOptions`), with the checkpoint's
     confidence. ``is_leveled``: whether the albedo scale of predictions is corrected by interreflection
     (``albedo_level``). ``materials``: whether materials are inferred from the network alone, from the light
     that the photographs record alone, or from both, with the network as the prior (``light``).
@@ -68,7 +68,7 @@ class InferOptions(AssetOptions):
         Literal["depth", "trace"],
         typer.Option(help="Visibility test of views: depth buffers or shadow rays."),
     ] = "depth"
-    weights: Annotated[Weights, typer.Option(help="Weights of the medians over views.")] = "none"
+    weights: Annotated[Weights, typer.Option(help="Weights of the views in the merge.")] = "borders"
     materials: Annotated[Materials, typer.Option(help="Source of materials: network, light, or both.")] = (
         "both"
     )

@@ -12,7 +12,7 @@ import numpy as np
 from datagen.multiview.compiled import compiled
 
 LANES = 64
-_HALF = np.float32(0.5)
+_HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
 STEP = 4
 """Lists are sorted by the network for the next multiple of this."""
 
@@ -71,18 +71,23 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 
 
 @compiled
-def weighted_median(values: Any, weights: Any, lane: Any, num: Any) -> Any:
-    """Weighted median of a lane's sorted values: the first at which the cumulative weight exceeds half of the
-    total; if it is exactly half at a value, the mean of that value and the next.
+def middle_mean(values: Any, weights: Any, lane: Any, num: Any) -> Any:
+    """Mean of the middle half of a lane's sorted values by weight.
+
+    Each value counts by the part of its weight that lies between a quarter and three quarters of the
+    cumulative weight. Outliers are ignored as by the median, but a weight that fades changes the result
+    without a step.
     """
     total = np.float32(0)
     for k in range(num):
         total += weights[k, lane]
-    before = np.float32(0)
-    for k in range(num - 1):
-        before += weights[k, lane]
-        if _HALF * total < before:
-            return values[k, lane]
-        if _HALF * total == before:
-            return _HALF * (values[k, lane] + values[k + 1, lane])
-    return values[num - 1, lane]
+    low, high = _QUARTER * total, (_HALF + _QUARTER) * total
+    before, mean, parts = np.float32(0), np.float32(0), np.float32(0)
+    for k in range(num):
+        after = before + weights[k, lane]
+        part = min(after, high) - max(before, low)
+        if part > 0:
+            mean += part * values[k, lane]
+            parts += part
+        before = after
+    return mean / parts

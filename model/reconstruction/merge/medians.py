@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from datagen.multiview.compiled import compiled
 from model.reconstruction.atlas.texels import surface_point
-from model.reconstruction.merge.lane_sort import LANES, STEP, sort_lanes, sort_weighted_lanes, weighted_median
+from model.reconstruction.merge.lane_sort import LANES, STEP, middle_mean, sort_lanes, sort_weighted_lanes
 
 SIDE = 8
 """Side of a square of texels, all of which are the LANES."""
@@ -46,8 +46,8 @@ class ViewArrays(NamedTuple):
     """(P,) depth along z, 0 at pixels without a value."""
     packets: NDArray[np.float32]
     """(P, 8)."""
-    confidence: NDArray[np.float32]
-    """(P, 3) of D, S, R, or (0, 3) if unused."""
+    weight: NDArray[np.float32]
+    """(P, 3) of each pixel's D, S, R, or (0, 3) if all are equal."""
 
 
 class Rules(NamedTuple):
@@ -61,7 +61,7 @@ class Rules(NamedTuple):
     is_weighted: bool
     by_angle: bool
     by_distance: bool
-    by_confidence: bool
+    by_pixel: bool
 
 
 class Surface(NamedTuple):
@@ -192,11 +192,11 @@ def _append_view(
                 weight *= density / (depth * depth)
             for group in range(3):
                 share = weight
-                if rules.by_confidence:
-                    confidence = views.confidence
-                    found_here = wi * confidence[i, group] + wj * confidence[j, group]
-                    found_here += wk * confidence[k, group] + wm * confidence[m, group]
-                    share *= max(found_here * scale, MIN_WEIGHT)
+                if rules.by_pixel:
+                    heavy = views.weight
+                    here = wi * heavy[i, group] + wj * heavy[j, group]
+                    here += wk * heavy[k, group] + wm * heavy[m, group]
+                    share *= here * scale
                 values[(NUM_CHANNELS + group) * num_views + row, lane] = share
         found[lane] = row + 1
 
@@ -290,7 +290,7 @@ def merge_tile(
                     if seen == 0:
                         continue
                     if rules.is_weighted:
-                        median = weighted_median(line, weights, lane, seen)
+                        median = middle_mean(line, weights, lane, seen)
                     else:
                         median = _HALF * (line[(seen - 1) // 2, lane] + line[seen // 2, lane])
                     medians[rows[lane], columns[lane], channel] = median

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Merges the maps of all views into one atlas: for each texel, the exact median over the views
-that show it.
+that show it, or a weighted mean near it.
 
 Letters: V views, P pixels of all views. For each covered texel, the point and normal at its centre are
 projected into every view; views in which it is visible (``datagen.multiview.visibility``) contribute their D,
-S and R, and each channel gets the median, the mean of the middle two for even counts, or the weighted median.
-Values are gathered, not scattered, so that an atlas may have more texels than the views have pixels. Threads
-process tiles: memory holds the views' maps and a few tiles; the atlas is on disk. The loop is in
-``medians``.
+S and R, and each channel gets the median, the mean of the middle two for even counts, or with weights the
+mean of the middle half (``lane_sort.middle_mean``). Values are gathered, not scattered, so that an atlas may
+have more texels than the views have pixels. Threads process tiles: memory holds the views' maps and a few
+tiles; the atlas is on disk. The loop is in ``medians``.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ from datagen.multiview.compiled import num_threads
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
 from model.reconstruction.atlas.texels import TexelSurface
+from model.reconstruction.merge.borders import border_weights
 from model.reconstruction.merge.lane_sort import networks
 from model.reconstruction.merge.medians import (
     CAMERA,
+    MIN_WEIGHT,
     NUM_CHANNELS,
     PACKET,
     Rules,
@@ -105,8 +107,9 @@ class MergeOptions:
     """Options of the merge.
 
     ``fetch`` interpolates a map between pixels of the same depth, or uses the nearest pixel; ``tile`` is the
-    side of a tile in texels. ``weights``: weights of the medians, by cosine, by pixels per square metre
-    facing the view, by the views' confidence, or by the product of all three.
+    side of a tile in texels. ``weights``: weights of the views by distance to the borders of their
+    footprints, by cosine, by pixels per square metre facing the view, by their confidence, or by the product
+    of all four.
     """
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
@@ -126,8 +129,18 @@ class MergeOptions:
             weights != "none",
             weights in ("angle", "all"),
             weights in ("distance", "all"),
-            weights in ("confidence", "all"),
+            weights in ("borders", "confidence", "all"),
         )
+
+    @property
+    def by_borders(self) -> bool:
+        """Whether pixels near the borders of a view count less."""
+        return self.weights in ("borders", "all")
+
+    @property
+    def by_confidence(self) -> bool:
+        """Whether pixels count by their confidence."""
+        return self.weights in ("confidence", "all")
 
 
 class MapMerger:
@@ -150,12 +163,12 @@ class MapMerger:
             problems.append(Problem("merge", "", "no views", "at least one view", "add views"))
         if self._rules.is_traced and scene is None:
             problems.append(Problem("merge", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'"))
-        if self._rules.by_confidence and any(view.confidence is None for view in views):
+        if self.options.by_confidence and any(view.confidence is None for view in views):
             expected = "a confidence of every view"
             problems.append(Problem("merge", "weights", repr(self.options.weights), expected, "use 'none'"))
         raise_problems(problems)
         self._scene = scene
-        self._views = _view_arrays(views, region_of_face, has_confidence=self._rules.by_confidence)
+        self._views = _view_arrays(views, region_of_face, self.options)
         self._regions = region_of_face
         self._networks = networks(len(views))
         self._packed = PackedViews([view.camera for view in views], None) if self._rules.is_traced else None
@@ -238,7 +251,7 @@ class MapMerger:
 
 
 def _view_arrays(
-    views: Sequence[MapView], region_of_face: NDArray | None, *, has_confidence: bool
+    views: Sequence[MapView], region_of_face: NDArray | None, options: MergeOptions
 ) -> ViewArrays:
     """The views as arrays for the loop; a pixel's region is 0 if regions are ignored."""
     if region_of_face is not None and len(region_of_face) >= 2**24:
@@ -248,7 +261,8 @@ def _view_arrays(
     cameras = np.zeros((len(views), CAMERA), np.float32)
     depth = np.empty(ends[-1], np.float32)
     packets = np.zeros((ends[-1], PACKET), np.float32)
-    confidence = np.ones((ends[-1] if has_confidence else 0, 3), np.float32)
+    rules, see = options.rules(), options.visibility
+    weight = np.ones((ends[-1] if rules.by_pixel else 0, 3), np.float32)
     for index, (view, num, end) in enumerate(zip(views, sizes, ends, strict=True)):
         camera, span = view.camera, slice(end - num, end)
         cameras[index, :9] = camera.camera_from_world[:3, :3].ravel()
@@ -264,6 +278,10 @@ def _view_arrays(
         if region_of_face is not None and view.face is not None:
             face = view.face.reshape(num)
             packets[span, first] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
-        if has_confidence and view.confidence is not None:
-            confidence[span] = view.confidence.reshape(num, 3)
-    return ViewArrays(cameras, (ends - sizes).astype(np.int64), depth, packets, confidence)
+        if options.by_confidence and view.confidence is not None:
+            weight[span] = np.maximum(view.confidence.reshape(num, 3), MIN_WEIGHT)
+        if options.by_borders:
+            image = view.depth_z_m.reshape(camera.height_px, camera.width_px)
+            borders = border_weights(image, see.depth_tolerance + see.slope_limit)
+            weight[span] *= borders.reshape(num, 1)
+    return ViewArrays(cameras, (ends - sizes).astype(np.int64), depth, packets, weight)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Weights of views in the medians of the merge."""
-
-from __future__ import annotations
+"""Names of the weights of views in the merge."""
 
 from typing import Literal
 
-Weights = Literal["none", "angle", "distance", "confidence", "all"]
+Weights = Literal["none", "borders", "angle", "distance", "confidence", "all"]
