@@ -197,7 +197,7 @@ def measure(renderer: SceneRenderer, configuration: Configuration, compression: 
 def measure_error(
     configuration: Configuration, library: Library, recipe: RenderRecipe, pairs: dict[int, tuple[Any, Any]]
 ) -> dict[str, Any]:
-    """relMSE of the denoised image by view, over three seeds."""
+    """relMSE of denoised images by view, against its pair of references, over three seeds."""
     result: dict[str, Any] = {}
     for exposed in (False, True):
         errors = {view: [] for view in pairs}  # type: dict[int, list[float]]

@@ -46,7 +46,7 @@ MAX_DEPTH = 65
 def compare_scene(
     folder: Path, library_folder: Path, width_px: int, num_samples: int, pictures: Path | None = None
 ) -> dict:
-    """Import, render twice, compare; figures and seconds of one scene."""
+    """Agreement of one scene's original and converted renderings, with seconds."""
     name = folder.name
     start = time.perf_counter()
     options = ImportOptions(dielectric="replace", unit_scale=UNIT_SCALES.get(name, 1.0), overwrite=True)

@@ -18,6 +18,7 @@ import argparse
 import json
 import math
 import time
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -116,22 +117,39 @@ def _add_sky(image: Path) -> None:
     bpy.context.scene.world = world
 
 
-def set_up(scene: Any, arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class Sampling:
+    """Settings of Cycles; ``max_depth`` in segments of a path.
+
+    ``noisy``: without denoiser and passes; ``adaptive``: Cycles' adaptive sampling; ``clamp`` of indirect
+    light and ``filter_glossy`` after diffuse bounces have Blender's defaults.
+    """
+
+    samples: int = 32
+    max_depth: int = 8
+    seed: int = 0
+    noisy: bool = False
+    adaptive: bool = False
+    clamp: float = 10.0
+    filter_glossy: float = 1.0
+
+
+def set_up(scene: Any, sampling: Sampling) -> None:
     """Set up path tracing with persistent data and the passes; other settings keep Blender's defaults."""
     scene.render.engine = "CYCLES"
     cycles, render, layer = scene.cycles, scene.render, scene.view_layers[0]
     cycles.device = "CPU"
-    cycles.samples, cycles.seed = arguments.samples, arguments.seed
-    cycles.use_adaptive_sampling = arguments.adaptive
+    cycles.samples, cycles.seed = sampling.samples, sampling.seed
+    cycles.use_adaptive_sampling = sampling.adaptive
     cycles.adaptive_threshold = 0.0  # Cycles' default depends on the number of samples
-    cycles.sample_clamp_indirect = arguments.clamp
-    cycles.blur_glossy = arguments.filter_glossy
+    cycles.sample_clamp_indirect = sampling.clamp
+    cycles.blur_glossy = sampling.filter_glossy
     cycles.pixel_filter_type = "BOX"
     # a path of n segments hits n - 1 surfaces; Cycles does not count the first as a bounce
-    bounces = max(0, arguments.max_depth - 2)
+    bounces = max(0, sampling.max_depth - 2)
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces
     cycles.transmission_bounces = cycles.transparent_max_bounces = bounces
-    cycles.use_denoising = not arguments.noisy
+    cycles.use_denoising = not sampling.noisy
     cycles.denoiser = "OPENIMAGEDENOISE"
     cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
     cycles.denoising_prefilter = "ACCURATE"
@@ -139,9 +157,9 @@ def set_up(scene: Any, arguments: argparse.Namespace) -> None:
     render.threads_mode = "AUTO"
     render.resolution_percentage = 100
     render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
-    render.image_settings.color_depth = "32" if arguments.noisy else "16"
+    render.image_settings.color_depth = "32" if sampling.noisy else "16"
     render.image_settings.exr_codec = "ZIP"
-    if not arguments.noisy:
+    if not sampling.noisy:
         for name in ("z", "normal", "diffuse_color", "glossy_color", "object_index", "material_index"):
             setattr(layer, f"use_pass_{name}", True)
 
@@ -166,7 +184,7 @@ def render(arguments: argparse.Namespace) -> None:
 
     bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
     scene = bpy.context.scene
-    set_up(scene, arguments)
+    set_up(scene, Sampling(**{field.name: getattr(arguments, field.name) for field in fields(Sampling)}))
     cameras = json.loads(bpy.data.texts["cameras"].as_string())
     loaded = time.time()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -191,16 +209,14 @@ def main() -> None:
     command.add_argument("blend", type=Path)
     command.add_argument("out", type=Path)
     command.add_argument("views", type=int, nargs="+")
-    command.add_argument("--samples", type=int, default=32)
-    command.add_argument("--max-depth", type=int, default=8)
-    command.add_argument("--seed", type=int, default=0)
+    command.add_argument("--samples", type=int, default=Sampling.samples)
+    command.add_argument("--max-depth", type=int, default=Sampling.max_depth)
+    command.add_argument("--seed", type=int, default=Sampling.seed)
     command.add_argument("--noisy", action="store_true")
     command.add_argument("--adaptive", action="store_true", help="Cycles' adaptive sampling")
+    command.add_argument("--clamp", type=float, default=Sampling.clamp, help="of indirect light")
     command.add_argument(
-        "--clamp", type=float, default=10.0, help="of indirect light; Blender's default is 10"
-    )
-    command.add_argument(
-        "--filter-glossy", type=float, default=1.0, help="after diffuse bounces; Blender's default is 1"
+        "--filter-glossy", type=float, default=Sampling.filter_glossy, help="after diffuse bounces"
     )
     command.add_argument("--scale", type=float, default=1.0, help="of the resolution")
     arguments = parser.parse_args()

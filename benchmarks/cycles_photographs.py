@@ -16,7 +16,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.cycles_baseline import look_through, set_up
+from benchmarks.cycles_baseline import Sampling, look_through, set_up
 
 OUTSIDE = "room/outside"  # lawn and hedge, which nobody would model
 _WELD_M = 2e-4
@@ -28,8 +28,7 @@ def render(arguments: argparse.Namespace) -> None:
 
     bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
     scene = bpy.context.scene
-    settings = argparse.Namespace(samples=arguments.samples, max_depth=8, seed=0, noisy=False, adaptive=False)
-    set_up(scene, settings)
+    set_up(scene, Sampling(samples=arguments.samples))
     image = scene.render.image_settings
     image.file_format, image.color_mode, image.color_depth = "OPEN_EXR", "RGB", "16"
     lens = scene.camera.data

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of an asset package as node graphs, with the right colour spaces.
 
-If S is one small grey everywhere, the material is a Principled BSDF of base colour D with the specular level
-for that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the project's
-own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports back to the
-same channels.
+If S is a constant grey of at most 0.2, the material is a Principled BSDF of base colour D with the specular
+level for that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the
+project's own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports
+back to the same channels.
 """
 
 from __future__ import annotations

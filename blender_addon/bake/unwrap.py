@@ -21,7 +21,7 @@ _LARGEST_CHECKED = 200_000  # triangles; above, testing the mesh's own layout co
 def bake_layout(
     session: BakeSession, thing: bpy.types.Object, arrays: MeshArrays, slot: int
 ) -> NDArray[np.float32]:
-    """UVs (C, 2) for baking the slot's faces; the mesh gets a layer ``BAKE_UV`` for them.
+    """UVs of corners (C, 2) for baking the slot's faces; adds the layer ``BAKE_UV`` to the mesh.
 
     A border of the unit square stays free, since texture lookups repeat. The mesh's own UVs are used if they
     are a valid unwrap; otherwise Smart UV Project makes new ones.

@@ -34,7 +34,7 @@ def preview_of(camera: Camera) -> Camera:
 
 @dataclass(frozen=True)
 class Shell:
-    """Walls and ceiling of a room, recognised by the surface of each slot."""
+    """Walls and ceiling of a room, found by each slot's ``surface`` label."""
 
     scene: WorldScene
     surfaces: dict[str, Surface]

@@ -109,7 +109,7 @@ def create_plan(
 
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """Remarks on a plan before it is made, about facts that are valid but that the user should know."""
+    """Remarks before planning: valid content of recipe and library that the user should know of."""
     return [
         *map(str, unplaceable(recipe, library)),
         *implausible_sizes(recipe, library),

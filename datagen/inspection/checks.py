@@ -120,7 +120,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 def check_fireflies(view: View, where: str) -> list[Fault]:
     """Find fireflies; a small number is a warning, since a small highlight can look like one.
 
-    Metal and gloss are excluded, since they show such highlights of lamps and the sun.
+    A small number on metal and gloss alone is no fault: highlights of lamps and the sun.
     """
     mask = firefly_mask(view)
     count = int(mask.sum())

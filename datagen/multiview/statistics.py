@@ -116,7 +116,7 @@ class StatisticsOptions:
 
 
 def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels whose statistics cover more than their own colour."""
+    """Mask (H, W) of the pixels with statistics of other views, from buffers (H, W, 1)."""
     return (depth_z_m[..., 0] > 0) & (surface_mask[..., 0] >= MIN_COVERAGE)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Channels of a material as Mitsuba textures: decoded, adjusted and uploaded once, shared between scenes.
 
-BSDF and ground truth read the same textures, so that all operations on values are applied here, before
+BSDF and ground truth read the same textures, so all operations on values are applied here, before
 upload: decoding, scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`,
 then rounding to half floats. Constants pass through the same functions, as images of one texel.
 """

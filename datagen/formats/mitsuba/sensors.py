@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mitsuba sensors as cameras.
 
-``A`` below is ``asset_from_source``: the rotation to Z up times the unit scale.
+``asset_from_source`` is the rotation to Z up times the unit scale.
 """
 
 from __future__ import annotations

@@ -127,7 +127,7 @@ class GltfFile:
         return self._lists[key]
 
     def item(self, key: str, index: object, user: str) -> dict[str, Any]:
-        """Entry ``index`` of a top-level list; messages name ``user`` as the place of the reference."""
+        """Entry ``index`` of the top-level list ``key``; errors name ``user``, the referring field."""
         entries = self.items(key)
         if not isinstance(index, int) or not 0 <= index < len(entries):
             raise self.error(user, index, f"an index below {len(entries)} into {key}")
@@ -429,7 +429,7 @@ def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
-    """Triangle list (M, 3) of a list (4), strip (5) or fan (6)."""
+    """Triangles (M, 3) by ``mode``: 4 is a list, 5 a strip, 6 a fan."""
     if mode == 4 or len(indices) < 3:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
     k = np.arange(max(0, len(indices) - 2))
