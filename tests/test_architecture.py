@@ -80,7 +80,8 @@ MATRIX = {
         "model.reconstruction.radiometry": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.stages",
         "model.reconstruction.unwrap": f"{_GROUND} {_ATLAS}",
         "model.reconstruction.merge": f"{_GROUND} datagen.multiview {_ATLAS} model.reconstruction.unwrap",
-        "model.reconstruction.export": f"{_GROUND} {_ATLAS} model.reconstruction.found_lights",
+        "model.reconstruction.export": f"{_GROUND} {_ATLAS} mitsuba_plugins "
+        "model.reconstruction.found_lights",
         "model.reconstruction.report_page": "datagen.foundation model.reconstruction.infer_options "
         "model.reconstruction.stages",
         "model.reconstruction.atlas_page": f"{_GROUND} model.reconstruction.export",
@@ -90,7 +91,7 @@ MATRIX = {
         "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins {_ATLAS} "
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
-        "model.reconstruction.export "
+        "model.reconstruction.export model.reconstruction.found_lights "
         "model.reconstruction.infer_options model.reconstruction.pose_stage model.reconstruction.report_page "
         "model.reconstruction.stages",
         "model.reconstruction.pose_mending": "datagen.foundation datagen.geometry",

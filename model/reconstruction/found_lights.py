@@ -9,7 +9,8 @@ in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 
 Color = tuple[float, float, float]
 ENVIRONMENT_FILE = "environment.exr"
+SKY = "sky"
+"""Slot of the recovered sky."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,30 @@ class FoundPatch:
     area_m2: float
     radiance: Color
 
+    def times(self, gain: Color | None) -> FoundPatch:
+        """The patch with its radiance times ``gain``, unchanged without one."""
+        rectangles = tuple(replace(r, radiance=_product(r.radiance, gain)) for r in self.rectangles)
+        return replace(self, rectangles=rectangles, radiance=_product(self.radiance, gain))
+
+
+@dataclass(frozen=True)
+class RadianceSamples:
+    """Photographed radiance (N, 3) along rays from ``origin_m`` (N, 3) in unit ``direction`` (N, 3).
+
+    The rays start just in front of the photographed surface.
+    """
+
+    origin_m: NDArray[np.float32]
+    direction: NDArray[np.float32]
+    radiance: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.radiance)
+
+    def chosen(self, which: NDArray) -> RadianceSamples:
+        """The selected samples; ``which`` is a mask (N,) or indices."""
+        return RadianceSamples(self.origin_m[which], self.direction[which], self.radiance[which])
+
 
 @dataclass(frozen=True)
 class FoundLights:
@@ -91,6 +118,20 @@ class FoundLights:
     def is_dark(self) -> bool:
         """Whether none of the lights emits."""
         return not (self.windows or self.panels or any(lamp.is_lit for lamp in self.lamps))
+
+    def with_gains(self, gains: Mapping[str, Color]) -> FoundLights:
+        """The lights with their radiance times the gains by slot; windows under a sky have the sky's."""
+        sky, through = self.environment, gains.get(SKY)
+        if sky is not None and through is not None:
+            sky = sky * np.array(through, np.float32)
+        return FoundLights(
+            tuple(
+                replace(lamp, radiance=_product(lamp.radiance, gains.get(lamp.slot))) for lamp in self.lamps
+            ),
+            tuple(patch.times(gains.get(patch.slot)) for patch in self.panels),
+            tuple(patch.times(gains.get(patch.slot, through)) for patch in self.windows),
+            sky,
+        )
 
     @property
     def sending(self) -> tuple[FoundPatch, ...]:
@@ -114,8 +155,14 @@ class FoundLights:
         if self.environment is not None and self.windows:
             area = sum(window.area_m2 for window in self.windows)
             mean = sum(window.area_m2 * np.array(window.radiance) for window in self.windows) / area
-            rows.append({"kind": "sky", "slot": "sky", "radiance": _rounded(mean, 5)})
+            rows.append({"kind": "sky", "slot": SKY, "radiance": _rounded(mean, 5)})
         return rows
+
+
+def _product(radiance: Color, gain: Color | None) -> Color:
+    if gain is None:
+        return radiance
+    return radiance[0] * gain[0], radiance[1] * gain[1], radiance[2] * gain[2]
 
 
 def _row(
@@ -136,13 +183,18 @@ def _rounded(values: Any, digits: int) -> list[float]:
 
 
 def lights_text(rows: list[dict[str, Any]]) -> str:
-    """The rows of :meth:`FoundLights.described` as lines of a table."""
+    """The rows of :meth:`FoundLights.described`, with ``gain`` if balanced, as lines of a table."""
     if not rows:
         return "no light was found"
-    lines = [f"{'light':<12}{'place (m)':>24}{'area (m2)':>12}{'radiance (R G B)':>26}{'power (R G B)':>28}"]
+    lines = [
+        f"{'light':<12}{'place (m)':>20}{'area (m2)':>11}{'radiance (R G B)':>24}{'power (R G B)':>24}"
+        f"{'gain (R G B)':>20}"
+    ]
     for row in rows:
         place = " ".join(f"{v:.2f}" for v in row["place_m"]) if "place_m" in row else ""
         area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
-        radiance, power = (" ".join(f"{v:.3g}" for v in row.get(key, ())) for key in ("radiance", "power"))
-        lines.append(f"{row['slot']:<12}{place:>24}{area:>12}{radiance:>26}{power:>28}")
+        radiance, power, gain = (
+            " ".join(f"{v:.3g}" for v in row.get(key, ())) for key in ("radiance", "power", "gain")
+        )
+        lines.append(f"{row['slot']:<12}{place:>20}{area:>11}{radiance:>24}{power:>24}{gain:>20}")
     return "\n".join(lines)

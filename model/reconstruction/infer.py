@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The pipeline from a capture to an asset: traced → checked → completed → predicted → leveled → merged →
-filled → exported.
+filled → balanced → exported.
 
 OUT/state.json      identity of the work: a hash over checkpoint, cameras, geometry and options
 OUT/views/          predicted maps, one EXR per view; an interrupted run resumes after them
@@ -21,7 +21,7 @@ import hashlib
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,10 +46,12 @@ from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
 from model.reconstruction.export.asset import write_asset
 from model.reconstruction.export.atlas_images import write_atlas_images
+from model.reconstruction.export.balance import balanced
 from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.export.usd import write_usdz
+from model.reconstruction.found_lights import SKY
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
@@ -271,21 +273,36 @@ def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, fl
     return seen / max(covered, 1), seen / max(visible, 1)
 
 
+def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
+    """The reconstruction with the gains of its lights, which the report lists."""
+    if run.found.samples is None:
+        return reconstruction
+    with run.stage("lights"):
+        balance = balanced(reconstruction, run.found.samples)
+    if balance is None:
+        return reconstruction
+    run.report.light["balance"] = {"loss_before": balance.loss_before, "loss_after": balance.loss_after}
+    for row in run.report.light["lights"]:
+        row["gain"] = list(balance.gains[row["slot"] if row["slot"] in balance.gains else SKY])
+    return replace(reconstruction, lights=balance.lights)
+
+
 def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
     geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
     capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
     out, atlas = run.out, merged.atlas
-    with run.stage("export") as advance:
-        reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
+    reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
+    with run.stage("images"):
         write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr)
-        advance(1, 5)
+    reconstruction = _balanced(reconstruction, run)
+    with run.stage("export") as advance:
         write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
-        advance(2, 5)
+        advance(1, 4)
         glb = out / f"{capture.name}.glb"
         error = write_glb(glb, reconstruction, has_punctual=run.options.has_punctual)
-        advance(3, 5)
+        advance(2, 4)
         write_mitsuba_scene(out / "mitsuba", reconstruction)
-        advance(4, 5)
+        advance(3, 4)
         if run.options.has_usd:
             write_usdz(out / f"{capture.name}.usdz", reconstruction)
     run.report.gltf_error = asdict(error)

@@ -72,15 +72,15 @@ def _lights(light: dict[str, Any]) -> str:
         swatch = f'<i style="background:rgb({",".join(map(str, shown))})"></i>'
         area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
         numbers = [_numbers(row.get("place_m", ()), 2), area]
-        numbers += [_numbers(row.get(key, ()), 3) for key in ("radiance", "power")]
+        numbers += [_numbers(row.get(key, ()), 3) for key in ("radiance", "power", "gain")]
         name = f"{html.escape(row['slot'])} {swatch}"
         rows.append((name, KINDS[row["kind"]], *numbers))
-    heads = ("light", "kind", "middle x y z (m)", "area (m2)", "radiance R G B", "power R G B")
+    heads = ("light", "kind", "middle x y z (m)", "area (m2)", "radiance R G B", "power R G B", "gain R G B")
     found = _table(heads, rows) if rows else "<p>None was found.</p>"
     return (
         "<h2>Lights</h2><p>What shines into the room, as the photographs show it. Radiance is in their unit; "
         "power is pi times area and radiance, in W where radiance is in W/(m2 sr). The exports hold these "
-        f"lights.</p>{found}"
+        f"lights times their gain, by which the asset is as bright as the photographs.</p>{found}"
     )
 
 

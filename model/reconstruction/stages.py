@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.geometry.views import TracedCapture
-from model.reconstruction.found_lights import FoundLights
+from model.reconstruction.found_lights import FoundLights, RadianceSamples
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 
 Maps = dict[str, NDArray]
@@ -34,13 +34,15 @@ class ViewPicture:
 class Found:
     """Results of stages besides maps; None or empty if no stage provides them.
 
-    ``lights``: recovered lights; ``confidence_at``: function from surface points and normals (both (..., 3))
-    to confidence of D, S and R in bytes; ``pictures``: pictures of views; ``doubt_at``: function from points
+    ``lights``: recovered lights; ``samples``: photographed radiance, by which they are balanced;
+    ``confidence_at``: function from surface points and normals (both (..., 3)) to confidence of D, S and R in
+    bytes; ``pictures``: pictures of views; ``doubt_at``: function from points
     and normals (both (N, 3)) to the luminance (N,) of diffuse shading that is uncertain because its source
     clips.
     """
 
     lights: FoundLights | None = None
+    samples: RadianceSamples | None = None
     confidence_at: Callable[[NDArray, NDArray], NDArray[np.uint8]] | None = None
     pictures: list[ViewPicture] = field(default_factory=list)
     doubt_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None

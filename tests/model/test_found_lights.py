@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ from datagen.formats.package import open_package
 from datagen.foundation.images import read_image
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
+from model.reconstruction.export import balance
+from model.reconstruction.export.slots import Reconstruction
+from model.reconstruction.found_lights import Color, FoundLights, RadianceSamples
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.light_room import LAMP, SKY, photographed_room, room_capture
@@ -30,8 +34,17 @@ SHOWN = (0, 3, 8, 13, 17, 22)
 SAMPLES = 64
 
 
+@dataclass(frozen=True)
+class Inferred:
+    """A result, and the input of its balance."""
+
+    out: Path
+    reconstruction: Reconstruction
+    samples: RadianceSamples
+
+
 @pytest.fixture(scope="module")
-def inferred(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Path:
+def run(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Inferred:
     """The room, solved by light alone: networks that were never trained."""
     folder = tmp_path_factory.mktemp("found")
     torch.manual_seed(1)
@@ -41,8 +54,21 @@ def inferred(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> 
     options = InferOptions(
         atlas=256, materials="light", is_leveled=False, is_checked=False, has_punctual=True
     )
-    infer(room_capture(CLAIMED), folder / "out", CheckpointMaps(folder / "random.safetensors"), options)
-    return folder / "out"
+    given: list[tuple[Reconstruction, RadianceSamples]] = []
+
+    def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> balance.Balance | None:
+        given.append((reconstruction, samples))
+        return balance.balanced(reconstruction, samples)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("model.reconstruction.infer.balanced", balanced)
+        infer(room_capture(CLAIMED), folder / "out", CheckpointMaps(folder / "random.safetensors"), options)
+    return Inferred(folder / "out", *given[0])
+
+
+@pytest.fixture(scope="module")
+def inferred(run: Inferred) -> Path:
+    return run.out
 
 
 def report_of(out: Path) -> dict[str, Any]:
@@ -66,6 +92,39 @@ def test_lamp_and_window_are_where_they_are(inferred: Path) -> None:
         assert light["area_m2"] == pytest.approx(area, rel=0.05)
         np.testing.assert_allclose(light["radiance"], radiance, rtol=0.05)
         np.testing.assert_allclose(light["power"], np.pi * area * np.array(radiance), rtol=0.05)
+
+
+def gains_of(run: Inferred, factors: dict[str, Color]) -> dict[str, NDArray[np.float64]]:
+    """Gains of the recovered lights times ``factors``, times these factors: 1 if found right."""
+    assert run.reconstruction.lights is not None
+    wrong = replace(run.reconstruction, lights=run.reconstruction.lights.with_gains(factors))
+    found = balance.balanced(wrong, run.samples)
+    assert found is not None and found.loss_after < found.loss_before
+    return {slot: np.array(gain) * factors[slot] for slot, gain in found.gains.items()}
+
+
+def test_wrong_lights_are_balanced(run: Inferred) -> None:
+    """Each light and channel comes back from its own error."""
+    found = gains_of(run, {"lamp-0": (0.4, 0.5, 0.4), "window-0": (2.5, 2.5, 2.0)})
+    for slot in ("lamp-0", "window-0"):
+        np.testing.assert_allclose(found[slot], 1, rtol=0.07, err_msg=slot)
+
+
+def test_lights_over_the_limit_share_a_gain(run: Inferred, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(balance, "MAX_LIGHTS", 1)
+    found = gains_of(run, {"lamp-0": (0.5, 0.5, 0.5), "window-0": (0.5, 0.5, 0.5)})
+    assert found["lamp-0"].tolist() == found["window-0"].tolist()
+    np.testing.assert_allclose(found["lamp-0"], 1, rtol=0.07)
+
+
+def test_right_lights_keep_their_radiance(inferred: Path) -> None:
+    for light in lights_of(inferred).values():
+        np.testing.assert_allclose(light.get("gain", (1, 1, 1)), 1, rtol=0.07)
+
+
+def test_nothing_is_balanced_without_light_or_samples(run: Inferred) -> None:
+    assert balance.balanced(run.reconstruction, run.samples.chosen(np.arange(99))) is None
+    assert balance.balanced(replace(run.reconstruction, lights=FoundLights()), run.samples) is None
 
 
 def rendered(out: Path, xml: str | None = None) -> dict[int, NDArray[np.float64]]:

@@ -16,23 +16,23 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import (
-    SURFACE,
     Reconstruction,
     environment_exr,
     export_slots,
     patch_meshes,
 )
-from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color, FoundLights
+from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, Color, FoundLights
 
+_MATERIAL = "atlas"
 # columns: Mitsuba's frame of a sky (Y up, centre column along +Z) in ours (Z up, centre column along +Y)
 _WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
-def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
+def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sensors: bool = True) -> Path:
     """Write ``scene.xml`` with meshes and textures beside it; its BSDF needs ``mitsuba_plugins.register()``.
 
     Sensors are the capture's cameras (square pixels: the mean focal length). Lights are the recovered lights,
-    else the capture's point lights and constant sky, else a white sky.
+    else the capture's point lights and constant sky, else a white sky. Shapes are named as their meshes.
     """
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)
@@ -40,10 +40,10 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
         shutil.copyfile(reconstruction.images / f"{name}.png", textures / f"{name}.png")
     scene = ElementTree.Element("scene", version="3.0.0")
     _add(scene, "integrator", "path", ("integer", "max_depth", 8))
-    for view in reconstruction.capture.views:
+    for view in reconstruction.capture.views if has_sensors else ():
         _add_sensor(scene, view.name, view.camera)
     bsdf = _add(scene, "bsdf", "cook_torrance")
-    bsdf.set("id", SURFACE)
+    bsdf.set("id", _MATERIAL)
     for name in MAP_CHANNELS:
         texture = _add(
             bsdf,
@@ -56,7 +56,7 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
     for name, slot in export_slots(reconstruction).items():
         shape = _add_mesh(scene, folder, name, slot.mesh)
         if slot.has_material:
-            ElementTree.SubElement(shape, "ref", id=SURFACE)
+            ElementTree.SubElement(shape, "ref", id=_MATERIAL)
         _add_emission(shape, slot.emission)
     found = reconstruction.shining_lights
     if found is None:
@@ -74,7 +74,9 @@ def _add_mesh(scene: ElementTree.Element, folder: Path, name: str, mesh: Mesh) -
     assert mesh.uv is not None
     downward = Mesh(mesh.positions, mesh.faces, mesh.normals, mesh.uv * [1, -1] + [0, 1])
     write_bytes_atomically(folder / f"{name}.ply", encode_ply(downward))
-    return _add(scene, "shape", "ply", ("string", "filename", f"{name}.ply"))
+    shape = _add(scene, "shape", "ply", ("string", "filename", f"{name}.ply"))
+    shape.set("id", name)
+    return shape
 
 
 def _add_emission(shape: ElementTree.Element, emission: Color | None) -> None:
@@ -92,6 +94,7 @@ def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> 
         return
     write_bytes_atomically(folder / ENVIRONMENT_FILE, environment_exr(found.environment))
     emitter = _add(scene, "emitter", "envmap", ("string", "filename", ENVIRONMENT_FILE))
+    emitter.set("id", SKY)
     transform = ElementTree.SubElement(emitter, "transform", name="to_world")
     ElementTree.SubElement(transform, "matrix", value=_numbers(_WORLD_FROM_SKY))
 

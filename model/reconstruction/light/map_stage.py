@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from datagen.geometry.traced import smooth_regions
 from datagen.geometry.views import TracedCapture
-from model.reconstruction.light.found import found_lights
+from model.reconstruction.light.found import found_lights, radiance_samples
 from model.reconstruction.light.options import LightReport
 from model.reconstruction.light.pictures import view_pictures
 from model.reconstruction.light.stage import LightOptions, materials_from_light
@@ -36,7 +36,7 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions
         with report.step("lights"):
             lights = found_lights(found.lit, traced.geometry, traced.capture.geometry)
     run.report.light = {**asdict(report), "lights": lights.described()}
-    run.found.lights = lights
+    run.found.lights, run.found.samples = lights, radiance_samples(found.lit.surfels)
     run.found.confidence_at = SurfelConfidence.of(found.lit.surfels, found.solved.confidence).at
     run.found.pictures = view_pictures(traced.views, found.maps, run.report.exposure)
     return found.maps

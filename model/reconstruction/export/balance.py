@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+"""Gains of the recovered lights by which the exported asset is as bright as the photographs.
+
+A recovered light has the radiance photographed, or inferred, where it is emitted or enters. The brightness of
+other surfaces also depends on surfaces in no photograph, on the merged materials, and on windows that are
+exported as diffuse rectangles. Therefore the light of each is path traced to photographed points in the
+exported Mitsuba scene: radiance there is linear in the gains, one per light and channel, which minimize
+robust relative differences from the photographs.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.base import write_bytes_atomically
+from datagen.foundation.color import luminance
+from datagen.foundation.images import encode_png
+from model.reconstruction.atlas.atlas import MAP_CHANNELS
+from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
+from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
+from model.reconstruction.export.slots import Reconstruction
+from model.reconstruction.found_lights import SKY, Color, FoundLights, RadianceSamples
+
+PATHS, MAX_DEPTH = 256, 24
+"""Paths per sample and light, and their maximum number of segments."""
+MAX_LIGHTS = 24
+"""Maximum number of gains: the least powerful lights share one."""
+NOISE, FLOOR = 0.3, 0.1
+"""Relative difference above which the loss is linear, and what is added to the radiance that differences are
+relative to, as a share of the median."""
+GAIN_SPREAD, COLOR_SPREAD = 2.0, 0.2
+"""Standard deviations of the prior: of ln gain, and of its deviation from the mean over the channels."""
+MIN_SAMPLES = 100
+_BATCH = 1 << 21  # paths
+
+
+@dataclass(frozen=True)
+class Balance:
+    """``lights`` times ``gains`` by slot; mean losses of the samples that were held out, before and after."""
+
+    lights: FoundLights
+    gains: dict[str, Color]
+    loss_before: float
+    loss_after: float
+
+
+def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balance | None:
+    """Gains of the recovered lights of ``reconstruction``.
+
+    None if no light emits, if fewer than :data:`MIN_SAMPLES` samples show the asset's surface, or if gains
+    from half of the samples bring the other half no closer to the photographs.
+    """
+    lights = reconstruction.shining_lights
+    if lights is None:
+        return None
+    groups = _groups(lights)
+    with tempfile.TemporaryDirectory(prefix="lights-") as folder:
+        scene = _load_scene(reconstruction, Path(folder))
+        samples = samples.chosen(_shows_surface(scene, samples))
+        if len(samples) < MIN_SAMPLES:
+            return None
+        names = _emitters(lights)
+        emitters = _Emitters(scene, [name for slot in names for name in names[slot]])
+        light = []
+        for seed, slots in enumerate(groups):
+            emitters.switch_on([name for slot in slots for name in names[slot]])
+            light.append(_radiance(scene, samples, seed))
+    transport, photographed = np.stack(light, axis=1), samples.radiance.astype(np.float64)
+    scale = photographed + FLOOR * float(np.median(luminance(photographed)))
+    is_fitted = np.arange(len(scale)) % 2 == 0
+    held_out = transport[~is_fitted], photographed[~is_fitted], scale[~is_fitted]
+    trial = _solved(transport[is_fitted], photographed[is_fitted], scale[is_fitted])
+    before, after = (_loss(_differences(*held_out, gains)).mean() for gains in (np.ones_like(trial), trial))
+    if after >= before:
+        return None
+    solved = _solved(transport, photographed, scale).round(4)
+    gains = {slot: _color(gain) for slots, gain in zip(groups, solved, strict=True) for slot in slots}
+    return Balance(lights.with_gains(gains), gains, float(before), float(after))
+
+
+def _groups(lights: FoundLights) -> list[list[str]]:
+    """Slots by gain, in decreasing order of power after the sky."""
+    powers = {lamp.slot: lamp.area_m2 * sum(lamp.radiance) for lamp in lights.lamps if lamp.is_lit}
+    powers |= {patch.slot: patch.area_m2 * sum(patch.radiance) for patch in lights.sending}
+    slots = [] if lights.environment is None else [SKY]
+    slots += sorted(powers, key=lambda slot: (-powers[slot], slot))
+    groups = [[slot] for slot in slots[: MAX_LIGHTS - 1]]
+    return [*groups, slots[MAX_LIGHTS - 1 :]] if len(slots) >= MAX_LIGHTS else groups
+
+
+def _emitters(lights: FoundLights) -> dict[str, list[str]]:
+    """Names of the exported emitters by slot; dark rectangles are none."""
+    names = {lamp.slot: [lamp.slot] for lamp in lights.lamps if lamp.is_lit}
+    for patch in lights.sending:
+        is_lit = (max(rectangle.radiance) > 0 for rectangle in patch.rectangles)
+        names[patch.slot] = [f"{patch.slot}-{number}" for number, lit in enumerate(is_lit) if lit]
+    return names if lights.environment is None else {**names, SKY: [SKY]}
+
+
+def _load_scene(reconstruction: Reconstruction, folder: Path) -> Any:
+    """The exported scene without sensors, with textures of at most ``atlas_images.MAX_TEXTURE`` a side."""
+    import mitsuba as mi
+
+    from mitsuba_plugins import register
+
+    register()
+    shrink = texture_shrink(reconstruction.atlas)
+    if shrink > 1:
+        for name in MAP_CHANNELS:
+            reduced = averaged(reconstruction.atlas.maps[name], shrink).astype(np.float16)
+            write_bytes_atomically(folder / f"{name}.png", encode_png(map_bytes(name, reduced)))
+        reconstruction = replace(reconstruction, images=folder)
+    return mi.load_file(str(write_mitsuba_scene(folder / "scene", reconstruction, has_sensors=False)))
+
+
+def _rays(samples: RadianceSamples, which: NDArray[np.int64]) -> Any:
+    import mitsuba as mi
+
+    origin = mi.Point3f(np.ascontiguousarray(samples.origin_m[which].T, np.float32))
+    direction = mi.Vector3f(np.ascontiguousarray(samples.direction[which].T, np.float32))
+    return mi.RayDifferential3f(mi.Ray3f(origin, direction))
+
+
+def _shows_surface(scene: Any, samples: RadianceSamples) -> NDArray[np.bool_]:
+    """Which rays (N,) of the samples end on a surface that does not emit."""
+    import drjit as dr
+    import mitsuba as mi
+
+    hit = scene.ray_intersect(mi.Ray3f(_rays(samples, np.arange(len(samples)))))
+    is_dark = hit.is_valid() & (hit.emitter(scene) == None)  # noqa: E711 (elementwise)
+    return np.asarray(dr.select(is_dark, mi.UInt32(1), mi.UInt32(0)).numpy()) > 0
+
+
+class _Emitters:
+    """The emitters of a scene, switched on and off.
+
+    ``names``: ids of the shapes that emit, and of the sky.
+    """
+
+    def __init__(self, scene: Any, names: Sequence[str]):
+        import mitsuba as mi
+
+        self._parameters = mi.traverse(scene)
+        self._keys = {name: _emission_keys(self._parameters, name) for name in names}
+        self._emission = {
+            name: type(self._parameters[key])(self._parameters[key]) for name, (key, _) in self._keys.items()
+        }
+
+    def switch_on(self, chosen: Sequence[str]) -> None:
+        """Switch the ``chosen`` emitters on and all others off."""
+        for name, (emission, weight) in self._keys.items():
+            is_on = float(name in chosen)
+            self._parameters[emission] = self._emission[name] * is_on
+            self._parameters[weight] = is_on
+        self._parameters.update()
+
+
+def _emission_keys(parameters: Any, name: str) -> tuple[str, str]:
+    """Names of an emitter's parameters: emission, weight in light sampling."""
+    prefix = name if f"{name}.scale" in parameters else f"{name}.emitter"
+    emission = "scale" if prefix == name else "radiance.value"
+    return f"{prefix}.{emission}", f"{prefix}.sampling_weight"
+
+
+def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.float64]:
+    """Radiance (N, 3) of the samples in the light that is on."""
+    import mitsuba as mi
+
+    integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH // 2})
+    found = []
+    size = _BATCH // PATHS
+    for start in range(0, len(samples), size):
+        which = np.repeat(np.arange(start, min(start + size, len(samples))), PATHS)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed * len(samples) + start, len(which))
+        radiance, _, _ = integrator.sample(scene, sampler, _rays(samples, which))
+        found.append(radiance.numpy().astype(np.float64).T.reshape(-1, PATHS, 3).mean(axis=1))
+    return np.concatenate(found)
+
+
+def _differences(transport: NDArray, photographed: NDArray, scale: NDArray, gains: NDArray) -> NDArray:
+    """Relative differences (N, 3) of the asset in lights times ``gains`` (K, 3) from the photographs.
+
+    ``transport`` (N, K, 3) is the radiance of the samples by light, relative to which ``scale`` (N, 3) is.
+    """
+    return ((transport * gains).sum(axis=1) - photographed) / scale
+
+
+def _loss(differences: NDArray) -> NDArray[np.float64]:
+    """Half the squared difference, from about :data:`NOISE` on linear."""
+    loss: NDArray[np.float64] = NOISE**2 * (np.sqrt(1 + (differences / NOISE) ** 2) - 1)
+    return loss
+
+
+def _solved(transport: NDArray, photographed: NDArray, scale: NDArray) -> NDArray[np.float64]:
+    """Gains (K, 3) of least loss, with their prior."""
+    from scipy.optimize import least_squares
+
+    shape = transport.shape[1:]
+
+    def residuals(log_gains: NDArray) -> NDArray:
+        gains = log_gains.reshape(shape)
+        data = np.sqrt(2 * _loss(_differences(transport, photographed, scale, np.exp(gains))))
+        color = (gains - gains.mean(axis=1, keepdims=True)) / COLOR_SPREAD
+        return np.concatenate([data.ravel() / NOISE, (gains / GAIN_SPREAD).ravel(), color.ravel()])
+
+    return np.exp(least_squares(residuals, np.zeros(np.prod(shape))).x).reshape(shape)
+
+
+def _color(values: NDArray) -> Color:
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
