@@ -60,13 +60,15 @@ class Observations:
     """Observations (M) of the surfels, ordered by surfel and then by view.
 
     The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight``
-    (M,), the number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`.
+    (M,), the number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`; ``normal`` (M, 3),
+    the mean over the pixels: on a chair leg or a tap, views from different sides see different normals.
     """
 
     start: NDArray[np.int64]
     view: NDArray[np.int32]
     radiance: Floats32
     weight: Floats32
+    normal: Floats32
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
             weight,
             at_edge,
             np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
+            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3), np.float32),
             view.geometry.depth_z_m.ravel(),
             cameras[index],
             low,
@@ -284,12 +287,12 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
 
 
 @compiled
-def _observe_view(cell, weight, at_edge, color, depth, camera, low, cell_m, shape, surfel, num):
+def _observe_view(cell, weight, at_edge, color, normal, depth, camera, low, cell_m, shape, surfel, num):
     """Surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), the pixel (K,)
-    nearest to the cell centre with its squared distance (K,), and the numbers (K, 2) of all pixels and of
-    those at depth edges.
+    nearest to the cell centre with its squared distance (K,), the numbers (K, 2) of all pixels and of those
+    at depth edges, and the unit mean normal (K, 3).
     """
-    sums = np.zeros((num, 3), np.float32)
+    sums = np.zeros((num, 6), np.float32)
     total = np.zeros(num, np.float32)
     nearest = np.full(num, -1, np.int32)
     distance = np.full(num, np.inf, np.float32)
@@ -306,6 +309,7 @@ def _observe_view(cell, weight, at_edge, color, depth, camera, low, cell_m, shap
         pixels[at, 1] += at_edge[index]
         for channel in range(3):
             sums[at, channel] += w * color[index, channel]
+            sums[at, 3 + channel] += w * normal[index, channel]
         place_pixel(index, depth[index], width, camera, here)
         off = np.float32(0.0 if w == 1.0 else 1e6)  # edge pixels only if no others
         for axis in range(3):
@@ -315,10 +319,15 @@ def _observe_view(cell, weight, at_edge, color, depth, camera, low, cell_m, shap
             distance[at], nearest[at] = off, index
     found = np.flatnonzero(total > 0).astype(np.int32)
     radiance = np.empty((len(found), 3), np.float32)
+    facing = np.empty((len(found), 3), np.float32)
     for row in range(len(found)):
+        length = np.float32(1e-12)
         for channel in range(3):
             radiance[row, channel] = sums[found[row], channel] / total[found[row]]
-    return found, radiance, total[found], nearest[found], distance[found], pixels[found]
+            length += sums[found[row], 3 + channel] ** 2
+        for channel in range(3):
+            facing[row, channel] = sums[found[row], 3 + channel] / np.sqrt(length)
+    return found, radiance, total[found], nearest[found], distance[found], pixels[found], facing
 
 
 def _cells_of(
@@ -357,6 +366,7 @@ def _gathered(
         view[order],
         np.concatenate([part[1] for part in seen])[order],
         np.concatenate([part[2] for part in seen])[order],
+        np.concatenate([part[6] for part in seen])[order],
     )
     pixel = np.concatenate([part[3] for part in seen])
     distance = np.concatenate([part[4] for part in seen])

@@ -57,7 +57,8 @@ def room(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> tu
     position = np.concatenate([np.column_stack([at, np.full(num, z)]) for z in (0.51, 0.01)])
     colors = np.concatenate([radiance.reshape(-1, 1), np.ones((num, 1))]) * np.ones(3)
     no = np.zeros(0, np.float32)
-    observations = Observations(np.zeros(2 * num + 1, np.int64), no.astype(np.int32), no.reshape(0, 3), no)
+    rows = no.reshape(0, 3)
+    observations = Observations(np.zeros(2 * num + 1, np.int64), no.astype(np.int32), rows, no, rows)
     normal = np.repeat([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], num, axis=0).astype(np.float32)
     face, unmixed = np.repeat(np.int32([0, 2]), num), np.zeros(2 * num, bool)
     surfels = Surfels(

@@ -48,7 +48,7 @@ def dark_surfel() -> Surfels:
     surfel = np.array([0, -1, -1, -1, -1, -1], np.int32)
     grid = CellGrid(np.full(3, -5.0), 10.0, np.array([1, 1, 1]), surfel)
     row, one = np.zeros((1, 3), np.float32), np.zeros(1, np.int32)
-    seen = Observations(np.array([0, 1]), one, row, np.ones(1, np.float32))
+    seen = Observations(np.array([0, 1]), one, row, np.ones(1, np.float32), row)
     return Surfels(grid, row, row, one, row, np.zeros(1, bool), seen, row, (), ())
 
 

@@ -39,7 +39,7 @@ def wall(radiance: NDArray) -> Surfels:
     start = OBSERVATIONS * np.arange(num + 1)
     of_views = np.repeat(radiance, OBSERVATIONS, axis=0)
     view, weight = np.zeros(len(of_views), np.int32), np.ones(len(of_views), np.float32)
-    seen = Observations(start, view, of_views, weight)
+    seen = Observations(start, view, of_views, weight, np.repeat(normal, OBSERVATIONS, axis=0))
     unmixed = np.zeros(num, bool)
     return Surfels(grid, position, normal, none, radiance, unmixed, seen, np.zeros((1, 3)), (), ())
 

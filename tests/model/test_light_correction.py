@@ -19,7 +19,8 @@ def wall() -> Surfels:
     position = (np.stack([np.zeros_like(y), y, z], axis=-1).reshape(-1, 3) + 0.5) * CELL_M
     num = len(position)
     none = np.zeros(0, np.float32)
-    observations = Observations(np.zeros(num + 1, np.int64), none.astype(np.int32), none.reshape(0, 3), none)
+    rows = none.reshape(0, 3)
+    observations = Observations(np.zeros(num + 1, np.int64), none.astype(np.int32), rows, none, rows)
     grid = CellGrid(np.zeros(3), CELL_M, np.array([1, SIDE, SIDE]), np.zeros(0, np.int32))
     normal = np.broadcast_to(np.float32([1, 0, 0]), (num, 3))
     white = np.ones((num, 3), np.float32)

@@ -134,7 +134,7 @@ def shade_points(lit: Lit, points: Points, options: LightOptions) -> PointShadin
     for level, roughness in enumerate(ROUGHNESS_LEVELS):
         shading = lit.baker.specular(
             surfels.position_m[surfel],
-            surfels.normal[surfel],
+            observations.normal[row],
             view,
             np.full(len(surfel), roughness),
             options.solve_rays,

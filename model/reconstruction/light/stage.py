@@ -146,7 +146,7 @@ def _specular_parts(
     owner = surfels.surfel_of_observation()
     shading = lit.baker.specular(
         surfels.position_m[owner],
-        surfels.normal[owner],
+        surfels.observations.normal,
         surfels.directions(owner, surfels.observations.view),
         segments.roughness[segment][owner],
         options.specular_rays,
