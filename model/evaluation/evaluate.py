@@ -57,7 +57,7 @@ from model.reconstruction.stages import MapSource
 _MEASURES = 4
 """Revision of the measures: figures of another revision are measured again."""
 _RECONSTRUCTION = 13
-_MATERIALS_FROM_LIGHT = 5
+_MATERIALS_FROM_LIGHT = 6
 """Further revision for materials from light, whose radiance field counts its own."""
 """Revision of ``infer``: maps of another revision are computed again."""
 _TAKEN = 1
