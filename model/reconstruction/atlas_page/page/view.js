@@ -36,8 +36,8 @@
   }
   const world = new T.Scene(), camera = new T.PerspectiveCamera(60, 1, 0.01, 100);
   camera.up.set(0, 0, 1);
-  // What is looked at: where the cameras stand, with room around them, or the asset. A room's mesh may bring
-  // half a landscape.
+  // The bounds for navigation: those of the cameras with a margin, else of the asset. A room's mesh may include
+  // distant outdoor geometry.
   const places = data.cameras.length ? data.cameras.map((c) => c.position) : data.bounds;
   const bounds = [Math.min, Math.max].map((pick) => new T.Vector3(...[0, 1, 2].map((k) => pick(...places.map((p) => p[k])))));
   if (data.cameras.length) {
@@ -102,7 +102,7 @@
   const bulb = new T.Mesh(new T.SphereGeometry(1, 16, 12), new T.MeshBasicMaterial({ color: 0xffe08a }));
   world.add(bulb);
 
-  // The light's map is drawn again where it has moved; its ball throws no shadow, and lamps do not shadow themselves.
+  // The light's shadow map is drawn again when the light has moved. Its ball and the lamps cast no shadows.
   let shadowsFrom = null;
   function drawShadows() {
     bulb.visible = false;
@@ -189,13 +189,13 @@
     $("spoken").textContent = mode === "fly" ? "camera turns where it stands" : "camera turns around the asset";
   }
 
-  // The room from its edge: where the camera stands that is farthest from the others, towards their middle.
+  // A view of the room from its edge: from the camera farthest from the others, towards the cameras' middle.
   const OUTSIDE = -1, ROOM = -2;
   function wholeRoom() {
     const at = data.cameras.map((c) => new T.Vector3(...c.position));
     const apart = at.map((from) => at.reduce((sum, to) => sum + from.distanceTo(to), 0));
     const first = apart.indexOf(Math.max(...apart));
-    if (first < 0 || apart[first] < 0.5 * at.length) return null; // from one place, the room has no edge
+    if (first < 0 || apart[first] < 0.5 * at.length) return null; // cameras at one position determine no edge
     const middle = at.reduce((sum, to) => sum.add(to), new T.Vector3()).divideScalar(at.length);
     return { name: "room", fov: 75, position: at[first].toArray(), target: middle.toArray() };
   }
@@ -210,7 +210,7 @@
       setMode("fly");
     } else { // from outside, or where an asset has no cameras
       const at = controls.center.clone().add(new T.Vector3(-0.75, -1, 0.6).normalize().multiplyScalar(1.3 * controls.size));
-      setMode("orbit"); // before the camera moves: it keeps the point to turn around
+      setMode("orbit"); // before the camera moves, since the mode keeps the point to turn around
       controls.look(at.toArray(), controls.center.toArray(), 50);
     }
     ui.camera.value = from ? number : OUTSIDE;
