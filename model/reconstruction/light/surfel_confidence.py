@@ -37,9 +37,9 @@ class SurfelConfidence:
         return cls(grid.low, grid.cell_m, grid.shape, np.flatnonzero(grid.surfel >= 0), stored)
 
     def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
-        """Confidence (..., 3) of surface at ``points`` (..., 3) on the side of ``normals``.
+        """Confidence (..., 3) of the surface at ``points`` (..., 3), on the side of ``normals``.
 
-        That of the surfel there, else of the nearest of the cells around; 0 without any.
+        It is that of the surfel in the point's cell, else in the nearest of the adjacent cells, else 0.
         """
         flat = points.reshape(-1, 3).astype(np.float64)
         side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)
