@@ -2,9 +2,9 @@
 """Corrects small errors of camera poses by agreement with other views.
 
 Points of the mesh in a view, away from depth edges and where its image varies, are looked up in the views
-with the largest overlap; the view's pose is fitted to their median by Gauss-Newton, with Cauchy weights and a
-prior of :data:`SPREAD_M` and :data:`SPREAD_DEG`. All views move at once, in a few rounds. A common transform
-of all cameras is undetermined: their mean pose is kept.
+with the largest overlap; the view's pose is fitted to the median of their values by Gauss-Newton, with Cauchy
+weights and a normal prior (:data:`SPREAD_M`, :data:`SPREAD_DEG`). All poses are updated at once, in a few
+rounds. A common translation of all cameras is undetermined: their mean position is kept.
 """
 
 from __future__ import annotations
@@ -25,23 +25,24 @@ MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
 """Points per view; maximum and minimum number of views in which they are looked up; and minimum number of
 points for a correction of a view."""
 SPREAD_M, SPREAD_DEG = 0.01, 0.3
+"""Prior standard deviations of the translation and rotation of a pose, per axis."""
 EDGE = 0.03
-"""Relative change of depth over three pixels above which a point counts as an edge."""
+"""Relative range of depth within three pixels above which a pixel counts as an edge."""
 SAME_DEPTH = 0.02
 """Largest relative difference of depth at which two views show the same point."""
 MIN_GAIN = 0.1
-"""Minimum reduction of the residual for the corrections to be used: correct poses would move by half a pixel.
-"""
-_STEP = 0.8  # step size of Gauss-Newton, since all views move at once
-_ALIKE = 25.0  # neighbouring points with correlated errors
+"""Minimum relative reduction of the residual for the corrections to be used; otherwise correct poses would
+move by half a pixel."""
+_STEP = 0.8  # damps Gauss-Newton, since all views move at once
+_CORRELATED = 25.0  # number of neighbouring points with correlated errors
 
 
 @dataclass(frozen=True)
 class MendedPoses:
     """Result of :func:`mended_poses`.
 
-    ``cameras`` are in the views' order, unchanged if correction barely explains the views better;
-    ``moved_mm`` and ``turned_deg`` (V,) are the corrections; ``residual`` is the median of |ln value - ln
+    ``cameras`` are in the views' order, unchanged if the residual decreases by less than :data:`MIN_GAIN`;
+    ``moved_mm`` and ``turned_deg`` (V,) are the corrections; ``residual`` is the median of |ln luminance - ln
     median of other views| before and after.
     """
 
@@ -58,7 +59,7 @@ class MendedPoses:
 
 @dataclass(frozen=True)
 class _Look:
-    """A view's logarithm of luminance and its gradients (H, W), depth (H, W), and its points (N, 3)."""
+    """A view's log luminance (H, W), its derivatives by x and y, depth in metres, and points (N, 3)."""
 
     image: NDArray[np.float32]
     gradient: tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -67,7 +68,7 @@ class _Look:
 
 
 def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
-    """Corrected poses of ``views``, whose colours share one exposure."""
+    """Corrected poses of ``views``, whose colours must share one exposure."""
     looks = [_look(view, number) for number, view in enumerate(views)]
     given = [view.camera.camera_from_world for view in views]
     poses = [pose.copy() for pose in given]
@@ -82,18 +83,18 @@ def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
     if after >= (1 - MIN_GAIN) * before:
         nothing = np.zeros(len(views))
         return MendedPoses(tuple(lenses), nothing, nothing, (before, after))
-    drift = np.mean([_place(new) - _place(old) for new, old in zip(poses, given, strict=True)], axis=0)
+    drift = np.mean([_center(new) - _center(old) for new, old in zip(poses, given, strict=True)], axis=0)
     cameras, moved, turned = [], [], []
     for lens, pose, old in zip(lenses, poses, given, strict=True):
         world = np.linalg.inv(pose)
         world[:3, 3] -= drift
         cameras.append(replace(lens, world_from_camera=world))
-        moved.append(1000 * float(np.linalg.norm(world[:3, 3] - _place(old))))
+        moved.append(1000 * float(np.linalg.norm(world[:3, 3] - _center(old))))
         turned.append(np.degrees(Rotation.from_matrix(pose[:3, :3] @ old[:3, :3].T).magnitude()))
     return MendedPoses(tuple(cameras), np.array(moved), np.array(turned), (before, after))
 
 
-def _place(camera_from_world: NDArray) -> NDArray[np.float64]:
+def _center(camera_from_world: NDArray) -> NDArray[np.float64]:
     return np.asarray(-camera_from_world[:3, :3].T @ camera_from_world[:3, 3])
 
 
@@ -142,7 +143,7 @@ def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np
 
 
 def _sampled(image: NDArray, x: NDArray, y: NDArray) -> NDArray[np.float64]:
-    """Bilinear values (N,)."""
+    """Bilinearly interpolated values (N,) of an image (H, W) at (x, y)."""
     left = np.clip(np.floor(x).astype(np.int64), 0, image.shape[1] - 2)
     top = np.clip(np.floor(y).astype(np.int64), 0, image.shape[0] - 2)
     u, v = np.clip(x - left, 0, 1), np.clip(y - top, 0, 1)
@@ -158,7 +159,7 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 def _expected(
     looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
-    """Median value (N,) of a view's points in the other views; NaN for points in too few of them."""
+    """Median log luminance (N,) of a view's points in the other views; NaN if too few show a point."""
     points, found = looks[index].points, []
     for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
         if other == index:
@@ -187,7 +188,7 @@ def _step(
     given: Sequence[NDArray],
     index: int,
 ) -> tuple[NDArray[np.float64], float]:
-    """Rotation vector and translation (6,) of a view, and the median residual."""
+    """Update of a view's pose, rotation vector and translation (6,), and the median absolute residual."""
     look, lens = looks[index], lenses[index]
     local, x, y = _projected(lens, poses[index], look.points)
     rest = _sampled(look.image, x, y) - _expected(looks, lenses, poses, index)
@@ -195,9 +196,9 @@ def _step(
     if used.sum() < MIN_POINTS:
         return np.zeros(6), 0.0
     local, x, y, rest = local[used], x[used], y[used], rest[used]
-    rest -= np.median(rest)  # standard deviation of exposure
+    rest -= np.median(rest)  # the remaining difference of exposure
     spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-3)
-    weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _ALIKE
+    weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _CORRELATED
     gx, gy = _sampled(look.gradient[0], x, y), _sampled(look.gradient[1], x, y)
     px, py, pz = local.T
     by_x, by_y = gx * lens.fx_px / pz, gy * lens.fy_px / pz
