@@ -83,8 +83,7 @@ def material_images(
 
 
 def _pixels(package: Package, texture: Texture) -> NDArray:
-    path = package.local_file(texture.texture)
-    return read_image(path)
+    return read_image(package.local_file(texture.texture))
 
 
 def _color_bytes(package: Package, channel: object, max_side: int) -> tuple[NDArray[np.uint8], int]:

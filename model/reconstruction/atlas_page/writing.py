@@ -38,7 +38,9 @@ PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "
 
 @dataclass(frozen=True)
 class ViewResult:
-    """A written page, its contents, the bytes in its folder, and notes on omitted or reduced data."""
+    """A written page: its path, numbers of triangles and materials, size of its folder in bytes, and notes on
+    omitted or reduced data.
+    """
 
     page: Path
     num_triangles: int

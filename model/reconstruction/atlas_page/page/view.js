@@ -32,7 +32,7 @@
   try {
     renderer = new T.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
   } catch (error) {
-    return complain(`This browser offers no WebGL 2 here (${error.message}).`);
+    return complain(`WebGL 2 is not available in this browser (${error.message}).`);
   }
   const world = new T.Scene(), camera = new T.PerspectiveCamera(60, 1, 0.01, 100);
   camera.up.set(0, 0, 1);
@@ -186,7 +186,7 @@
   function setMode(mode) {
     ui.mode.value = mode;
     controls.setMode(mode);
-    $("spoken").textContent = mode === "fly" ? "camera turns where it stands" : "camera turns around the asset";
+    $("spoken").textContent = mode === "fly" ? "camera turns about its position" : "camera turns around the asset";
   }
 
   // A view of the room from its edge: from the camera farthest from the others, towards the cameras' middle.
@@ -235,12 +235,12 @@
       slider("fill", "fill", 0, 1, 0.01, 0.06, (value) => value.toFixed(2), (value) => { settings.fill = value; shared.fill.value = value; }),
       axis(0, "x"), axis(1, "y"), axis(2, "z"),
       checkbox("shadows", "shadows", true, false, (value) => { shared.hasShadows.value = value; }),
-      element("p", { class: "note", text: "Drag the yellow ball, or use the keys. It is one point light; fill is light from all around, roughly." }),
+      element("p", { class: "note", text: "Drag the yellow ball, or use the keys, to move the point light. Fill approximates light from all directions." }),
       element("h2", { text: "Lights of the room" }),
       checkbox("sources", "switched on", false, !data.sources.length, (value) => { shared.numSources.value = value ? data.sources.length : 0; }),
-      element("p", { class: "note", id: "sources-note", text: data.sources.length ? `${data.numLights === 1 ? "1 light" : `${data.numLights} lights`}, as ${data.sources.length === 1 ? "1 point" : `${data.sources.length} points`} at the middle of what shines; without reflected light.` : "There are none: none was found, or none that this page can show." }),
+      element("p", { class: "note", id: "sources-note", text: data.sources.length ? `${data.numLights === 1 ? "1 light" : `${data.numLights} lights`}, as ${data.sources.length === 1 ? "1 point" : `${data.sources.length} points`} at their centres; without reflected light.` : "There are none that this page can show." }),
       element("h2", { text: "Keys" }),
-      element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 7: what is shown", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
+      element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 7: displayed quantity", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
       element("p", { class: "note", id: "sizes", text: `${data.materials.length} ${data.materials.length === 1 ? "material" : "materials"}, textures up to ${Math.max(1, ...sizes)} texels a side` }),
       ...data.notes.map((text) => element("p", { class: "note", text })));
     controls.whenLightMoves(() => { for (const k of [0, 1, 2]) ui[`light-${"xyz"[k]}`].apply(controls.light.getComponent(k)); });
