@@ -18,11 +18,12 @@ IMPOSSIBLE = (0.1, 0.3)
 """Limits on the share of nearby surfels that reflect more than their incident light: below the first, the
 light has full weight; above the second, none."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
-"""The same for a whole room: below the first, its light has full weight everywhere."""
+"""Like :data:`IMPOSSIBLE`, for the share in a room: below the first, its light has full weight everywhere."""
 DARK_ROOM = (0.2, 0.4)
-"""The same for a whole room with unphotographed lamps: above the second, its light has no weight anywhere."""
+"""Like :data:`IMPOSSIBLE`, for the share in a room: above the second, its light has no weight anywhere, since
+lamps are not photographed."""
 IMPOSSIBLE_SURFACE = (0.4, 0.8)
-"""The same for a surface in any room, for the weight of its light as evidence of D."""
+"""Like :data:`IMPOSSIBLE`, in any room, for the weight of a surface's light as evidence of D."""
 MIN_OBSERVATIONS = 50.0
 """Number of observations at which a share depends equally on its surfels and on the larger surface around."""
 BLOCK_CELLS = 25

@@ -89,8 +89,8 @@ def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> ND
     """Factor (3,) from the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N, 3) of surfels in known
     light.
 
-    ``confident`` (N,) is the confidence in their light, 0 for metals. Its logarithm shrinks to 0 where little
-    light is known (:data:`SCALE_SUPPORT`).
+    ``confident`` (N,) is the confidence in their light, 0 for metals. The factor's logarithm shrinks to 0 if
+    little light is known (:data:`SCALE_SUPPORT`).
     """
     support = float(confident.mean())
     offset, _ = _network_offset(_log(albedo) - _log(predicted), confident)

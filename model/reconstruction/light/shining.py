@@ -30,7 +30,7 @@ MIN_PHOTOGRAPHED = 0.5
 MIN_CELLS, MIN_SHARE = 4, 0.003
 """Minimum size of a lamp in cells, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
-"""Cells along the longest side of a rectangle."""
+"""Maximum side of a rectangle in cells."""
 MIN_EDGE, RING_CELLS = 2.0, (1.5, 3.5)
 """Minimum radiance of a lamp, relative to the surface of its side at these distances, in cells."""
 _GAP = 0.25  # cells between the surface and its rectangle
@@ -87,7 +87,7 @@ def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: Lit) -> FoundPatch:
-    """Cells (K, 3) of one side with their surfels (K,) as rectangles."""
+    """A lamp of cells (K, 3) of one side, with the surfels (K,) in them, as rectangles."""
     surfels, grid = lit.surfels, lit.surfels.grid
     axis, is_upper = side // 2, side % 2 == 1
     across = [k for k in range(3) if k != axis]

@@ -43,8 +43,8 @@ MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, by which a hypothesis of S and R is e times less likely."""
 MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
-"""The same for matte (S = 0, R = 1) against the best glossy hypothesis; and the cost difference at which both
-are equally likely, since glossy hypotheses fit noise slightly better."""
+"""Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the cost
+difference at which both are equally likely, since glossy hypotheses fit noise slightly better."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels above which metal spreads in the region."""
 METAL_TOLERANCE = 0.005
@@ -55,8 +55,8 @@ METAL_TOLERANCE = 0.005
 class PriorWeights:
     """Weights of the priors, each multiplied by ``1 / evidence``.
 
-    Squared differences to the square root of the network's S, and to its R; ``metal``: margin by which metal
-    must explain the observations better than a dielectric.
+    ``specular_albedo`` and ``roughness``: weights of the squared differences of sqrt(S) and of R from the
+    network's; ``metal``: margin by which metal must explain the observations better than a dielectric.
     """
 
     specular_albedo: float = 0.02
@@ -102,7 +102,7 @@ def segment_costs(
     ls1: NDArray[np.float32],
     exposure: float,
 ) -> Costs:
-    """Costs of segments whose points are ``start[g]`` to ``start[g + 1]`` (G + 1,).
+    """Costs of G segments, of the points from ``start[g]`` to ``start[g + 1]``, with ``start`` (G + 1,).
 
     For P points with O observations each: ``radiance`` (P, O, 3), ``weight`` (P, O), 0 for none; ``diffuse``
     (P, 3), their Ld; ``ls0`` and ``ls1`` (P, O, levels, 3).

@@ -149,8 +149,8 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
     """Opening (B,) of each bin, -1 for none, and the bins' clipped ``share`` (B, 3).
 
-    An opening is a set of connected squares of a face of the box with clipped bins. Openings with few clipped
-    pixels, counted per bin in ``seen`` (B,), are joined to the largest.
+    An opening is a connected part of a face of the box with clipped bins. Openings with few clipped pixels,
+    counted per bin in ``seen`` (B,), are joined to the largest.
     """
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
     shape = 6, NEAR.places, NEAR.places, NEAR.directions
