@@ -102,7 +102,7 @@ def infer(
 
 @with_options
 def photos(
-    folder: Annotated[Path, typer.Argument(help="Photographs; or a capture with its own cameras.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of photographs, or a capture with cameras.")],
     out: OutOption,
     frame: FrameOptions,
     options: AssetOptions,

@@ -131,7 +131,7 @@ class InferReport:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Context manager that adds its duration to a stage's seconds, and records the memory."""
+        """Context manager that adds its duration to ``seconds[name]``, and records the peak memory."""
         start = time.perf_counter()
         try:
             yield

@@ -99,7 +99,7 @@ def _center(camera_from_world: NDArray) -> NDArray[np.float64]:
 
 
 def _moved(step: NDArray) -> NDArray[np.float64]:
-    """Transform (4, 4) of a rotation vector and a translation in the camera's frame."""
+    """Transform (4, 4) in the camera's frame of ``step`` (6,), a rotation vector and a translation."""
     found = np.eye(4)
     found[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
     found[:3, 3] = step[3:]

@@ -35,7 +35,7 @@ class Atlas:
 
     @property
     def size(self) -> int:
-        """Texels along a side."""
+        """Number of texels along a side."""
         return int(self.count.shape[0])
 
     @property

@@ -17,7 +17,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.multiview.compiled import compiled
 
 BIN = 256
-"""Texels along a side of a bin."""
+"""Number of texels along a side of a bin."""
 
 
 class TexelSurface:
@@ -88,7 +88,7 @@ def corner(uv: Any, vertex: Any, size: Any) -> Any:
 
 @compiled
 def _span(a: Any, b: Any, c: Any, num_bins: Any) -> Any:
-    """First and last bin of three coordinates."""
+    """First and last of the bins that the range of three coordinates, in texels, overlaps along an axis."""
     low, high = min(a, b, c), max(a, b, c)
     last = np.float64(num_bins - 1)
     return int(min(max(np.floor(low / BIN), 0.0), last)), int(min(max(np.floor(high / BIN), 0.0), last))
@@ -192,7 +192,7 @@ def _rasterise(
 
 @compiled
 def surface_point(face: Any, x: Any, y: Any, size: Any, uv: Any, vertices: Any, positions: Any) -> Any:
-    """World position of a triangle at (x, y) on the atlas, in texels."""
+    """World position (x, y, z) of the triangle ``face`` at the point (x, y) of the atlas, in texels."""
     i, j, k = vertices[face, 0], vertices[face, 1], vertices[face, 2]
     ax, ay = corner(uv, i, size)
     bx, by = corner(uv, j, size)

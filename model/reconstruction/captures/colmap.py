@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""COLMAP models: ``cameras`` and ``images`` in text or binary form, and lines of sight to binary points.
+"""COLMAP models: ``cameras`` and ``images`` in text or binary form, and lines of sight to ``points3D.bin``.
 
 COLMAP's pose is camera_from_world (quaternion w x y z, translation), its camera looks along +z with y down
 and its pixel centres are at +0.5: the project's conventions. The world is the frame chosen by COLMAP.
@@ -129,7 +129,7 @@ def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> 
 
 
 def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
-    """Rotation matrix of a unit quaternion (w, x, y, z)."""
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
     w, x, y, z = (float(q) for q in quaternion)
     return np.array(
         [

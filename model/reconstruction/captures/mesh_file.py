@@ -89,7 +89,7 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with one triangle per set of three positions, whatever its winding, and the number left out.
+    """The mesh with one triangle per set of three positions, of any winding, and the number left out.
 
     Of two coincident triangles, only one would get texels.
     """
@@ -98,7 +98,7 @@ def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
     same = np.zeros(len(corners), dtype=bool)
     same[1:] = (corners[order][1:] == corners[order][:-1]).all(axis=1)
     keep = np.ones(len(corners), dtype=bool)
-    keep[order[same]] = False  # lexsort is stable: the first of equals stays
+    keep[order[same]] = False  # lexsort is stable, so the first of equals is kept
     if not same.any():
         return mesh, 0
     return Mesh(mesh.positions, mesh.faces[keep], mesh.normals, mesh.uv), int(same.sum())

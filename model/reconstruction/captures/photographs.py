@@ -28,7 +28,7 @@ MIN_CLIPPED_SHARE = 0.02
 """Clipped share of a resampled pixel above which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
-_ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
+_ASPECT_SLACK_PX = 1.0  # for sizes that calibrations round differently
 
 
 @dataclass(frozen=True)

@@ -75,9 +75,9 @@ class ImageFinder:
         folder.
         """
         name = name.replace("\\", "/")
-        if not name.isprintable():  # a zero byte is no part of a path
+        if not name.isprintable():  # the system refuses paths with a zero byte
             return None
-        direct = self.folder / name  # an absolute name stays itself
+        direct = self.folder / name  # an absolute name replaces the folder
         suffixes: tuple[str, ...] = PHOTOGRAPH_SUFFIXES
         if direct.suffix.lower() in suffixes:
             suffixes = ("", *suffixes)

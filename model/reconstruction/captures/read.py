@@ -133,7 +133,7 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
     if path.is_dir():
         shards = sorted((path / "shards").glob("*.tar"))
         if len(shards) != 1:
-            expected = "one; a capture is one configuration"
+            expected = "one shard, since a capture is one configuration"
             raise input_error(path / "shards", "shards", len(shards), expected, "name the shard itself")
         path = shards[0]
     if not path.is_file():

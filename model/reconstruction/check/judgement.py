@@ -17,7 +17,7 @@ _MIN_VIEWS, _MAX_SPREAD = 4, 0.3  # number of views, and relative spread of magn
 
 
 def judge(report: CheckReport, looks: Sequence[Look]) -> None:
-    """Add the common offset and scale of the mesh to ``report``, and warnings of it and of single views."""
+    """Add to ``report`` the common offset and scale of the mesh, and warnings about them and single views."""
     with_edges = [view.edges for view in report.views if view.edges is not None]
     report.fit = float(np.median([edges.at_zero for edges in with_edges])) if with_edges else 0.0
     if not with_edges:

@@ -100,7 +100,7 @@ def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
 
 
 def turned(mesh: Mesh) -> Mesh:
-    """The mesh with reversed winding."""
+    """The mesh with reversed winding and normals."""
     faces = np.ascontiguousarray(mesh.faces[:, [0, 2, 1]])
     return Mesh(mesh.positions, faces, None if mesh.normals is None else -mesh.normals, mesh.uv)
 

@@ -35,7 +35,7 @@ from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color
 POINT_RADIUS_M = 0.01
 """Radius of the sphere that represents a point light, which UsdLux lacks."""
 ROOT = "/room"
-WORKFLOWS = ("specular", "metallic")  # the last added variant is selected
+WORKFLOWS = ("specular", "metallic")  # the last is the default
 _TEXTURES = {"base_color": "sRGB", "orm": "raw", "diffuse_albedo": "sRGB", "specular_albedo": "sRGB"}
 _INPUTS = {
     "metallic": {"diffuseColor": "base_color.rgb", "roughness": "orm.g", "metallic": "orm.b"},

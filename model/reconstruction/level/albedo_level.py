@@ -40,7 +40,7 @@ MIN_POINTS, MIN_USED = 200, 0.4
 MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
 """Maximum ``spread`` and ``impossible_share`` (:class:`LevelReport`) for a correction."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
-_MIN_RADIANCE = 1e-6  # of the median
+_MIN_RADIANCE = 1e-6  # relative to the median
 _POINT_SCALE, _REGION_SCALE, _FREEDOM = (
     0.2,
     0.3,
@@ -184,7 +184,9 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 @dataclass(frozen=True)
 class _Points:
-    """Points on non-emitting surfaces: rows of (N, 3), with predicted D + S, and their smooth region (N,)."""
+    """N points on non-emitting surfaces: position, normal, radiance and predicted D + S (N, 3), and smooth
+    region (N,).
+    """
 
     position_m: Floats
     normal: Floats
@@ -241,7 +243,7 @@ def _irradiance(
 
 
 def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
-    """(N NUM_RAYS, 3) stratified cosine-distributed directions about ``normal`` (N, 3)."""
+    """Stratified cosine-distributed directions (N NUM_RAYS, 3) about ``normal`` (N, 3)."""
     side = int(np.sqrt(NUM_RAYS))
     cell = np.arange(NUM_RAYS)
     u = (cell // side + random.random((len(normal), NUM_RAYS))) / side

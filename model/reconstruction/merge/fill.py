@@ -28,11 +28,11 @@ BAND = 1024
 GUTTER = 128
 """Number of rows above and below a band whose texels may fill it."""
 MAX_CHARTS = 20_000  # more charts are so small that filling by triangle is as good
-_LARGE_WINDOW = 2**22  # texels of charts after which memory is released
+_LARGE_WINDOW = 2**22  # number of texels of a chart after which memory is released
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
-    """Fill every unseen texel; ``mesh`` is the unwrapped mesh of the merge."""
+    """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh."""
     means, num_seen = _face_means(atlas, len(mesh.faces))
     if not num_seen.any():
         return  # no texel was observed

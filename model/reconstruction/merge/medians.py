@@ -51,7 +51,7 @@ class ViewArrays(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Visibility and weights, as in :class:`datagen.multiview.visibility.VisibilityOptions`."""
+    """Parameters of visibility (:class:`datagen.multiview.visibility.VisibilityOptions`) and weights."""
 
     depth_tolerance: np.float32
     slope_tolerance_px: np.float32
@@ -160,7 +160,7 @@ def _append_view(
             wi, wj, wk, wm = _ONE, _ZERO, _ZERO, _ZERO
             tolerance = _INFINITY
         else:
-            x = min(max(u - _HALF, _ZERO), last_x)  # beyond its centre the border pixel is repeated
+            x = min(max(u - _HALF, _ZERO), last_x)  # border pixels extend beyond their centres
             y = min(max(v - _HALF, _ZERO), last_y)
             left, top = int(x), int(y)
             s, t = x - np.float32(left), y - np.float32(top)

@@ -50,8 +50,7 @@ DEFAULT_TILE = 512
 
 @dataclass(frozen=True)
 class MapView:
-    """A view's maps: ``diffuse_albedo`` and ``specular_albedo`` (H, W, 3), ``roughness`` (H, W, 1), in [0,
-    1].
+    """A view's maps in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3) and ``roughness`` (H, W, 1).
 
     ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W) is
     the triangle of each pixel; ``confidence`` (H, W, 3) is an optional weight of its D, S and R.
@@ -187,7 +186,7 @@ class MapMerger:
         )
         starts = range(0, atlas.size, self.options.tile)
         total, done = len(starts) ** 2, 0
-        # Mitsuba's rays are cast from one thread at a time and use all processors themselves
+        # one thread casts Mitsuba's rays, which use all processors
         with ThreadPoolExecutor(1 if self._rules.is_traced else num_threads()) as pool:
             for top in starts:
                 row = [

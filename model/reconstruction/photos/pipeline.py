@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """``materials photos``: photographs → cameras and mesh → asset → turntable, each once, in one folder.
 
-OUT/photos.json     identity of the work: the photographs, and options for reading them
+OUT/photos.json     identity of the work: photographs, options and checkpoint
 OUT/colmap/         cameras and mesh by COLMAP, if the photographs have none (``colmap_run``)
 OUT/...             output of ``materials infer``
 OUT/turntable.gif   animation of a camera that turns in the room under the recovered lights
