@@ -123,15 +123,12 @@ def _look(view: TracedView, number: int) -> _Look:
     if view.clipped_mask is not None:
         usable &= ~view.clipped_mask.any(axis=2)
     rows, columns = np.nonzero(usable)
-    strength = np.hypot(gradient[0], gradient[1])[rows, columns]
+    strength = np.hypot(*gradient)[rows, columns]
     random = np.random.default_rng(number).random(len(rows))
     chosen = np.argsort(-(random ** (1 / np.maximum(strength, 1e-6))), kind="stable")[:MAX_POINTS]
-    camera, z = view.camera, depth[rows[chosen], columns[chosen]].astype(np.float64)
-    x = (columns[chosen] + 0.5 - camera.cx_px) / camera.fx_px * z
-    y = (rows[chosen] + 0.5 - camera.cy_px) / camera.fy_px * z
-    local = np.stack([x, y, z], axis=1)
-    points = local @ camera.world_from_camera[:3, :3].T + camera.position_m
-    return _Look(image, (gradient[0], gradient[1]), depth, points)
+    rows, columns = rows[chosen], columns[chosen]
+    points = view.camera.unproject(np.stack([columns, rows], axis=1) + 0.5, depth[rows, columns])
+    return _Look(image, gradient, depth, points)
 
 
 def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:

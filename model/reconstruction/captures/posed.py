@@ -21,7 +21,7 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_xml
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import Problem, input_error
 from datagen.foundation.paths import fault_of
 from model.reconstruction.captures.photograph_files import (
     KNOWN_SUFFIXES,
@@ -143,8 +143,6 @@ def read_text(path: Path) -> str:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise input_error(path, "", "a file of over 256 MB", "an export of cameras", EXPORT_AGAIN)
         return path.read_text(encoding="utf-8-sig")
-    except InputError:
-        raise
     except (OSError, UnicodeDecodeError) as error:
         raise input_error(path, "", str(error), "a readable text file", EXPORT_AGAIN) from None
 
