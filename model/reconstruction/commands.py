@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 CaptureArgument = Annotated[
     Path,
     typer.Argument(
-        help="Cameras in any supported format (docs/captures.md), a shard, a package, capture.json."
+        help="Cameras in any supported format (docs/captures.md), a shard, a package, or capture.json."
     ),
 ]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work continues.")]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work is resumed.")]
 CheckpointOption = Annotated[
     Path | None,
     typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones."),

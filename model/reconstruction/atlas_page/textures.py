@@ -76,7 +76,7 @@ def material_images(
     for name, values, unknown in (("mask", state.mask, SEEN), ("confidence", state.confidence, 0)):
         if values is not None and values.shape != rough.shape:
             got, expected = (" x ".join(map(str, array.shape)) for array in (values, rough))
-            remedy = "write both by one `materials infer`"
+            remedy = "write both in one run of `materials infer`"
             raise input_error(f"{name}.png", "size", got, expected, remedy)
         packed.append(np.full(rough.shape, unknown, np.uint8) if values is None else values)
     yield PageImage("rough", shrunk(np.stack(packed, axis=-1), max_side), side)
@@ -120,5 +120,5 @@ def _bytes_of(path: Path) -> NDArray[np.uint8] | None:
         return None
     pixels = read_image(path)
     if pixels.dtype != np.uint8:
-        raise input_error(path, "", str(pixels.dtype), "8 bits", "write it by `materials infer`")
+        raise input_error(path, "", str(pixels.dtype), "8 bits", "write it with `materials infer`")
     return pixels

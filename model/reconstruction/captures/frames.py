@@ -78,8 +78,8 @@ def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
     axis: Axis = AXES[at if mean[at] > 0 else at + 3]
     text = ", ".join(f"{v:.2f}" for v in mean)
     if length >= _MIN_AGREEMENT and abs(mean[at]) / length >= np.cos(_MAX_TILT_RAD):
-        return axis, f"up: {axis}, the axis nearest to the cameras' mean up ({text}); override it with --up"
-    return "z", f"up: z by default, since no axis is near the cameras' mean up ({text}); set it with --up"
+        return axis, f"up: {axis}, the axis nearest to the cameras' mean up direction ({text}); else use --up"
+    return "z", f"up: z by default; no axis is near the cameras' mean up direction ({text}); set it with --up"
 
 
 def judged_unit(diagonal: float) -> tuple[float, str]:

@@ -149,7 +149,7 @@ def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Disto
         if p["p1"] or p["p2"]:
             raise input_error(path, f"{field}.p1, p2", (p["p1"], p["p2"]), "0 for a fisheye", EXPORT_AGAIN)
         return Distortion(model="fisheye", coefficients=(p["k1"], p["k2"], p["k3"], p["k4"]))
-    remedy = "undistort the images there (Export > Convert images)"
+    remedy = "undistort the images in Metashape (Export > Convert images)"
     raise input_error(path, f"{field}.type", kind, f"frame, {', '.join(_FISHEYES)}", remedy)
 
 

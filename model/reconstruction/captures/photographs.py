@@ -121,7 +121,7 @@ def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
         return turned
     got = f"{pixels.shape[1]}x{pixels.shape[0]}"
     expected = f"the shape of its camera, {camera.width_px}x{camera.height_px}"
-    raise input_error(path, "size", got, expected, "use the images that were calibrated, whole")
+    raise input_error(path, "size", got, expected, "use the calibrated images, uncropped")
 
 
 def linearized(pixels: NDArray, encoding: Encoding) -> NDArray[np.float32]:

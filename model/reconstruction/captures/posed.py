@@ -99,7 +99,7 @@ class ImageFinder:
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
         """Problems of missing images: one per unsupported format, and one per image that does not exist."""
         others = self.unread(names)
-        expected = f"this image, once, in {self.folder}"
+        expected = f"one image of this name in {self.folder}"
         return unread_problems(where, list(others.values())) + [
             Problem(where, name, "not found", expected, remedy) for name in names if name not in others
         ]
@@ -139,7 +139,7 @@ def read_text(path: Path) -> str:
     """Read a text file. Raises :class:`InputError` if it is unreadable or too large."""
     try:
         if not path.is_file():  # a pipe would block for ever
-            raise input_error(path, "", "no regular file", "an export of cameras", EXPORT_AGAIN)
+            raise input_error(path, "", "not a regular file", "an export of cameras", EXPORT_AGAIN)
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise input_error(path, "", "a file of over 256 MB", "an export of cameras", EXPORT_AGAIN)
         return path.read_text(encoding="utf-8-sig")
@@ -211,5 +211,5 @@ def polynomial(
 def check_skew(skew_px: float, focal_px: float, height_px: int, where: Path, field: str) -> None:
     """Raise :class:`InputError` for a visible skew, which shifts u by ``skew_px`` times the normalised y."""
     if abs(skew_px) * 0.5 * height_px / focal_px > _MAX_SKEW_PX:
-        remedy = "calibrate without skew (b2 = 0), or undistort the images there"
+        remedy = "calibrate without skew (b2 = 0), or export undistorted images"
         raise input_error(where, field, skew_px, "no skew", remedy)

@@ -144,7 +144,7 @@ def fit_level(
         "clipped_share": clipped_share,
     }
     if used.sum() < MIN_POINTS or found["used_share"] < MIN_USED:
-        return _unchanged(num_regions, "the photographs show too little of the surfaces' light", **found)
+        return _unchanged(num_regions, "the photographs show too little of the light on surfaces", **found)
     regions, region = np.unique(points.region[used], return_inverse=True)
     rho = np.pi * points.radiance / np.maximum(arriving, 1e-300)
     excess = (points.radiance * np.pi - arriving) @ LUMINANCE_WEIGHTS > 0

@@ -98,7 +98,7 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
         light += field.baker(shining).irradiance(position, normal, RAYS).diffuse
     lamps = sources(kind, np.ones((int(kind.max()) + 1, 3)))
     form = field.forms(lamps, position, normal)
-    lights = form.mean(axis=0) > 0  # any of the points
+    lights = form.mean(axis=0) > 0  # kinds that illuminate at least one point
     bound = MIN_LIGHT * light.mean(axis=0) / np.where(lights, form.mean(axis=0), np.inf)[:, None]
     group = np.unique(region[chosen], return_inverse=True)[1]
     log_albedo = np.log(np.maximum(predicted[chosen].astype(np.float64), _MIN_ALBEDO))
@@ -113,7 +113,7 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
     told = recovered(gathered, replace(lamps, bound=bound), prior)
     mine = kind >= 0
     radiance[mine] = np.where(lights[:, None], told.radiance, 0.0)[kind[mine]]
-    unsure = replace(told, spread=np.ones(len(lamps)))  # all of their light
+    unsure = replace(told, spread=np.ones(len(lamps)))  # all of their light counts as uncertain
     return UnseenLamps(emitters.with_radiance(radiance), doubt_of(field, lamps, unsure))
 
 

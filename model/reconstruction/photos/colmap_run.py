@@ -176,7 +176,7 @@ class ColmapRun:
                     raise subprocess.CalledProcessError(ended.returncode, command)
                 if ended.returncode:
                     tail = log.read_text(errors="replace")[-_TAIL:].strip() or "nothing"
-                    got = f"{Path(command[0]).name} {command[1]} ended with {ended.returncode}: {tail}"
+                    got = f"{Path(command[0]).name} {command[1]} exited with code {ended.returncode}: {tail}"
                     remedy = _OVERLAP if command[1] == "mapper" else "see the log, then run it again"
                     raise input_error(log, step.name, got, "exit code 0", remedy)
         write_bytes_atomically(done, b"")

@@ -150,7 +150,7 @@ def _write_video(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_sec
     writer = cv2.VideoWriter(str(path), code, frames_per_second, (width, height))
     if not writer.isOpened():
         remedy = "write a .gif, or install an OpenCV whose FFmpeg has VP9"
-        raise input_error(path, "", "this OpenCV writes no VP9", "a video", remedy)
+        raise input_error(path, "", "this OpenCV cannot encode VP9", "an encoder for VP9", remedy)
     for frame in frames:
         writer.write(np.ascontiguousarray(frame[..., ::-1]))
     writer.release()
