@@ -48,9 +48,9 @@ class FrameOptions:
             help="Metres per unit of cameras and mesh, or auto (default).",
         ),
     ] = None
-    max_width_px: Annotated[int, typer.Option("--max-width", min=16, help="Maximum side of views.")] = (
-        DEFAULT_MAX_WIDTH_PX
-    )
+    max_width_px: Annotated[
+        int, typer.Option("--max-width", min=16, help="Maximum side of views in pixels.")
+    ] = DEFAULT_MAX_WIDTH_PX
 
 
 @dataclass(frozen=True)

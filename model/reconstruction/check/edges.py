@@ -53,7 +53,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Length of a shift in pixels, minus the standard deviation of the peak in its direction, or 0."""
+        """Length of a shift in pixels, minus the peak's standard deviation in its direction; at least 0."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2

@@ -22,7 +22,7 @@ class FilmOptions:
     frames: Annotated[int, typer.Option(min=2, help="Animation: number of frames.")] = 48
     frames_per_second: Annotated[float, typer.Option("--fps", help="Animation: frames per second.")] = 12.0
     max_width_px: Annotated[
-        int, typer.Option("--max-width", min=16, help="Animation: maximum side of frames.")
+        int, typer.Option("--max-width", min=16, help="Animation: maximum side of frames in pixels.")
     ] = 480
 
     def __post_init__(self) -> None:
