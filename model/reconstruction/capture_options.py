@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options for reading a capture, for the commands and for
-:func:`~model.reconstruction.captures.read_capture`.
-"""
+"""Options for reading a capture."""
 
 from __future__ import annotations
 
@@ -16,8 +14,7 @@ from datagen.foundation.encodings import Encoding
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Exposure = Literal["auto", "common", "exif"]
-"""Exposure: the same for all photographs, or as recorded in EXIF, or (auto) the latter if every photograph
-has a record."""
+"""Exposures of photographs: equal (common), as recorded in EXIF, or (auto) as recorded if all are."""
 DEFAULT_MAX_WIDTH_PX = 640
 
 
@@ -32,15 +29,15 @@ def _metres(text: str) -> float | None:
 class FrameOptions:
     """The mesh, and the frames of mesh and cameras.
 
-    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit; "auto" and None estimate them
-    (``captures.frames``), "cameras" levels a world of arbitrary orientation. Views wider than
-    ``max_width_px`` are scaled down, since the networks are trained on views of 640 pixels.
+    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit in metres; "auto" and None estimate them
+    (``captures.frames``), and "cameras" estimates any up direction. Views longer than ``max_width_px`` on a
+    side are scaled down, since the networks are trained on views of 640 pixels.
     """
 
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
     up: Annotated[
         Literal["auto", "cameras", Axis],
-        typer.Option(help="Up axis of the cameras' world; cameras: level it by them."),
+        typer.Option(help="Up axis of the cameras' world; cameras: any direction, from the cameras."),
     ] = "auto"
     unit_m: Annotated[
         float | None,
@@ -51,25 +48,24 @@ class FrameOptions:
             help="Metres per unit of cameras and mesh, or auto (default).",
         ),
     ] = None
-    max_width_px: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = (
-        DEFAULT_MAX_WIDTH_PX
-    )
+    max_width_px: Annotated[
+        int, typer.Option("--max-width", min=16, help="Maximum side of views in pixels.")
+    ] = DEFAULT_MAX_WIDTH_PX
 
 
 @dataclass(frozen=True)
 class CaptureOptions(FrameOptions):
     """Options for reading a capture.
 
-    ``library``, for rendered captures only: folders of their assets' packages, by default from their dataset
-    folder, else the bundled library. ``mesh_up`` is the mesh's up axis if it differs. ``exposure`` "exif"
-    applies recorded exposures, "auto" does so if all photographs have one. ``limits`` are by default from the
-    environment variables.
+    ``library``: folders of the asset packages of a rendered capture, by default those of its dataset, else
+    the bundled library. ``mesh_up`` is the mesh's up axis if it differs from the cameras'. ``limits`` are by
+    default from the environment variables.
     """
 
     images: Annotated[Path | None, typer.Option(help="Folder of the photographs.")] = None
     library: Annotated[
         tuple[Path, ...],
-        typer.Option(help="Packages that a shard was rendered with, repeatable; default: its own, bundled."),
+        typer.Option(help="Packages of a shard's assets (repeatable); default: its dataset's, or bundled."),
     ] = ()
     mesh_up: Annotated[Literal["same", Axis], typer.Option(help="Up axis of the mesh.")] = "same"
     encoding: Annotated[Encoding, typer.Option(help="Transfer function of the photographs' values.")] = "auto"

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 CaptureArgument = Annotated[
     Path,
     typer.Argument(
-        help="Cameras in any supported format (docs/captures.md), a shard, a package, capture.json."
+        help="Cameras in any supported format (docs/captures.md), a shard, a package, or capture.json."
     ),
 ]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work continues.")]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work is resumed.")]
 CheckpointOption = Annotated[
     Path | None,
     typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones."),
@@ -84,7 +84,7 @@ def infer(
     if report.gltf_error.get("texture_px", report.atlas_size) < report.atlas_size:
         side = report.gltf_error["texture_px"]
         typer.echo(
-            f"note: textures in the GLB are {side:.0f} x {side:.0f}, which viewers take; the atlas and the "
+            f"note: textures in the GLB are reduced to {side:.0f} x {side:.0f} for viewers; the atlas and "
             f"package have {report.atlas_size}",
             err=True,
         )
@@ -93,7 +93,7 @@ def infer(
         f"{report.num_views} views, {report.num_triangles} triangles, UVs from {unwrap['source']}, atlas "
         f"{report.atlas_size} x {report.atlas_size} "
         f"({report.atlas_size / unwrap['metres_per_side']:.0f} texels a metre), "
-        f"{report.seen_of_visible:.0%} of the surface seen that can be seen"
+        f"{report.seen_of_visible:.0%} of the visible surface observed"
     )
     typer.echo(report.table())
     typer.echo(str(out / "asset"))
@@ -102,12 +102,12 @@ def infer(
 
 @with_options
 def photos(
-    folder: Annotated[Path, typer.Argument(help="Photographs; or a capture with its own cameras.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of photographs, or a capture with cameras.")],
     out: OutOption,
     frame: FrameOptions,
     options: AssetOptions,
     checkpoint: CheckpointOption = None,
-    colmap: Annotated[str, typer.Option(help="COLMAP's program.")] = "colmap",
+    colmap: Annotated[str, typer.Option(help="Command that runs COLMAP.")] = "colmap",
     frames: Annotated[int, typer.Option(min=2, help="Frames of the turntable.")] = 24,
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel of the turntable.")] = 8,
     quiet: QuietOption = False,
@@ -146,7 +146,7 @@ def check(
     out: Annotated[Path | None, typer.Option(help="Folder for check.json and the contact sheets.")] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Check whether a mesh projects onto the photographs; exit code 1 with warnings.
+    """Check whether a mesh fits the photographs; the exit code is 1 if there are warnings.
 
     Example: materials check photos --mesh room.glb --out check
     """
@@ -162,7 +162,7 @@ def check(
         typer.echo(f"warning: {warning}", err=True)
     judged = [view for view in report.views if view.is_judged]
     typer.echo(
-        f"{len(report.views)} views, {len(judged)} with edges to go by, fit {report.fit:.1f} standard "
+        f"{len(report.views)} views, {len(judged)} with enough edges, fit {report.fit:.1f} standard "
         f"deviations; {len(warnings)} warnings"
     )
     if out is not None:

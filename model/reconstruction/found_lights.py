@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Recovered lights of a photographed room, for exports and reports.
 
-Letters: K triangles of a lamp. A *lamp* is an emissive surface: triangles, or *panels*, rectangles just in
-front of a partly emissive surface. Light from outside enters through *windows*, through which rays leave the
-mesh: as rectangles if near, as an image of the *sky* if far. Radiance is in the photographs' unit; power is
-in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
+A *lamp* is an emissive surface: triangles, or *panels*, rectangles just in front of a partly emissive
+surface. *Windows* are openings through which rays leave the mesh; light from outside is represented by their
+rectangles if it is near, by an image of the *sky* if it is far. Radiance is in the photographs' unit; power
+is in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class FoundLamp:
-    """A lamp of the emissive triangles ``faces`` (K,).
+    """A lamp of the emissive triangles ``faces`` (K,), with their centroid ``place_m``.
 
     ``side``: 1 if the triangles emit from the front of their winding, -1 if from the back. ``radiance`` is 0
-    if no photograph shows the lamp. ``is_named``: whether the capture's geometry names it as a lamp.
+    if it is unknown. ``is_named``: whether the capture's geometry names the triangles as a lamp.
     """
 
     slot: str
@@ -68,7 +68,7 @@ class FoundLamp:
 
 @dataclass(frozen=True)
 class FoundPatch:
-    """A window or panel covered by ``rectangles``; ``radiance`` is the area-weighted mean."""
+    """A window or panel covered by ``rectangles``, with its centre ``place_m`` and mean ``radiance``."""
 
     slot: str
     rectangles: tuple[Rectangle, ...]
@@ -141,9 +141,8 @@ class FoundLights:
     def described(self) -> list[dict[str, Any]]:
         """The lights as rows of a report.
 
-        ``kind`` (lamp, window, sky), ``slot`` in exports, ``place_m``, ``area_m2``, ``radiance``, and
-        ``power`` = pi area radiance, the diffusely emitted power. The sky's power is the power through the
-        windows.
+        A row has ``kind`` (lamp, window, sky), ``slot`` in exports and ``radiance``; lamps and windows also
+        have ``place_m``, ``area_m2``, and ``power`` = pi area radiance, the diffusely emitted power.
         """
         rows = [
             _row("lamp", lamp.slot, lamp.place_m, lamp.area_m2, lamp.radiance)

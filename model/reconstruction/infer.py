@@ -3,16 +3,16 @@
 filled → balanced → exported.
 
 OUT/state.json      identity of the work: a hash over checkpoint, cameras, geometry and options
-OUT/views/          predicted maps, one EXR per view; an interrupted run resumes after them
+OUT/views/          predicted maps, one EXR per view, which a resumed run reads
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface)
-OUT/asset/          the asset package; the same as OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz
-OUT/check/          findings of the check of mesh against photographs, with pictures
+OUT/asset/          the asset package; also exported as OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz
+OUT/check/          findings and contact sheets of the check of the mesh against the photographs
 OUT/report.html     the report as a page
 OUT/report.json     unwrap, size, coverage, warnings, seconds and memory by stage, lights
 
-Everything appears whole or not at all, and ``report.json`` last. A stage returns the data that later stages
-need; its other data, and its input, are freed when it returns: photographs before the maps are packed, maps
-before they are merged, the packed maps before the atlas is filled.
+Every file appears whole or not at all, ``report.json`` last. A stage returns only the data that later stages
+need, so photographs are freed before the maps are packed, maps before they are merged, and packed maps before
+the atlas is filled.
 """
 
 from __future__ import annotations
@@ -66,16 +66,16 @@ from model.reconstruction.unwrap.uv import unwrapped
 
 __all__ = ["InferOptions", "InferReport", "infer"]
 MEMORY_ATLAS = 4096
-"""Maximum side of atlases in memory; larger ones are in temporary files beside the result."""
+"""Maximum side in texels of an atlas in memory; larger ones are in temporary files beside the result."""
 
 
 @dataclass(frozen=True)
 class FinalViews:
     """The views with their final maps.
 
-    ``sides`` (M,): the outer side of each triangle, 1 or -1. ``footprint_m``: size of a fine pixel on the
-    surface, None if no surface is visible. ``can_be_seen`` (M,): whether a triangle is visible from the space
-    in front of photographed surfaces.
+    ``sides`` (M,): the outer side of each triangle, 1 or -1. ``footprint_m``: side of a fine pixel's
+    footprint on the surface, None if no surface is visible. ``can_be_seen`` (M,): mask of the triangles
+    visible in a view or from a surface visible in a view.
     """
 
     views: list[MapView]
@@ -117,7 +117,7 @@ def infer(
 ) -> InferReport:
     """Make an asset of ``capture`` in ``out`` from the maps of ``source`` (``predict.sources``).
 
-    The source is a checkpoint, the capture's own truth, or given maps. Raises :class:`InputError` if the
+    The source is a checkpoint, the capture's ground truth, or given maps. Raises :class:`InputError` if the
     input is bad, no view shows the mesh, or ``out`` contains other work.
     """
     report = InferReport(capture.name, len(capture.views), len(capture.geometry.mesh.faces))
@@ -127,7 +127,7 @@ def infer(
             from model.reconstruction.export.usd import require_usd
 
             require_usd()
-        source.prepare(run.options)  # before hours of work, and before OUT is assigned to it
+        source.prepare(run.options)  # fails before hours of work, and before OUT is assigned to it
         select_variant()
         report.notes += capture.notes
         _claim(capture, source, run)
@@ -146,7 +146,7 @@ def infer(
 
 
 def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
-    """Stages between prediction and merge, in order."""
+    """The stages between prediction and merge, in order; none for maps that are not predicted."""
     if not source.is_predicted:
         return []
     stages: list[MapStage] = [leveled] if options.is_leveled else []
@@ -154,7 +154,7 @@ def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
 
 
 def _claim(capture: Capture, source: MapSource, run: Run) -> None:
-    """Assign the folder to this work: resume the same work, refuse other work."""
+    """Assign ``run.out`` to this work. Raises :class:`InputError` if the folder contains other work."""
     mesh = capture.geometry.mesh
     geometry = hashlib.sha256(mesh.positions.tobytes() + mesh.faces.tobytes()).hexdigest()
     cameras = [
@@ -184,7 +184,7 @@ def _claim(capture: Capture, source: MapSource, run: Run) -> None:
 
 
 def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
-    """Traced → checked → completed → predicted → leveled."""
+    """Trace, check and complete the capture, predict its maps, and correct them."""
     with run.stage("trace") as advance:
         traced = trace_capture(capture, advance)
     _check(traced, run)
@@ -201,9 +201,7 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
 
 
 def _check(traced: TracedCapture, run: Run) -> None:
-    """Warn of faults of the capture, and write the findings beside the result; refuse a mesh in the wrong
-    frame.
-    """
+    """Report faults of the capture. Raises :class:`InputError` if the mesh fits in another frame."""
     if not run.options.is_checked:
         for view in traced.views:
             run.report.warnings += view_warnings(view.name, view.color, view.geometry)
@@ -211,14 +209,14 @@ def _check(traced: TracedCapture, run: Run) -> None:
     with run.stage("check"):
         found = check_traced(traced, run.out / "check")
     if found.better:
-        remedy = "do that, or leave the check out with --no-check"
+        remedy = f"use {found.better}, or skip the check with --no-check"
         got, expected = found.warnings[-1], "a mesh in the cameras' frame"
         raise input_error(traced.capture.name, "mesh", got, expected, remedy)
     run.report.warnings += found.all_warnings
 
 
 def _packed(final: FinalViews, run: Run) -> PackedMaps:
-    """Unwrapped, and packed for the merge."""
+    """Unwrap the mesh, and pack the views' maps for the merge."""
     report, options = run.report, run.options
     with run.stage("unwrap"):
         mesh, unwrap = unwrapped(final.geometry.mesh, options.jobs)
@@ -238,7 +236,7 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
 
 
 def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
-    """Merged, in memory or in files that exist as long as ``files``."""
+    """Merge the maps into an atlas, in memory or in files that exist until ``files`` is closed."""
     confidence_at = run.found.confidence_at
     has_confidence = confidence_at is not None
     atlas = files.enter_context(_atlas_memory(packed.size, run.out, has_confidence=has_confidence))
@@ -253,7 +251,7 @@ def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
 
 @contextmanager
 def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atlas]:
-    """Storage for an atlas, in memory or in temporary files."""
+    """An empty atlas, in memory or, above :data:`MEMORY_ATLAS`, in temporary files."""
     if size <= MEMORY_ATLAS:
         yield empty_atlas(size, has_confidence=has_confidence)
         return
@@ -262,7 +260,7 @@ def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atl
 
 
 def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, float]:
-    """Observed shares of the surface and of the visible surface."""
+    """Observed shares of the surface's texels, and of those on visible triangles."""
     covered = visible = seen = 0
     for top in range(0, atlas.size, 1024):
         face = atlas.face[top : top + 1024]

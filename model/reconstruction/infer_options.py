@@ -32,19 +32,20 @@ def _atlas_side(text: str) -> int | Literal["auto"]:
 class AssetOptions:
     """Options of the asset.
 
-    ``atlas`` is the side in texels, or "auto" for the density of the views' pixels. ``is_checked``: whether
-    the mesh is compared with the photographs first. ``has_usd``: whether a USDZ is written beside the GLB.
+    ``atlas`` is the side in texels, or "auto" for about the density of the views' pixels on the surface.
+    ``is_checked``: whether the mesh is compared with the photographs first. ``has_usd``: whether a USDZ is
+    written beside the GLB.
     """
 
     atlas: Annotated[
         int | Literal["auto"],
-        typer.Option(parser=_atlas_side, metavar="SIDE", help="Side in texels, or auto."),
+        typer.Option(parser=_atlas_side, metavar="SIDE", help="Side of the atlas in texels, or auto."),
     ] = "auto"
-    device: Annotated[str, typer.Option(help="cpu or cuda, for the networks.")] = "cpu"
+    device: Annotated[str, typer.Option(help="Device of the networks: cpu or cuda.")] = "cpu"
     is_checked: Annotated[
         bool, typer.Option("--check/--no-check", help="Compare the mesh with the photographs first.")
     ] = True
-    has_usd: Annotated[bool, typer.Option("--usd", help="Also write NAME.usdz (the extra usd).")] = False
+    has_usd: Annotated[bool, typer.Option("--usd", help="Also write NAME.usdz (needs extra usd).")] = False
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
@@ -55,13 +56,12 @@ class AssetOptions:
 class InferOptions(AssetOptions):
     """Options of ``materials infer``.
 
-    ``weights``: weights of the views in the merge (see :class:`MergeOptions`), with the checkpoint's
-    confidence. ``is_leveled``: whether the albedo scale of predictions is corrected by interreflection
-    (``albedo_level``). ``materials``: whether materials are inferred from the network alone, from the light
-    that the photographs record alone, or from both, with the network as the prior (``light``).
-    ``has_punctual``: whether the GLB also contains small lamps as point lights. ``is_evened``: whether
-    exposures, vignetting and response are estimated from overlapping photographs (``radiometry``).
-    ``mends_poses``: whether small errors of the cameras' poses are corrected (``pose_mending``).
+    ``weights``: weights of the views in the merge (see :class:`MergeOptions`). ``is_leveled``: whether the
+    albedo scale of predictions is corrected by interreflection (``albedo_level``). ``materials``: whether
+    materials are inferred from the network alone, from the recorded light alone, or from both, with the
+    network as the prior (``light``). ``has_punctual``: whether the GLB also contains small lamps as point
+    lights. ``is_evened``: whether exposures, vignetting and response are estimated from overlapping
+    photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are corrected.
     """
 
     visibility: Annotated[
@@ -88,12 +88,12 @@ class InferOptions(AssetOptions):
         ),
     ] = True
     has_punctual: Annotated[
-        bool, typer.Option("--punctual", help="Small lamps in the GLB as point lights, too.")
+        bool, typer.Option("--punctual", help="Also write small lamps to the GLB as point lights.")
     ] = False
     is_evened: bool = True
     mends_poses: Annotated[
         bool,
-        typer.Option("--mend-poses", help="Align cameras that are off by millimetres; report the shifts."),
+        typer.Option("--mend-poses", help="Correct poses that are off by millimetres; report by how much."),
     ] = False
 
 
@@ -101,12 +101,12 @@ class InferOptions(AssetOptions):
 class InferReport:
     """Report of a run.
 
+    ``seen_share``, ``seen_of_visible``: observed shares of the surface and of the visible surface;
     ``seconds``: time by stage; ``memory_mb``: peak of the process's resident memory up to the end of each
-    stage; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the recovered lights,
-    empty if not requested; ``warnings`` name the views that they concern; ``radiometry`` holds the findings
-    of :mod:`~model.reconstruction.radiometry`, ``poses`` the corrections of poses, empty if not requested;
-    ``albedo_level`` is a :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty if not
-    requested.
+    stage. Empty unless requested: ``light``, a :class:`~model.reconstruction.light.options.LightReport` with
+    the recovered lights; ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`; ``poses``,
+    the corrections of poses; ``albedo_level``, a
+    :class:`~model.reconstruction.level.albedo_level.LevelReport`.
     """
 
     name: str = ""
@@ -131,7 +131,7 @@ class InferReport:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Context manager that adds its duration to a stage."""
+        """Context manager that adds its duration to ``seconds[name]``, and records the peak memory."""
         start = time.perf_counter()
         try:
             yield
@@ -140,9 +140,7 @@ class InferReport:
             self.memory_mb[name] = round(peak_mb(), 1)
 
     def table(self) -> str:
-        """Table for the end of a run: stages with seconds and memory, steps of the light stage, recovered
-        lights.
-        """
+        """Text table of the stages' costs (:meth:`costs`) and the recovered lights."""
         from model.reconstruction.found_lights import lights_text
 
         lines = []

@@ -2,9 +2,9 @@
 """Corrects small errors of camera poses by agreement with other views.
 
 Points of the mesh in a view, away from depth edges and where its image varies, are looked up in the views
-with the largest overlap; the view's pose is fitted to their median by Gauss-Newton, with Cauchy weights and a
-prior of :data:`SPREAD_M` and :data:`SPREAD_DEG`. All views move at once, in a few rounds. A common transform
-of all cameras is undetermined: their mean pose is kept.
+with the largest overlap; the view's pose is fitted to the median of their values by Gauss-Newton, with Cauchy
+weights and a normal prior (:data:`SPREAD_M`, :data:`SPREAD_DEG`). All poses are updated at once, in a few
+rounds. A common translation of all cameras is undetermined: their mean position is kept.
 """
 
 from __future__ import annotations
@@ -25,23 +25,24 @@ MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
 """Points per view; maximum and minimum number of views in which they are looked up; and minimum number of
 points for a correction of a view."""
 SPREAD_M, SPREAD_DEG = 0.01, 0.3
+"""Prior standard deviations of the translation and rotation of a pose, per axis."""
 EDGE = 0.03
-"""Relative change of depth over three pixels above which a point counts as an edge."""
+"""Relative range of depth within three pixels above which a pixel counts as an edge."""
 SAME_DEPTH = 0.02
 """Largest relative difference of depth at which two views show the same point."""
 MIN_GAIN = 0.1
-"""Minimum reduction of the residual for the corrections to be used: correct poses would move by half a pixel.
-"""
-_STEP = 0.8  # step size of Gauss-Newton, since all views move at once
-_ALIKE = 25.0  # neighbouring points with correlated errors
+"""Minimum relative reduction of the residual for the corrections to be used; otherwise correct poses would
+move by half a pixel."""
+_STEP = 0.8  # damps Gauss-Newton, since all views move at once
+_CORRELATED = 25.0  # number of neighbouring points with correlated errors
 
 
 @dataclass(frozen=True)
 class MendedPoses:
     """Result of :func:`mended_poses`.
 
-    ``cameras`` are in the views' order, unchanged if correction barely explains the views better;
-    ``moved_mm`` and ``turned_deg`` (V,) are the corrections; ``residual`` is the median of |ln value - ln
+    ``cameras`` are in the views' order, unchanged if the residual decreases by less than :data:`MIN_GAIN`;
+    ``moved_mm`` and ``turned_deg`` (V,) are the corrections; ``residual`` is the median of |ln luminance - ln
     median of other views| before and after.
     """
 
@@ -58,7 +59,7 @@ class MendedPoses:
 
 @dataclass(frozen=True)
 class _Look:
-    """A view's logarithm of luminance and its gradients (H, W), depth (H, W), and its points (N, 3)."""
+    """A view's log luminance (H, W), its derivatives by x and y, depth in metres, and points (N, 3)."""
 
     image: NDArray[np.float32]
     gradient: tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -67,7 +68,7 @@ class _Look:
 
 
 def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
-    """Corrected poses of ``views``, whose colours share one exposure."""
+    """Corrected poses of ``views``, whose colours must share one exposure."""
     looks = [_look(view, number) for number, view in enumerate(views)]
     given = [view.camera.camera_from_world for view in views]
     poses = [pose.copy() for pose in given]
@@ -82,23 +83,23 @@ def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
     if after >= (1 - MIN_GAIN) * before:
         nothing = np.zeros(len(views))
         return MendedPoses(tuple(lenses), nothing, nothing, (before, after))
-    drift = np.mean([_place(new) - _place(old) for new, old in zip(poses, given, strict=True)], axis=0)
+    drift = np.mean([_center(new) - _center(old) for new, old in zip(poses, given, strict=True)], axis=0)
     cameras, moved, turned = [], [], []
     for lens, pose, old in zip(lenses, poses, given, strict=True):
         world = np.linalg.inv(pose)
         world[:3, 3] -= drift
         cameras.append(replace(lens, world_from_camera=world))
-        moved.append(1000 * float(np.linalg.norm(world[:3, 3] - _place(old))))
+        moved.append(1000 * float(np.linalg.norm(world[:3, 3] - _center(old))))
         turned.append(np.degrees(Rotation.from_matrix(pose[:3, :3] @ old[:3, :3].T).magnitude()))
     return MendedPoses(tuple(cameras), np.array(moved), np.array(turned), (before, after))
 
 
-def _place(camera_from_world: NDArray) -> NDArray[np.float64]:
+def _center(camera_from_world: NDArray) -> NDArray[np.float64]:
     return np.asarray(-camera_from_world[:3, :3].T @ camera_from_world[:3, 3])
 
 
 def _moved(step: NDArray) -> NDArray[np.float64]:
-    """Transform (4, 4) of a rotation vector and a translation in the camera's frame."""
+    """Transform (4, 4) in the camera's frame of ``step`` (6,), a rotation vector and a translation."""
     found = np.eye(4)
     found[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
     found[:3, 3] = step[3:]
@@ -122,15 +123,12 @@ def _look(view: TracedView, number: int) -> _Look:
     if view.clipped_mask is not None:
         usable &= ~view.clipped_mask.any(axis=2)
     rows, columns = np.nonzero(usable)
-    strength = np.hypot(gradient[0], gradient[1])[rows, columns]
+    strength = np.hypot(*gradient)[rows, columns]
     random = np.random.default_rng(number).random(len(rows))
     chosen = np.argsort(-(random ** (1 / np.maximum(strength, 1e-6))), kind="stable")[:MAX_POINTS]
-    camera, z = view.camera, depth[rows[chosen], columns[chosen]].astype(np.float64)
-    x = (columns[chosen] + 0.5 - camera.cx_px) / camera.fx_px * z
-    y = (rows[chosen] + 0.5 - camera.cy_px) / camera.fy_px * z
-    local = np.stack([x, y, z], axis=1)
-    points = local @ camera.world_from_camera[:3, :3].T + camera.position_m
-    return _Look(image, (gradient[0], gradient[1]), depth, points)
+    rows, columns = rows[chosen], columns[chosen]
+    points = view.camera.unproject(np.stack([columns, rows], axis=1) + 0.5, depth[rows, columns])
+    return _Look(image, gradient, depth, points)
 
 
 def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:
@@ -142,7 +140,7 @@ def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np
 
 
 def _sampled(image: NDArray, x: NDArray, y: NDArray) -> NDArray[np.float64]:
-    """Bilinear values (N,)."""
+    """Bilinearly interpolated values (N,) of an image (H, W) at (x, y)."""
     left = np.clip(np.floor(x).astype(np.int64), 0, image.shape[1] - 2)
     top = np.clip(np.floor(y).astype(np.int64), 0, image.shape[0] - 2)
     u, v = np.clip(x - left, 0, 1), np.clip(y - top, 0, 1)
@@ -158,7 +156,7 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 def _expected(
     looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
-    """Median value (N,) of a view's points in the other views; NaN for points in too few of them."""
+    """Median log luminance (N,) of a view's points in the other views; NaN if too few show a point."""
     points, found = looks[index].points, []
     for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
         if other == index:
@@ -187,7 +185,7 @@ def _step(
     given: Sequence[NDArray],
     index: int,
 ) -> tuple[NDArray[np.float64], float]:
-    """Rotation vector and translation (6,) of a view, and the median residual."""
+    """Update of a view's pose, rotation vector and translation (6,), and the median absolute residual."""
     look, lens = looks[index], lenses[index]
     local, x, y = _projected(lens, poses[index], look.points)
     rest = _sampled(look.image, x, y) - _expected(looks, lenses, poses, index)
@@ -195,9 +193,9 @@ def _step(
     if used.sum() < MIN_POINTS:
         return np.zeros(6), 0.0
     local, x, y, rest = local[used], x[used], y[used], rest[used]
-    rest -= np.median(rest)  # standard deviation of exposure
+    rest -= np.median(rest)  # the remaining difference of exposure
     spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-3)
-    weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _ALIKE
+    weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _CORRELATED
     gx, gy = _sampled(look.gradient[0], x, y), _sampled(look.gradient[1], x, y)
     px, py, pz = local.T
     by_x, by_y = gx * lens.fx_px / pz, gy * lens.fy_px / pz

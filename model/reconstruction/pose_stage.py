@@ -13,22 +13,22 @@ from model.reconstruction.stages import Run
 
 
 def mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with corrected poses, if these explain the views better than the given poses."""
+    """The capture with corrected poses, or unchanged if these do not explain the views better."""
     with run.stage("poses"):
         found = mended_poses(traced.views)
-        low, high = found.residual
+        before, after = found.residual
         run.report.poses = {
             "moved_mm": [round(float(value), 2) for value in found.moved_mm],
             "turned_deg": [round(float(value), 3) for value in found.turned_deg],
-            "residual": [round(low, 5), round(high, 5)],
+            "residual": [round(before, 5), round(after, 5)],
         }
         if not found.is_moved:
-            run.report.notes.append("poses stay: none found that make the views agree better")
+            run.report.notes.append("poses are unchanged: no correction makes the views agree better")
             return traced
-        middle = float(np.median(found.moved_mm)), float(np.median(found.turned_deg))
+        moved_mm, turned_deg = np.median(found.moved_mm), np.median(found.turned_deg)
         run.report.notes.append(
-            f"poses mended by {middle[0]:.1f} mm and {middle[1]:.2f} degrees (medians); views differ by "
-            f"{100 * high:.1f} % where they did by {100 * low:.1f} %"
+            f"poses are corrected by {moved_mm:.1f} mm and {turned_deg:.2f} degrees (medians), which reduces "
+            f"the difference between views from {100 * before:.1f} % to {100 * after:.1f} %"
         )
         views = tuple(
             replace(view, camera=camera, geometry=traced.geometry.trace_view(camera, view.valid_mask))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The HTML report of ``materials infer``, a self-contained page: summary, recovered lights, confidence of the
-maps, cost of the steps."""
+maps, cost of the stages."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ th:first-child, td:first-child { text-align: left; }
 
 
 def report_html(report: InferReport, pictures: Sequence[ViewPicture]) -> str:
-    """The report as HTML."""
+    """The report as an HTML page, with ``pictures`` of views."""
     title = html.escape(f"{report.name}: materials")
     done = (
         f"{report.num_views} views, {report.num_triangles} triangles, an atlas of {report.atlas_size} x "
-        f"{report.atlas_size} texels; {report.seen_of_visible:.0%} of the surface that can be seen was seen."
+        f"{report.atlas_size} texels; {report.seen_of_visible:.0%} of the visible surface was observed."
     )
     parts = [
         f"<h1>{title}</h1><p>{done}</p>",
@@ -78,9 +78,9 @@ def _lights(light: dict[str, Any]) -> str:
     heads = ("light", "kind", "middle x y z (m)", "area (m2)", "radiance R G B", "power R G B", "gain R G B")
     found = _table(heads, rows) if rows else "<p>None was found.</p>"
     return (
-        "<h2>Lights</h2><p>What shines into the room, as the photographs show it. Radiance is in their unit; "
-        "power is pi times area and radiance, in W where radiance is in W/(m2 sr). The exports hold these "
-        f"lights times their gain, by which the asset is as bright as the photographs.</p>{found}"
+        "<h2>Lights</h2><p>Lamps and windows with their recovered radiance, in the photographs' unit; power "
+        "is pi times area and radiance, in W if radiance is in W/(m2 sr). The exports contain these lights "
+        f"times the gain, by which the asset is as bright as the photographs.</p>{found}"
     )
 
 
@@ -94,7 +94,7 @@ def _confidence(light: dict[str, Any], pictures: Sequence[ViewPicture]) -> str:
     means = " ".join(f"{name} {value:.2f}" for name, value in zip("DSR", light["confidence"], strict=True))
     bar = np.array(cividis(), np.uint8)[None].repeat(8, axis=0)
     cells = "".join(
-        f'<img alt="{html.escape(f"{picture.name}: {text}", quote=True)}" src="{_address(pixels)}">'
+        f'<img alt="{html.escape(f"{picture.name}: {text}", quote=True)}" src="{_data_url(pixels)}">'
         for picture in pictures
         for text, pixels in (
             ("photograph", picture.photograph),
@@ -103,10 +103,10 @@ def _confidence(light: dict[str, Any], pictures: Sequence[ViewPicture]) -> str:
         )
     )
     return (
-        "<h2>Confidence</h2><p>How far a surface's materials come from the light of the photographs rather "
-        f"than from the network: means over the surface {means}. Photograph, diffuse albedo, and confidence "
+        "<h2>Confidence</h2><p>Share of a surface's materials that comes from the photographed light, not "
+        f"from the network; means over the surface: {means}. Below: photograph, diffuse albedo, confidence "
         "of D; <code>atlas/confidence.png</code> has D, S and R by texel.</p>"
-        f'<div class="scale">0, network <img alt="" src="{_address(bar)}"> 1, light</div>'
+        f'<div class="scale">0, network <img alt="" src="{_data_url(bar)}"> 1, light</div>'
         f'<div class="views">{cells}</div>'
     )
 
@@ -121,11 +121,11 @@ def _costs(report: InferReport) -> str:
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Cells are HTML."""
+    """An HTML table; ``rows`` are HTML, ``heads`` plain text."""
     head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
 
 
-def _address(pixels: NDArray[np.uint8]) -> str:
+def _data_url(pixels: NDArray[np.uint8]) -> str:
     return f"data:image/png;base64,{base64.b64encode(encode_png(pixels)).decode()}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interfaces of the stages of ``materials infer``: run, sources of maps, stages before the merge."""
+"""Interfaces of the stages of ``materials infer``: the run, sources of maps, stages before the merge."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from model.reconstruction.found_lights import FoundLights, RadianceSamples
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 
 Maps = dict[str, NDArray]
-"""A view's D, S and R by name, (H, W, 3 or 1) in [0, 1], and perhaps ``confidence`` (H, W, 3)."""
+"""Maps of a view by name, in [0, 1]: D and S (H, W, 3), R (H, W, 1), optionally ``confidence`` (H, W, 3)."""
 
 
 @dataclass(frozen=True)
 class ViewPicture:
-    """A view for the report: its photograph, D, and the confidence of D, (H, W, 3) 8-bit images."""
+    """Images (H, W, 3) of a view for the report: its photograph, D, and the confidence of D."""
 
     name: str
     photograph: NDArray[np.uint8]
@@ -32,13 +32,12 @@ class ViewPicture:
 
 @dataclass
 class Found:
-    """Results of stages besides maps; None or empty if no stage provides them.
+    """Results of stages in addition to maps; None or empty if no stage provides them.
 
-    ``lights``: recovered lights; ``samples``: photographed radiance, by which they are balanced;
-    ``confidence_at``: function from surface points and normals (both (..., 3)) to confidence of D, S and R in
-    bytes; ``pictures``: pictures of views; ``doubt_at``: function from points
-    and normals (both (N, 3)) to the luminance (N,) of diffuse shading that is uncertain because its source
-    clips.
+    ``samples``: photographed radiance, by which ``lights`` are balanced; ``confidence_at``: function from
+    surface points and normals (both (..., 3)) to the confidence (..., 3) of D, S and R, 255 for 1;
+    ``doubt_at``: function from points and normals (both (N, 3)) to the luminance (N,) of diffuse shading that
+    is uncertain because photographs clip its source.
     """
 
     lights: FoundLights | None = None
@@ -50,9 +49,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Run:
-    """A run: its folder, options and report, the callback ``tell(stage, done, total)``, and what stages
-    found.
-    """
+    """A run of ``materials infer``; ``tell(stage, done, total)`` is the callback for its progress."""
 
     out: Path
     options: InferOptions
@@ -62,7 +59,7 @@ class Run:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
-        """Time a stage and report its start and end; yields a callback for (done, total)."""
+        """Time a stage and report its start and end; yields a callback for its progress (done, total)."""
         last = (0, 1)
 
         def advance(done: int, total: int) -> None:
@@ -82,18 +79,18 @@ class MapSource(Protocol):
 
     @property
     def identity(self) -> str:
-        """Identity of the maps: a run in an existing folder resumes only with the same identity."""
+        """Hash or name that identifies the maps: a run resumes in its folder only if this is the same."""
 
     @property
     def is_predicted(self) -> bool:
         """Whether the maps are predictions, which stages before the merge may correct."""
 
     def prepare(self, options: InferOptions) -> None:
-        """Refuse unusable input before work starts. Raises :class:`InputError`."""
+        """Check the source before work starts. Raises :class:`InputError` if it is unusable."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Maps of every view, in the capture's order."""
+        """Return the maps of every view, in the capture's order."""
 
 
 MapStage = Callable[[TracedCapture, list[Maps], Run], list[Maps]]
-"""A stage between prediction and merge: returns other maps of the views and leaves its input unchanged."""
+"""A stage between prediction and merge: returns new maps of the views and leaves its input unchanged."""

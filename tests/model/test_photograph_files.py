@@ -278,5 +278,5 @@ def test_a_mesh_of_another_form_is_named(tmp_path: Path) -> None:
     folder = colmap_of(tmp_path / "room", ".webp", 1)
     picture().save(folder / "images" / "img0.webp", lossless=True)
     (folder / "room.ply").rename(folder / "room.fbx")
-    with pytest.raises(InputError, match=r"room\.fbx, of a form that is not read; .*\.obj.*convert it"):
+    with pytest.raises(InputError, match=r"room\.fbx, of an unsupported format; .*\.obj.*convert it"):
         read_capture(folder)

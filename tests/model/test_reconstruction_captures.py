@@ -138,7 +138,7 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
             read_colmap(tmp_path / "cut", Budget("x"))
         images.write_bytes(b"")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="nothing known in it"):
+    with pytest.raises(InputError, match="no known format"):
         read_capture(tmp_path / "empty")
 
 

@@ -410,7 +410,7 @@ def test_up_is_judged_by_the_cameras() -> None:
         Camera(*SIZE, 500, 500, 300, 200, np.block([[tilted @ r.T, np.zeros((3, 1))], [0, 0, 0, 1]]))
         for r, _ in poses()
     ]
-    assert judged_up(oblique)[0] == "z" and "say it with --up" in judged_up(oblique)[1]
+    assert judged_up(oblique)[0] == "z" and "set it with --up" in judged_up(oblique)[1]
 
 
 def test_a_tilted_world_is_levelled_by_the_cameras() -> None:

@@ -149,7 +149,7 @@ def test_command_refuses_bad_input(tmp_path: Path) -> None:
         )
 
     missing = run("infer", str(tmp_path), "--out", str(tmp_path / "o"))
-    assert missing.returncode == 2 and "nothing known in it" in missing.stderr
+    assert missing.returncode == 2 and "no known format" in missing.stderr
     wrong = run("infer", str(tmp_path), "--out", str(tmp_path / "o"), "--encoding", "rec2020")
     assert wrong.returncode == 2 and "gamma22" in wrong.stderr
     assert run("render", str(tmp_path), "--out", str(tmp_path / "o")).returncode == 2

@@ -362,7 +362,7 @@ def test_weights_by_confidence_continue_too(rendered: Rendered) -> None:
     assert (out / "atlas" / "roughness.png").read_bytes() == atlas
     infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), replace(options, weights="none"))
     assert (out / "atlas" / "roughness.png").read_bytes() != atlas
-    with pytest.raises(InputError, match="a confidence of every view"):
+    with pytest.raises(InputError, match="a confidence for every view"):
         infer(rendered.capture(), rendered.root / "none", TRUTH, options)
 
 

@@ -399,7 +399,7 @@ def test_bad_maps_are_refused() -> None:
     broken = MapView(
         view.camera, {**view.maps, "diffuse_albedo": view.maps["roughness"]}, view.depth_z_m, name="v7"
     )
-    with pytest.raises(InputError, match="a confidence of every view"):
+    with pytest.raises(InputError, match="a confidence for every view"):
         MapMerger(noise_views(mesh, 1), MergeOptions(weights="confidence"))
     with pytest.raises(InputError) as caught:
         MapMerger([broken])

@@ -120,7 +120,7 @@ def test_faults_of_the_mesh(tmp_path: Path, fault: Callable[[Mesh], Mesh]) -> No
     assert report.unwrap["source"] == "mesh"
     found = errors(tmp_path / "out")
     assert np.median(found) < 0.01 and np.quantile(found, 0.95) < 0.06
-    said = {"doubled": "96 triangles were there twice", "collapsed": "40 triangles of zero area",
+    said = {"doubled": "96 repeated triangles", "collapsed": "40 triangles of zero area",
             "flipped": "edges join triangles of opposite winding"}  # fmt: skip
     if fault.__name__ in said:
         assert any(said[fault.__name__] in note for note in notes), notes

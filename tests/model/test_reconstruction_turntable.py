@@ -140,7 +140,7 @@ def test_a_closed_room_under_a_sky_has_its_own_lights(asset: Path, tmp_path: Pat
     sky = RelightOptions(samples=4, views=("view_00",), sky=(1.0, 1.0, 1.0))
     write_renders(asset, tmp_path / "sky", sky, warnings.append)
     (said,) = warnings
-    assert said == "no light of the sky reaches view_00: the room is closed; its own lights shine"
+    assert said == "no light of the sky reaches view_00: the room is closed; its own lights are used"
     write_renders(asset, tmp_path / "own", replace(sky, sky=None), warnings.append)
     write_renders(asset, tmp_path / "lamp", replace(sky, lamps=(Lamp((2.0, 1.5, 2.0)),)), warnings.append)
     assert len(warnings) == 1
@@ -160,7 +160,7 @@ def test_a_room_without_light_has_a_lamp(
     options = RelightOptions(samples=4, views=("view_00",), sky=sky)
     write_renders(tmp_path / "dark", tmp_path / "renders", options, warnings.append)
     assert brightness(tmp_path / "renders" / "view_00.exr") > 0.01
-    assert len(warnings) == 1 and "a lamp in the middle of its cameras shines" in warnings[0]
+    assert len(warnings) == 1 and "a lamp in the middle of its cameras is used" in warnings[0]
 
 
 def test_a_warm_lamp_and_exposure_compensation(asset: Path, tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_xatlas_gives_a_valid_unwrap_that_keeps_triangles_and_density() -> None:
     assert report.stretch < 1.3
     assert report.coverage > 0.4
     assert report.padding_texels is not None and report.padding_texels >= 1
-    assert report.notes == [f"the mesh's own UVs do not serve: {report.rejected}"]
+    assert report.notes == [f"the mesh's own UVs are not used: {report.rejected}"]
 
 
 @pytest.mark.parametrize("has_room", [True, False])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
-"""Maps that are merged and their channels, in the order of the packed storage."""
+"""Number of channels of each merged map, in the order of the packed storage."""
 ATLAS_DTYPE = np.float16
 
 
@@ -35,19 +35,16 @@ class Atlas:
 
     @property
     def size(self) -> int:
-        """Texels along a side."""
+        """Number of texels along a side."""
         return int(self.count.shape[0])
 
     @property
     def unseen_mask(self) -> NDArray[np.bool_]:
-        """Mask (N, N) of texels with surface that no view shows."""
+        """Mask (N, N) of texels whose surface no view shows."""
         return np.asarray((self.face >= 0) & (self.count == 0))
 
     def release(self) -> None:
-        """Release memory-mapped pages; the next access reads them again.
-
-        Otherwise a pass over a large atlas would fill the memory.
-        """
+        """Release memory-mapped pages, which would fill the memory; the next access reads them again."""
         for array in (*self.maps.values(), self.count, self.face, self.confidence):
             if array is not None:
                 let_go(array)
@@ -60,7 +57,7 @@ def let_go(array: NDArray) -> None:
 
 
 def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool = False) -> Atlas:
-    """An atlas in memory or, given a ``folder``, in memory-mapped files."""
+    """An empty atlas of ``size`` texels a side, in memory or in memory-mapped files in ``folder``."""
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {
         name: ((size, size, channels), ATLAS_DTYPE) for name, channels in MAP_CHANNELS.items()
     }

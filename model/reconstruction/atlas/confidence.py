@@ -17,10 +17,11 @@ from model.reconstruction.atlas.texels import TexelSurface
 ConfidenceAt = Callable[[NDArray, NDArray], NDArray[np.uint8]]
 """Confidence (..., 3) of D, S and R as bytes (255 for 1) at points and normals (..., 3)."""
 TILE = 512
+"""Side in texels of the squares that are processed at once."""
 
 
 def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
-    """Fill the atlas's allocated ``confidence``; 0 for texels that no view shows."""
+    """Fill the atlas's ``confidence`` at observed texels. Raises :class:`ValueError` if it is None."""
     target = atlas.confidence
     if target is None:
         raise ValueError("expected an atlas with confidence")

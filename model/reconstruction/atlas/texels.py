@@ -2,9 +2,8 @@
 """Rasteriser for atlases: the triangle that covers each texel's centre, and the surface point there.
 
 The rasteriser works on any rectangle of the atlas. Edge functions are computed in float64 from the edge's
-ends in a fixed order for both adjacent triangles, so that no texel falls between two triangles that share an
-edge. Where triangles overlap, the highest index is used. Row 0 of an atlas is at v = 1. Triangles are binned,
-so that a rectangle tests only nearby ones.
+ends in the same order for both adjacent triangles, so no texel falls between two triangles that share an
+edge. Row 0 of an atlas is at v = 1. Triangles are binned, so only those near a rectangle are tested.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.multiview.compiled import compiled
 
 BIN = 256
-"""Texels along a side of a bin."""
+"""Number of texels along a side of a bin."""
 
 
 class TexelSurface:
@@ -53,8 +52,8 @@ class TexelSurface:
         *,
         is_highest: bool = True,
     ) -> NDArray[np.int32]:
-        """Triangle at each texel of a rectangle, (height, width), sampled at ``offset`` within the texel; -1
-        for none.
+        """Index of the triangle at each texel of a rectangle (height, width), or -1, sampled at ``offset``
+        (x, y) within the texel.
 
         Where triangles overlap, the highest index is used or, without ``is_highest``, the lowest.
         """
@@ -64,8 +63,8 @@ class TexelSurface:
         return face
 
     def points(self, face: NDArray[np.int32], left: int, top: int) -> tuple[NDArray, NDArray]:
-        """World positions and normals (H, W, 3) at the centres of a rectangle's texels, from its triangles
-        (H, W); 0 for none.
+        """World positions and normals (H, W, 3) at the texel centres of a rectangle, given its triangles
+        ``face`` (H, W); 0 where ``face`` is -1.
         """
         points = np.zeros((*face.shape, 3), np.float32)
         _surface_points(face, left, top, self.size, self.uv, self.vertices, self.positions, points)
@@ -73,9 +72,7 @@ class TexelSurface:
         return points, normals
 
     def overlap_mask(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
-        """(covered, covered by several triangles), each (size, size), sampled at ``offset`` within every
-        texel.
-        """
+        """Masks (size, size) of texels covered by a triangle, and by several, sampled at ``offset``."""
         highest, lowest = (
             self.faces(0, 0, self.size, self.size, offset, is_highest=is_highest)
             for is_highest in (True, False)
@@ -85,13 +82,13 @@ class TexelSurface:
 
 @compiled
 def corner(uv: Any, vertex: Any, size: Any) -> Any:
-    """A vertex on the atlas, in texels from its upper left corner."""
+    """Position (x, y) of a vertex on the atlas, in texels from the upper left corner."""
     return np.float64(uv[vertex, 0]) * size, (1.0 - np.float64(uv[vertex, 1])) * size
 
 
 @compiled
 def _span(a: Any, b: Any, c: Any, num_bins: Any) -> Any:
-    """First and last bin of three coordinates."""
+    """First and last of the bins that the range of three coordinates, in texels, overlaps along an axis."""
     low, high = min(a, b, c), max(a, b, c)
     last = np.float64(num_bins - 1)
     return int(min(max(np.floor(low / BIN), 0.0), last)), int(min(max(np.floor(high / BIN), 0.0), last))
@@ -119,7 +116,7 @@ def _count_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, counts: Any) -
 
 @compiled
 def _fill_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, members: Any) -> None:
-    for face in range(len(vertices)):  # ascending, so that each bin's triangles are
+    for face in range(len(vertices)):  # in ascending order, hence also within each bin
         first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)
         for row in range(first_y, last_y + 1):
             for column in range(first_x, last_x + 1):
@@ -129,8 +126,8 @@ def _fill_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, memb
 
 @compiled
 def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
-    """(x, y, dx, dy, sign) of the edge from a to b, with its ends in canonical order; ``sign`` is ``side``,
-    negated if they were swapped.
+    """(x, y, dx, dy, sign) of the edge ab with its ends in canonical order; ``sign`` is ``side``, negated if
+    the ends are swapped.
     """
     if ax < bx or (ax == bx and ay <= by):
         return ax, ay, bx - ax, by - ay, side
@@ -139,7 +136,7 @@ def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
 
 @compiled
 def _texel_range(a: Any, b: Any, c: Any, offset: Any, first: Any, last: Any) -> Any:
-    """Texels of [first, last] whose centres lie between the extremes of three coordinates."""
+    """First and last texel of [first, last] whose samples are between the extremes of three coordinates."""
     low, high = np.ceil(min(a, b, c) - offset), np.floor(max(a, b, c) - offset)
     return int(max(low, np.float64(first))), int(min(high, np.float64(last)))
 
@@ -195,7 +192,7 @@ def _rasterise(
 
 @compiled
 def surface_point(face: Any, x: Any, y: Any, size: Any, uv: Any, vertices: Any, positions: Any) -> Any:
-    """World position of a triangle at (x, y) on the atlas, in texels."""
+    """World position (x, y, z) of the triangle ``face`` at the point (x, y) of the atlas, in texels."""
     i, j, k = vertices[face, 0], vertices[face, 1], vertices[face, 2]
     ax, ay = corner(uv, i, size)
     bx, by = corner(uv, j, size)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""An asset on its mesh in 3D, as a page that opens from disk: ``materials view``.
+"""The 3D page of ``materials view``, which shows an asset and opens from disk.
 
-``textures`` makes the images, ``writing`` the folder; ``page/`` is the page: its shader is the project's
-BSDF (docs/bsdf.md), ``three.js`` is built from npm by ``make three``.
+``textures`` makes the images, ``writing`` the folder; ``page/`` contains the page: its shader evaluates the
+project's BSDF (docs/bsdf.md), and ``three.js`` is built from npm by ``make three``.
 """

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The lights of an asset as at most ``MAX_SOURCES`` points, which the page can switch on and off.
+"""Approximates the lights of an asset by at most ``MAX_SOURCES`` points, which the page switches on and off.
 
 A source of radiance L, area A and vector area V (the sum of its triangles' areas times their normals) has the
-intensity L (max(V.w, 0) + (A - |V|) / 4) in the direction w: exact for a rectangle, and for a closed convex
-surface on average over directions. Its point is the centroid of its area. If there are more sources, the
-nearest are merged, which preserves A L. Environments, spots and suns are not included.
+intensity L (max(V.w, 0) + (A - |V|) / 4) in direction w: exact for a rectangle, and for a closed convex
+surface on average over directions. Its point is the centroid of its area. Of more sources, the two nearest
+are merged repeatedly, which preserves A L. Environments, spots and suns are not included.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from datagen.formats.lights import AreaLight, Light, PointLight, SphereLight
 from datagen.foundation.meshes.mesh import Mesh
 
 MAX_SOURCES = 8
-"""As in ``page/shadows.js``."""
+"""Maximum number of sources; ``page/shadows.js`` has the same value."""
 _POINT_RADIUS_M = 0.01  # points have no area; a sphere of the same intensity replaces them
 
 
 @dataclass(frozen=True)
 class Source:
-    """A source with vector area V ``vector_m2`` (3,), area A ``area_m2`` and ``radiance`` L (3,)."""
+    """A source at a point (3,), with vector area V (3,), area A and radiance L (3,)."""
 
     position_m: NDArray[np.float64]
     vector_m2: NDArray[np.float64]
@@ -37,11 +37,11 @@ class Source:
 
     @property
     def rest_m2(self) -> float:
-        """Projected area in every direction, in addition to the projection of the vector area."""
+        """Projected area (A - |V|) / 4 in every direction, in addition to the projection of V."""
         return max(self.area_m2 - float(np.linalg.norm(self.vector_m2)), 0.0) / 4
 
     def merged(self, other: Source) -> Source:
-        """Both sources as one, with summed areas and summed A L, at their centroid weighted by A L."""
+        """One source with the summed A, V and A L of both, at their centroid weighted by A L."""
         powers = [float(s.area_m2 * s.radiance.mean()) for s in (self, other)]
         area = self.area_m2 + other.area_m2
         flux = self.area_m2 * self.radiance + other.area_m2 * other.radiance
@@ -49,7 +49,7 @@ class Source:
         return Source(middle, self.vector_m2 + other.vector_m2, area, flux / area)
 
     def described(self) -> dict[str, Any]:
-        """The source as data for the page."""
+        """The source as JSON data for the page."""
         return {
             "position": self.position_m.tolist(),
             "vector": self.vector_m2.tolist(),
@@ -61,8 +61,8 @@ class Source:
 def page_sources(
     asset: EnvironmentAsset | ObjectAsset, slots: Mapping[str, Mesh]
 ) -> tuple[list[Source], int, list[str]]:
-    """Sources of the asset's lights and emissive ``slots``, the number of lights that they represent, and
-    notes on omitted lights.
+    """Sources of the asset's lights and emissive ``slots``, the number of lights before merging, and notes on
+    omitted lights.
     """
     sources, notes = [], []
     for light in asset.lights:
@@ -78,10 +78,10 @@ def page_sources(
             sources += [source] if source.area_m2 > 0 else []
     num_lights = len(sources)
     while len(sources) > MAX_SOURCES:
-        places = np.array([source.position_m for source in sources])
-        apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
-        apart[np.diag_indices(len(places))] = np.inf
-        i, j = np.unravel_index(int(apart.argmin()), apart.shape)
+        positions = np.array([source.position_m for source in sources])
+        distances = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+        np.fill_diagonal(distances, np.inf)
+        i, j = np.unravel_index(int(distances.argmin()), distances.shape)
         both = sources[i].merged(sources[j])
         sources = [source for k, source in enumerate(sources) if k not in (i, j)] + [both]
     return sources, num_lights, notes

@@ -28,19 +28,19 @@ KINDS = ("diffuse", "specular", "rough")
 
 @dataclass(frozen=True)
 class PageImage:
-    """One image: its kind (one of :data:`KINDS`), its PNG, its size, and the size of its source."""
+    """An image (H, W, C) of a kind in :data:`KINDS`, and the longer side of its source in texels."""
 
     kind: str
     pixels: NDArray[np.uint8]
     original_side: int
 
     def png(self, max_side: int | None = None) -> bytes:
-        """PNG bytes, averaged down to ``max_side`` if that is given."""
+        """The image as PNG, averaged down to ``max_side`` if given."""
         return encode_png(self.pixels if max_side is None else shrunk(self.pixels, max_side))
 
 
 def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
-    """The image (H, W, C) averaged down so that neither side is longer than ``max_side``."""
+    """The image (H, W, C), averaged down to sides of at most ``max_side``."""
     longest = max(pixels.shape[:2])
     if longest <= max_side:
         return pixels
@@ -53,8 +53,8 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class AtlasState:
-    """Further images (N, N) of an atlas, each of which may be None: ``mask`` marks observed texels;
-    ``confidence`` is as in the atlas.
+    """Further images (N, N) of an atlas, None if unknown: the state of its texels (``mask.png``), and the
+    minimum of the confidence of D, S and R.
     """
 
     mask: NDArray[np.uint8] | None = None
@@ -64,7 +64,7 @@ class AtlasState:
 def material_images(
     package: Package, material: Material, state: AtlasState, max_side: int
 ) -> Iterator[PageImage]:
-    """The images of a material; ``state`` describes the texels of its roughness texture.
+    """The three images of a material; ``state`` describes the texels of its roughness texture.
 
     Raises :class:`InputError` if an image cannot be read or differs from the state's in size.
     """
@@ -76,15 +76,14 @@ def material_images(
     for name, values, unknown in (("mask", state.mask, SEEN), ("confidence", state.confidence, 0)):
         if values is not None and values.shape != rough.shape:
             got, expected = (" x ".join(map(str, array.shape)) for array in (values, rough))
-            remedy = "write both by one `materials infer`"
+            remedy = "write both in one run of `materials infer`"
             raise input_error(f"{name}.png", "size", got, expected, remedy)
         packed.append(np.full(rough.shape, unknown, np.uint8) if values is None else values)
     yield PageImage("rough", shrunk(np.stack(packed, axis=-1), max_side), side)
 
 
 def _pixels(package: Package, texture: Texture) -> NDArray:
-    path = package.local_file(texture.texture)
-    return read_image(path)
+    return read_image(package.local_file(texture.texture))
 
 
 def _color_bytes(package: Package, channel: object, max_side: int) -> tuple[NDArray[np.uint8], int]:
@@ -109,7 +108,7 @@ def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], 
 
 
 def read_state(folder: Path) -> AtlasState:
-    """Images written by `materials infer` beside the maps of an atlas; raises :class:`InputError`."""
+    """The images in the folder of an atlas written by `materials infer`. Raises :class:`InputError`."""
     mask, confidence = (_bytes_of(folder / name) for name in ("mask.png", "confidence.png"))
     return AtlasState(
         None if mask is None else mask[..., 0], None if confidence is None else confidence.min(axis=2)
@@ -121,5 +120,5 @@ def _bytes_of(path: Path) -> NDArray[np.uint8] | None:
         return None
     pixels = read_image(path)
     if pixels.dtype != np.uint8:
-        raise input_error(path, "", str(pixels.dtype), "8 bits", "write it by `materials infer`")
+        raise input_error(path, "", str(pixels.dtype), "8 bits", "write it with `materials infer`")
     return pixels

@@ -38,8 +38,8 @@ PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "
 
 @dataclass(frozen=True)
 class ViewResult:
-    """Result of writing a page: its path, the numbers of triangles and materials, and notes on changed
-    data.
+    """A written page: its path, numbers of triangles and materials, size of its folder in bytes, and notes on
+    omitted or reduced data.
     """
 
     page: Path
@@ -52,8 +52,9 @@ class ViewResult:
 def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
     """Write the page of an asset package, or of an output folder of ``materials infer``, into ``out``.
 
-    Masks of observed texels and confidence come from ``atlas/mask.png`` and ``confidence.png`` beside the
-    package, if present. Raises :class:`InputError` for other input, and if ``out`` contains other files.
+    The mask of observed texels and the confidence are read from ``atlas/mask.png`` and ``confidence.png``
+    beside the package, if present. Raises :class:`InputError` for other input, and if ``out`` contains other
+    files.
     """
     package_path = source / "asset" if is_package(source / "asset") else source
     _check_out(out)
@@ -123,7 +124,7 @@ def _check_out(out: Path) -> None:
 
 
 def _meshes_by_material(package: Package, asset: EnvironmentAsset | ObjectAsset) -> dict[str, Mesh]:
-    """All parts with one material as one mesh in the asset's frame, with normals and UVs."""
+    """One mesh per material, of all its parts, in the asset's frame, with normals and UVs."""
     parts: dict[str, list[Mesh]] = {}
     for part in asset.parts:
         mesh = read_ply(package.local_file(part.mesh)).transformed(np.array(part.asset_from_part))

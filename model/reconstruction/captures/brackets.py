@@ -21,22 +21,21 @@ from model.reconstruction.captures.photographs import PhotographSource
 MAX_APART_M = 1e-3
 """Maximum distance between the estimated centres of cameras on one tripod."""
 MAX_TURN_RAD = 1e-3
-"""Maximum angle between them: 0.6 pixels of 640 over 60 degrees."""
+"""Maximum angle between their estimated directions: 0.6 pixels of 640 over 60 degrees."""
 MAX_INTRINSICS_SHARE = 1e-3
-"""Maximum difference of intrinsics, relative to the width."""
+"""Maximum difference of intrinsics, relative to the image's width."""
 MIN_EXPOSURE_RATIO = 1.1
 """Minimum ratio of a bracket's longest to its shortest exposure."""
 
 
 @dataclass(frozen=True)
 class BracketSource:
-    """Photographs of one camera and pose, in any order."""
+    """Photographs of one camera and pose with different exposures, in any order."""
 
     photographs: tuple[PhotographSource, ...]
 
     def read(self, camera: Camera) -> ColorImage:
-        """The photographs merged and resampled to ``camera``; ``limit`` is the limit of the shortest
-        exposure."""
+        """The photographs, resampled to ``camera`` and merged; ``limit`` is that of the shortest exposure."""
         ordered = sorted(self.photographs, key=lambda p: (p.exposure_scale, str(p.path)))
         return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
 
@@ -46,19 +45,19 @@ class BracketSource:
 
 
 def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
-    """One image from ``images`` (H, W, 3) that ``scales``, inverse exposures, have brought to one exposure.
+    """Merge ``images`` of one size, which the inverse exposures ``scales`` have brought to one exposure.
 
-    Pixels clipped in all images keep the value from the shortest exposure, the highest lower bound.
+    Pixels clipped in all images get the value from the shortest exposure, the highest lower bound.
     """
     shape = images[0].color.shape
     total, weights = np.zeros(shape), np.zeros(shape)
     clipped = np.ones(shape, dtype=bool)
     for image, scale in zip(images, scales, strict=True):
-        of_image = np.zeros(shape, bool) if image.clipped_mask is None else image.clipped_mask
-        weight = ~of_image / scale
+        mask = np.zeros(shape, bool) if image.clipped_mask is None else image.clipped_mask
+        weight = ~mask / scale
         total += weight * image.color
         weights += weight
-        clipped &= of_image
+        clipped &= mask
     shortest = images[int(np.argmax(scales))]
     color = np.where(clipped, shortest.color, total / np.where(clipped, 1.0, weights)).astype(np.float32)
     valid = np.logical_and.reduce([image.valid_mask for image in images])
@@ -67,11 +66,10 @@ def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
 
 
 def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
-    """``views`` of photographs with every bracket merged to one view, named after its first photograph, and
-    notes on the merged views.
+    """``views`` with each bracket merged to one view, named after its first photograph, and notes for the
+    user.
 
-    Photographs of one pose without different exposures stay separate, since their exposures may not have been
-    recorded.
+    Photographs of one pose and equal exposure stay separate, since their exposures may not be recorded.
     """
     groups: list[list[CaptureView]] = []
     for view in views:
@@ -100,8 +98,8 @@ def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...]
     if unknown:
         where = ", ".join(unknown[:8])
         notes.append(
-            f"several photographs share the pose of {where} and are not merged: no different exposures are "
-            "known of them; keep EXIF, or state exposure_scale in capture.json"
+            f"several photographs share the pose of {where} and are not merged, since no different exposures "
+            "are recorded; keep EXIF, or state exposure_scale in capture.json"
         )
     return tuple(found), tuple(notes)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Bundler's ``bundle.out`` (v0.3) with its ``list.txt``, an export format of many tools.
 
-Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up; p =
--P / P.z, and the pixel is f (1 + k1 |p|^2 + k2 |p|^4) p from the image's centre, upwards. Cameras with f = 0
-have no pose. The file has no image sizes, so the images must be available.
+Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up. A
+point P in its frame has p = -(P.x, P.y) / P.z and is imaged at f (1 + k1 |p|^2 + k2 |p|^4) p from the image's
+centre, y up. Cameras with f = 0 have no pose. The file has no image sizes, so the images must be available.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _LISTS = ("list.txt", "image_list.txt", "bundle.out.list.txt")
 
 
 def find(path: Path) -> Path | None:
-    """The file at ``path``, or the only ``.out`` file in that folder."""
+    """The Bundler file at ``path``, or the only one in that folder, or None."""
     files = sorted(path.glob("*.out")) if path.is_dir() else [path] if path.suffix == ".out" else []
     found = [file for file in files if head_of(file).startswith("# Bundle file")]
     return found[0] if len(found) == 1 else None
@@ -82,13 +82,13 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     if not found and not problems:
         problems.append(Problem(path, "cameras", "none with a pose", "at least one", EXPORT_AGAIN))
     raise_problems(problems)
-    unplaced = num_cameras - len(found)
-    notes = (f"{unplaced} cameras were not placed and were left out",) if unplaced else ()
+    unposed = num_cameras - len(found)
+    notes = (f"{unposed} cameras have no pose and were left out",) if unposed else ()
     return Calibration(tuple(found), folder, notes)
 
 
 def _names(path: Path) -> list[str]:
-    """First word of every line of the list beside the file."""
+    """Image names: the first word of every line of the list beside the file."""
     for name in (f"{path.stem}.list.txt", *_LISTS):
         if (path.parent / name).is_file():
             return [line.split()[0] for line in read_text(path.parent / name).splitlines() if line.strip()]

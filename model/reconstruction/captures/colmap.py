@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""COLMAP models: ``cameras`` and ``images``, text and binary, as photographs; binary points with the images
-that show them.
+"""COLMAP models: ``cameras`` and ``images`` in text or binary form, and lines of sight to ``points3D.bin``.
 
 COLMAP's pose is camera_from_world (quaternion w x y z, translation), its camera looks along +z with y down
 and its pixel centres are at +0.5: the project's conventions. The world is the frame chosen by COLMAP.
@@ -28,7 +27,7 @@ MODELS = (
     ("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
     ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
 )  # fmt: skip
-"""Name and number of parameters by COLMAP's model id."""
+"""Name and number of parameters of each lens model, by COLMAP's id."""
 _SUPPORTED = {name for name, _ in MODELS} - {"FOV", "THIN_PRISM_FISHEYE"}
 _REMEDY = "export the model again (colmap model_converter)"
 _UNDISTORT = "undistort the images (colmap image_undistorter), or calibrate with one of these"
@@ -37,9 +36,7 @@ _UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and 
 
 @dataclass(frozen=True)
 class Sights:
-    """``points`` (N, 3), camera ``centers`` (V, 3), and the ``camera`` (K,) and ``point`` (K,) of lines of
-    sight.
-    """
+    """Lines of sight from V cameras to N points: ``camera`` (K,) and ``point`` (K,) are their indices."""
 
     points: NDArray[np.float64]
     centers: NDArray[np.float64]
@@ -59,7 +56,7 @@ _Intrinsics = tuple[tuple[float, float, float, float], Distortion | None]
 
 
 def find(path: Path) -> Path | None:
-    """The model in the folder ``path``, in ``sparse`` or in ``sparse/0``."""
+    """The folder with a model: ``path``, its ``sparse`` or its ``sparse/0``, or None."""
     for model in (path, path / "sparse", path / "sparse" / "0"):
         if any(all((model / f"{n}{s}").is_file() for n in ("cameras", "images")) for s in (".bin", ".txt")):
             return model
@@ -67,19 +64,22 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every registered image; photographs are in ``images`` beside or above the model."""
+    """The calibration of every registered image; ``images`` defaults to a folder of that name in or beside
+    the model's folder or its parent.
+    """
     beside = (path / "images", path.parent / "images", path.parent.parent / "images")
     folder = images or next((f for f in beside if f.is_dir()), beside[0])
     return Calibration(tuple(read_colmap(path, budget)), folder)
 
 
 def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
-    """Every registered image, by file name. Binary files are preferred if the folder has both formats."""
+    """Every registered image, sorted by file name; binary files are preferred over text files.
+
+    Raises :class:`InputError` with all faults.
+    """
     if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
-        lenses, poses = (
-            _read_binary_cameras(folder / "cameras.bin", budget),
-            _read_binary_images(folder / "images.bin", budget),
-        )
+        lenses = _read_binary_cameras(folder / "cameras.bin", budget)
+        poses = _read_binary_images(folder / "images.bin", budget)
         where, cameras = folder / "images.bin", folder / "cameras.bin"
     else:
         lenses = _read_text_cameras(folder / "cameras.txt", budget)
@@ -129,7 +129,7 @@ def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> 
 
 
 def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
-    """Rotation matrix of a unit quaternion (w, x, y, z)."""
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
     w, x, y, z = (float(q) for q in quaternion)
     return np.array(
         [
@@ -141,9 +141,9 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
 
 
 def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
-    """(fx, fy, cx, cy) and the distortion of one of COLMAP's models.
+    """(fx, fy, cx, cy) in pixels and the distortion of a COLMAP lens model with parameters ``p``.
 
-    Raises :class:`InputError`, naming ``field``, for models that OpenCV's distortion does not cover.
+    Raises :class:`InputError`, which names ``field``, for models that OpenCV's distortion does not cover.
     """
     if model not in _SUPPORTED:
         raise input_error(where, f"{field} model", model, _UNSUPPORTED, _UNDISTORT)
@@ -218,7 +218,7 @@ class _Cursor:
             raise input_error(path, got=str(error), expected="a readable file", remedy=_REMEDY) from None
 
     def take(self, form: str) -> tuple:
-        """Values by a ``struct`` format."""
+        """Read the values of a ``struct`` format."""
         try:
             values = struct.unpack_from(f"<{form}", self.data, self.offset)
         except struct.error:
@@ -227,7 +227,7 @@ class _Cursor:
         return values
 
     def text(self) -> str:
-        """A string that ends in a zero byte."""
+        """Read a string that ends in a zero byte."""
         end = self.data.find(b"\0", self.offset)
         if end < 0:
             raise self.short()
@@ -275,8 +275,8 @@ def _binary_images(path: Path, budget: Budget) -> Iterator[tuple[str, tuple[int,
 
 
 def read_sights(folder: Path, budget: Budget, max_error_px: float) -> Sights:
-    """Points of at most ``max_error_px`` mean reprojection error of a binary model, and the images that show
-    them.
+    """Lines of sight to the points of a binary model whose mean reprojection error is at most
+    ``max_error_px``.
     """
     where = folder / "images.bin"
     images = [

@@ -13,7 +13,7 @@ from model.reconstruction.captures.photographs import relative_exposure
 
 
 def exposure_scales(images: Sequence[Path], *, is_required: bool) -> list[float]:
-    """Factors that undo the recorded exposures, 1 at their median; 1 for all if a photograph has no record.
+    """Factor per photograph that undoes its recorded exposure, 1 at the median; all 1 if any has no record.
 
     If ``is_required``, raises :class:`InputError` with every photograph without a record.
     """

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Up axis and unit of a capture: given, or guessed by two rules that are reported to the user.
+"""Up axis and unit of a capture: given, or estimated by two rules and reported to the user.
 
-Up: photographers hold cameras upright, so that the axis within 30 degrees of the cameras' mean up direction
-is up. Where structure from motion leaves the orientation open, up is the direction to which the rows of the
-images are most nearly perpendicular, however the cameras are tilted. Unit: a room is 1 m to 100 m across (the
-diagonal of its bounding box); larger ones are in millimetres or centimetres, whichever brings them closer to
-8 m.
+Up: photographers hold cameras upright, so the axis within 30 degrees of the cameras' mean up direction is up.
+Where structure from motion leaves the orientation open, up is the direction most nearly perpendicular to the
+rows of all images, regardless of the cameras' tilt. Unit: a room is 1 m to 100 m across (the diagonal of its
+bounding box); larger ones are in millimetres or centimetres, whichever brings them closer to 8 m.
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ def z_up_from(up: Axis) -> NDArray[np.float64]:
 
 
 def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """Rotation (3, 3) from a world of arbitrary orientation to +z up, by cameras that are not rolled.
+    """Rotation (3, 3) from a world of arbitrary orientation to +z up, estimated from cameras without roll.
 
-    Cameras that all look the same way determine no axis of least variance: then up is their mean up.
+    If all cameras look in about one direction, up is their mean up direction.
     """
     along_rows = np.array([camera.world_from_camera[:3, 0] for camera in cameras])
     mean_up = -np.mean([camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
@@ -58,7 +57,7 @@ def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
 
 
 def world_from_source(rotation: NDArray[np.float64], unit_m: float) -> NDArray[np.float64]:
-    """Transform (4, 4) to metres by a rotation (3, 3) to Z up."""
+    """Transform (4, 4) from units of ``unit_m`` metres to metres, with the rotation (3, 3) to +z up."""
     matrix = np.eye(4)
     matrix[:3, :3] = unit_m * rotation
     return matrix
@@ -72,23 +71,22 @@ def up_of(matrix: ArrayLike) -> Axis:
 
 
 def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
-    """The up axis estimated from the cameras ('z' if they agree on none), and a sentence about it."""
+    """The up axis estimated from the cameras ('z' if they agree on none), and a message about it."""
     mean = np.mean([-camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     at = int(np.abs(mean).argmax())
     axis: Axis = AXES[at if mean[at] > 0 else at + 3]
-    said = ", ".join(f"{v:.2f}" for v in mean)
+    text = ", ".join(f"{v:.2f}" for v in mean)
     if length >= _MIN_AGREEMENT and abs(mean[at]) / length >= np.cos(_MAX_TILT_RAD):
-        return axis, f"up: {axis}, as the cameras are held (their mean up is {said}); --up says otherwise"
-    return "z", f"up: z, for want of better: no axis is the cameras' mean up ({said}); say it with --up"
+        return axis, f"up: {axis}, the axis nearest to the cameras' mean up direction ({text}); else use --up"
+    return "z", f"up: z by default; no axis is near the cameras' mean up direction ({text}); set it with --up"
 
 
 def judged_unit(diagonal: float) -> tuple[float, str]:
-    """Metres per unit of a mesh with this diagonal, and a sentence about it."""
+    """Metres per unit of a mesh, estimated from the diagonal of its bounding box, and a message about it."""
     unit = 1.0
     if np.isfinite(diagonal) and diagonal > _LARGEST_ROOM:
         unit = min((0.01, 0.001), key=lambda u: abs(np.log(diagonal * u / _USUAL_ROOM_M)))
     name = {1.0: "metres", 0.01: "centimetres", 0.001: "millimetres"}[unit]
     doubt = "" if diagonal * unit >= _SMALLEST_ROOM else ", which is small for a room"
-    said = f"unit: {name}, as the mesh is {diagonal:.4g} across{doubt}; --unit says otherwise"
-    return unit, said
+    return unit, f"unit: {name}, since the mesh is {diagonal:.4g} across{doubt}; override it with --unit"

@@ -15,10 +15,7 @@ from datagen.foundation.meshes.mesh import Mesh, joined
 
 
 def read_gltf(path: Path, budget: Budget) -> Mesh:
-    """Every placed triangle in the document's frame, v upwards. Buffers must be beside the document.
-
-    Raises :class:`InputError`.
-    """
+    """The triangles of all nodes in the document's frame, v upwards. Raises :class:`InputError`."""
     meshes: list[Mesh] = []
     with GltfFile(path, budget) as file:
         nodes = list(file.placed_nodes())

@@ -34,17 +34,16 @@ def find_mesh(path: Path) -> Path:
         got = ", ".join(f.name for f in found) or "no mesh beside the cameras"
         others = [f for f in sorted(folder.glob("*")) if f.suffix.lower() in _OTHER_SUFFIXES]
         if others and not found:
-            got = f"{others[0].name}, of a form that is not read"
+            got = f"{others[0].name}, of an unsupported format"
             raise input_error(path, "mesh", got, f"a mesh ({', '.join(MESH_SUFFIXES)})", _CONVERT)
         raise input_error(path, "mesh", got, "one mesh in the cameras' frame", "name it with --mesh")
     return inside(folder, found[0]).resolve()
 
 
 def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
-    """The mesh of ``path`` in world space, without degenerate and repeated triangles, and notes on its
-    faults.
+    """The mesh in world space without degenerate and repeated triangles, and notes on its faults.
 
-    Raises :class:`InputError` for an unusable mesh.
+    Raises :class:`InputError`, which names ``path``, for an unusable mesh.
     """
     faults = inspect_mesh(mesh)
     if faults.is_unusable:
@@ -53,22 +52,19 @@ def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> 
         raise input_error(path, "world_from_mesh", world_from_mesh.tolist(), "an invertible matrix")
     mesh, num_repeated = _without_repeated(without_degenerate(mesh))
     notes = []
-    for count, what in (
+    for count, fault in (
         (faults.degenerate, "triangles of zero area were left out"),
-        (num_repeated, "triangles were there twice and are used once"),
+        (num_repeated, "repeated triangles were left out"),
         (faults.non_manifold_edges, "edges have more than two triangles"),
         (faults.inconsistent_edges, "edges join triangles of opposite winding"),
     ):
         if count:
-            notes.append(f"{path.name}: {count} {what}")
+            notes.append(f"{path.name}: {count} {fault}")
     return mesh.transformed(world_from_mesh), tuple(notes)
 
 
 def load_mesh(path: Path, budget: Budget | None = None) -> Mesh:
-    """A mesh file in its own frame; ``budget``: the budget of the enclosing capture.
-
-    Raises :class:`InputError`.
-    """
+    """Read a mesh file in its own frame, within its capture's ``budget``. Raises :class:`InputError`."""
     budget = budget or Budget(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES or not path.is_file():
@@ -93,16 +89,16 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with triangles at the same three positions counted once, whatever their winding.
+    """The mesh with one triangle per set of three positions, of any winding, and the number left out.
 
-    Texels of the second would be hidden by the first.
+    Of two coincident triangles, only one would get texels.
     """
     corners = np.sort(welded(mesh)[1][mesh.faces], axis=1)
     order = np.lexsort(corners.T)
     same = np.zeros(len(corners), dtype=bool)
     same[1:] = (corners[order][1:] == corners[order][:-1]).all(axis=1)
     keep = np.ones(len(corners), dtype=bool)
-    keep[order[same]] = False  # lexsort is stable: the first of equals stays
+    keep[order[same]] = False  # lexsort is stable, so the first of equals is kept
     if not same.any():
         return mesh, 0
     return Mesh(mesh.positions, mesh.faces[keep], mesh.normals, mesh.uv), int(same.sum())

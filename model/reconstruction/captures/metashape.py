@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Agisoft Metashape (PhotoScan): the camera file of "Export Cameras", Agisoft XML.
 
-A camera's ``transform`` is chunk_from_camera, x right, y down, z forward; the chunk's own transform
-(rotation, translation, scale) maps it to the coordinates in which "Export Model" writes meshes, as long as
-these are local; if the camera names a component, that component's transform replaces it. Sensors: f, cx, cy
-in pixels, the principal point from the image's centre; b1 widens f for u, b2 is skew. Frame cameras: k1 ...
-k4 of r^2 ... r^8; p1 multiplies (r^2 + 2 x^2), so that it is OpenCV's p2 (manual, appendix "Camera models").
-Equidistant fisheyes are OpenCV's fisheye as long as p1 = p2 = 0.
+A camera's ``transform`` is chunk_from_camera, x right, y down, z forward; the chunk's transform (rotation,
+translation, scale) maps the chunk to the coordinates in which "Export Model" writes meshes, if these are
+local. The transform of a component that the camera names replaces it. Sensors: f, cx, cy in pixels, the
+principal point relative to the image's centre; b1 is added to f for u, b2 is skew. Frame cameras: k1 ... k4
+of r^2 ... r^8; p1 multiplies (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models").
+Equidistant fisheyes are OpenCV's fisheye if p1 = p2 = 0.
 """
 
 from __future__ import annotations
@@ -51,16 +51,14 @@ class _Sensor:
 
 
 def find(path: Path) -> Path | None:
-    """The camera file at ``path``, or the only camera file in that folder."""
+    """The camera file at ``path``, or the only one in that folder, or None."""
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path] if path.suffix.lower() == ".xml" else []
     found = [file for file in files if "<document" in head_of(file) and "<chunk" in head_of(file)]
     return found[0] if len(found) == 1 else None
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every aligned camera of the file's chunk. Raises :class:`InputError` with all
-    faults.
-    """
+    """The calibration of every aligned camera of the chunk. Raises :class:`InputError` with all faults."""
     root = read_xml(path, budget)
     chunks = root.findall("chunk") + root.findall("chunks/chunk")
     if len(chunks) != 1:
@@ -110,7 +108,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _sensor(element: ElementTree.Element, path: Path) -> _Sensor:
-    """Intrinsics; the adjusted calibration is preferred over the initial one."""
+    """A sensor's intrinsics; the adjusted calibration is preferred over the initial one."""
     field = f"sensor {element.get('id')}"
     found = element.findall("calibration")
     calibration = next((c for c in found if c.get("class") == "adjusted"), found[-1] if found else None)
@@ -151,12 +149,12 @@ def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Disto
         if p["p1"] or p["p2"]:
             raise input_error(path, f"{field}.p1, p2", (p["p1"], p["p2"]), "0 for a fisheye", EXPORT_AGAIN)
         return Distortion(model="fisheye", coefficients=(p["k1"], p["k2"], p["k3"], p["k4"]))
-    remedy = "undistort the images there (Export > Convert images)"
+    remedy = "undistort the images in Metashape (Export > Convert images)"
     raise input_error(path, f"{field}.type", kind, f"frame, {', '.join(_FISHEYES)}", remedy)
 
 
 def _check_local(chunk: ElementTree.Element, path: Path) -> None:
-    """Refuse georeferenced chunks: their meshes are exported in other coordinates than their cameras."""
+    """Raise :class:`InputError` for a georeferenced chunk, whose mesh and cameras differ in coordinates."""
     for element in chunk.findall("reference"):
         text = (element.text or "").strip().upper()
         if text.startswith(_EARTH):
@@ -165,7 +163,7 @@ def _check_local(chunk: ElementTree.Element, path: Path) -> None:
 
 
 def _similarity(element: ElementTree.Element | None, path: Path) -> NDArray[np.float64]:
-    """world_from_chunk (4, 4) with its scale; the identity if the file has none."""
+    """world_from_chunk (4, 4), including scale; the identity if ``element`` is None."""
     matrix = np.eye(4)
     if element is None:
         return matrix

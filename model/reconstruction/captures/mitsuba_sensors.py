@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sensors of a Mitsuba scene in the scene's own frame; an image is named after its sensor's id."""
+"""Sensors of a Mitsuba scene, in the scene's frame; an image is named after its sensor's id."""
 
 from __future__ import annotations
 

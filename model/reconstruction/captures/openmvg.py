@@ -3,8 +3,8 @@
 
 A pose is camera_from_world ``rotation`` (rows) and ``center``; cameras look along +z with y down. Distortion:
 ``disto_k1``, ``disto_k3`` (r^2, r^4, r^6), ``disto_t2`` (k1 k2 k3 t1 t2, t1 and t2 as OpenCV's p1 and p2),
-``fisheye`` (OpenCV's). cereal writes an intrinsic's class only at its first occurrence, so that its keys
-identify it.
+``fisheye`` (OpenCV's). The serialiser cereal writes the class of an intrinsic only at its first occurrence,
+so the keys of an intrinsic identify its class.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _REMEDY = "export views, intrinsics and extrinsics (openMVG_main_ConvertSfM_Data
 
 
 def find(path: Path) -> Path | None:
-    """The file at ``path``, or ``sfm_data.json`` in that folder."""
+    """The OpenMVG file at ``path``, or ``sfm_data.json`` in that folder, or None."""
     file = path / "sfm_data.json" if path.is_dir() else path
     return file if file.suffix == ".json" and '"sfm_data_version"' in head_of(file) else None
 
@@ -64,7 +64,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
                 unposed += 1
                 continue
             pose = _pose(name, poses[view["id_pose"]], path)
-            if key not in lenses:  # its fault is reported once, not once per view
+            if key not in lenses:  # a lens's fault is reported once, not once per view
                 lenses[key] = None
                 lenses[key] = _lens(intrinsics[key], path, f"intrinsics {key}")
             lens = lenses[key]
@@ -78,7 +78,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     if not found and not problems:
         problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
     raise_problems(problems)
-    # Another computer's folder: only its name is used, for a folder beside the file.
+    # root_path may be of another computer: only its last part is used, for a folder beside the file.
     name = Path(str(data.get("root_path", ""))).name
     beside = [
         path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..") and len(f) < 100
@@ -89,7 +89,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _payload(entry: dict[str, Any]) -> dict[str, Any]:
-    """Value inside cereal's pointer wrapper."""
+    """The object inside cereal's pointer wrapper. Raises :class:`TypeError` if it is no object."""
     payload = entry["value"]["ptr_wrapper"]["data"]
     if not isinstance(payload, dict):
         raise TypeError(f"{payload!r}")

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Reads environment packages as captures: the package's cameras, meshes and lights, with photographs beside
-it.
+"""Reads environment packages as captures: cameras, meshes and lights of the package, photographs beside it.
 
-The Blender add-on exports such packages, so that a scene modelled from photographs needs no other export. A
+The Blender add-on exports such packages, so a scene modelled from photographs needs no other export. A
 photograph is named after its camera.
 """
 
@@ -31,18 +30,16 @@ _FOLDERS = ("photographs", "images")
 
 
 def is_package(path: Path) -> bool:
-    """Whether an asset package lies at ``path``: a folder with ``asset.json`` or a zip."""
+    """Whether ``path`` is an asset package: a folder with ``asset.json``, or a zip."""
     return (path / ASSET_FILE).is_file() or path.suffix == ".zip"
 
 
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """A capture of the package's cameras that have a photograph. Raises :class:`InputError` if there are
-    none.
+    """The capture of the package's cameras that have a photograph. Raises :class:`InputError` if none has.
 
-    Photographs are in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
-    ``exposure`` selects how recorded exposures are applied (see :class:`CaptureOptions`).
+    ``images`` is by default ``photographs`` or ``images`` in the package or beside it.
     """
     with open_package(path, budget) as package:
         asset = package.asset

@@ -3,7 +3,7 @@
 
 PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size is checked, EXR by OpenEXR, HEIC by libheif
 (``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
-rotate a photograph according to its properties; the same rotation in EXIF is not applied again.
+rotate photographs upright, so their EXIF orientation is not applied again.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ _OPENCV_FORMATS = {".tif": ("TIFF",), ".tiff": ("TIFF",), ".webp": ("WEBP",)}
 
 
 def can_read(path: Path) -> bool:
-    """Whether photographs with that suffix can be read; for HEIC and raw files, whether the reader is
-    installed.
-    """
+    """Whether photographs with that suffix can be read; HEIC and raw files need their extra."""
     suffix = path.suffix.lower()
     if suffix in HEIC_SUFFIXES:
         return find_spec("pillow_heif") is not None
@@ -55,7 +53,7 @@ def is_raw(path: Path) -> bool:
 
 
 def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
-    """Problems of photographs that cannot be read: one per file format, whatever their number."""
+    """Problems of photographs that cannot be read, one per suffix."""
     problems = []
     for suffix in sorted({file.suffix.lower() for file in files}):
         names = [file.name for file in files if file.suffix.lower() == suffix]
@@ -77,9 +75,8 @@ def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
 class Stored:
     """A decoded photograph.
 
-    ``pixels`` (H, W, C) are as stored. ``is_linear``: whether they are linear whatever encoding is chosen for
-    photographs. ``clipped`` (H, W): mask of pixels at the sensor's limit, None if it must be derived from the
-    values.
+    ``pixels`` (H, W, C) are as stored. ``is_linear``: whether they are linear regardless of the encoding
+    option. ``clipped`` (H, W): mask of pixels at the sensor's limit, None if it must be derived from values.
     """
 
     pixels: NDArray
@@ -88,7 +85,7 @@ class Stored:
 
 
 def read_stored(path: Path) -> Stored:
-    """A photograph with the metadata of its file. Raises :class:`InputError`."""
+    """Decode a photograph of any readable format. Raises :class:`InputError`."""
     _check(path)
     if not is_raw(path):
         return Stored(read_photograph(path))
@@ -121,7 +118,7 @@ def photograph_size(path: Path) -> tuple[int, int]:
 
 
 def pillow_formats(path: Path) -> tuple[str, ...]:
-    """The formats that Pillow may recognise in a photograph with that name; registers HEIC's reader."""
+    """Pillow's formats for photographs with the suffix of ``path``; registers its HEIC reader if needed."""
     if path.suffix.lower() not in HEIC_SUFFIXES or not can_read(path):
         return _FORMATS
     from pillow_heif import register_heif_opener
@@ -136,7 +133,7 @@ def _check(path: Path) -> None:
 
 
 def _read_heic(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8, upright."""
+    """Pixels (H, W, 3), upright. Raises :class:`InputError`."""
     from PIL import Image
 
     width, height = photograph_size(path)

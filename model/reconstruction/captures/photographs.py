@@ -25,15 +25,15 @@ PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
 """Clipping level relative to the sensor's limit, linear: JPEG leaves clipped pixels a few steps below it."""
 MIN_CLIPPED_SHARE = 0.02
-"""Clipped share of a resampled pixel from which on it counts as clipped."""
+"""Clipped share of a resampled pixel above which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
-_ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
+_ASPECT_SLACK_PX = 1.0  # for sizes that calibrations round differently
 
 
 @dataclass(frozen=True)
 class PhotographSource:
-    """A photograph on disk, with the ``calibrated`` camera that took it and its ``distortion``."""
+    """A photograph on disk, with the camera that took it; ``exposure_scale`` multiplies its linear values."""
 
     path: Path
     calibrated: Camera
@@ -48,7 +48,7 @@ class PhotographSource:
         linear = linearized(pixels, "linear" if stored.is_linear else self.encoding)
         if not np.isfinite(linear).all():
             raise input_error(self.path, "pixels", "NaN or Inf", "finite values", "export the image again")
-        has_limit = pixels.dtype.kind == "u"  # no limit is known for floats
+        has_limit = pixels.dtype.kind == "u"  # float images have no known limit
         clipped = linear >= CLIPPED_LEVEL if has_limit else None
         if clipped is not None and stored.clipped is not None:
             clipped = clipped | stored.clipped[..., None]
@@ -62,7 +62,7 @@ class PhotographSource:
 
 
 def exif_orientation(path: Path) -> int:
-    """EXIF orientation 1 ... 8; 1 if the file has none."""
+    """EXIF orientation 1 ... 8; 1 if the file has none. Raises :class:`InputError` for an unreadable file."""
     if path.suffix.lower() == ".exr" or is_raw(path):
         return 1
     from PIL import Image
@@ -76,7 +76,7 @@ def exif_orientation(path: Path) -> int:
 
 
 def relative_exposure(path: Path) -> float | None:
-    """Relative exposure t ISO / N^2 from EXIF; None if a value is missing."""
+    """Relative exposure from EXIF: time in s * ISO / f-number^2; None if a value is missing."""
     if is_raw(path):
         from model.reconstruction.captures.raw_photographs import raw_exposure
 
@@ -111,8 +111,8 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
     """The image (H, W, C) as stored or, if only the upright image has the camera's shape, upright.
 
-    Calibration tools differ in whether they apply EXIF; the image size that they write shows whether they
-    did. If both fit, the image is used as stored, as in COLMAP. Raises :class:`InputError` if neither fits.
+    Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
+    image has the camera's shape.
     """
     if _has_shape_of(pixels, camera):
         return pixels
@@ -121,11 +121,11 @@ def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
         return turned
     got = f"{pixels.shape[1]}x{pixels.shape[0]}"
     expected = f"the shape of its camera, {camera.width_px}x{camera.height_px}"
-    raise input_error(path, "size", got, expected, "use the images that were calibrated, whole")
+    raise input_error(path, "size", got, expected, "use the calibrated images, uncropped")
 
 
 def linearized(pixels: NDArray, encoding: Encoding) -> NDArray[np.float32]:
-    """Linear Rec.709 (H, W, 3) from stored pixels; grey is repeated and alpha dropped."""
+    """Linear Rec.709 (H, W, 3), at least 0, from stored pixels; grey is repeated and alpha dropped."""
     values = normalized(pixels)
     values = values[..., :3] if values.shape[2] >= 3 else np.repeat(values[..., :1], 3, axis=2)
     if encoding == "auto":
@@ -144,10 +144,9 @@ def undistorted(
     camera: Camera,
     clipped: NDArray[np.bool_] | None = None,
 ) -> ColorImage:
-    """Resample an image of the ``calibrated`` lens, clipped in ``clipped`` (H, W, 3), to the pinhole
-    ``camera``.
+    """Resample an image of the ``calibrated`` lens with the mask ``clipped`` (H, W, 3) to a pinhole camera.
 
-    The image is first resized to the camera's size by averaging areas, so that shrinking does not alias.
+    The image is first resized to the camera's size by averaging areas, so shrinking does not alias.
     """
     import cv2
 
@@ -183,9 +182,7 @@ def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
 def _distorted_pixels(
     lens: Camera, distortion: Distortion | None, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Positions of the pixels of ``camera`` in the lens's image, in OpenCV's coordinates, (H, W) for each of
-    x and y.
-    """
+    """x and y (H, W) of the pixels of ``camera`` in the lens's image, in OpenCV's coordinates."""
     size = (camera.width_px, camera.height_px)
     u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
@@ -197,7 +194,7 @@ def _distorted_pixels(
 
 
 def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> NDArray[np.float64]:
-    """Pixels (..., 2), centres at +0.5, at which a lens images rays (x / z, y / z) in its camera's frame."""
+    """Pixels (..., 2), centres at +0.5, at which a lens images rays (..., 2), (x / z, y / z) in its frame."""
     x, y = np.moveaxis(np.asarray(rays, dtype=np.float64), -1, 0)
     if distortion is not None and distortion.model == "fisheye":
         r = np.hypot(x, y)
@@ -219,7 +216,7 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
 
 
 def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The factor by which a brown or polynomial lens displaces points at squared radii ``r2``."""
+    """Factor by which a brown or polynomial lens scales points at squared radii ``r2``."""
     k = np.zeros(8)
     k[: len(distortion.coefficients)] = distortion.coefficients
     if distortion.model == "polynomial":
@@ -229,9 +226,7 @@ def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.bool_]:
-    """Mask of pixels past the radius at which the radial polynomial turns back and would show the image
-    twice.
-    """
+    """Mask of radii ``r`` beyond the first at which the distorted radius decreases and repeats the image."""
     if distortion is None:
         return np.zeros(r.shape, dtype=bool)
     steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)

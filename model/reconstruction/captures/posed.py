@@ -21,7 +21,7 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_xml
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import Problem, input_error
 from datagen.foundation.paths import fault_of
 from model.reconstruction.captures.photograph_files import (
     KNOWN_SUFFIXES,
@@ -32,7 +32,7 @@ from model.reconstruction.captures.photograph_files import (
 )
 
 EXPORT_AGAIN = "export it again"
-UNSIZED = "name its folder with --images: the file does not say how large it is"
+UNSIZED = "name its folder with --images, since the file does not state the image's size"
 _RIGID_TOLERANCE = 1e-3  # files contain rounded numbers
 _MAX_SKEW_PX = 0.25  # at the image's border; more would need correction, and no real lens has it
 
@@ -48,7 +48,7 @@ class PosedImage:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All images of a calibration, the base folder of their names, and notes as sentences."""
+    """All images of a calibration, the folder that their names are relative to, and notes for the user."""
 
     images: tuple[PosedImage, ...]
     folder: Path
@@ -56,16 +56,14 @@ class Calibration:
 
 
 class ImageMissing(Exception):
-    """An image of a calibration is missing. Readers continue, and report all missing images by
-    :meth:`ImageFinder.absent`.
-    """
+    """An image of a calibration is missing; readers report all of these by :meth:`ImageFinder.absent`."""
 
 
 class ImageFinder:
     """Finds images by their names in calibrations.
 
     Names may be absolute paths of another computer, lack their suffix or differ in case. Files outside the
-    folder, or links that lead there, are not found, since calibrations are untrusted.
+    folder, also through links, are not found, since calibrations are untrusted.
     """
 
     def __init__(self, folder: Path):
@@ -73,13 +71,13 @@ class ImageFinder:
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
-        """The image's path, or None. A bare name is searched for below the folder and must be unique
-        there.
+        """The image's path, or None. Without a file at ``name``, its last part must be unique below the
+        folder.
         """
         name = name.replace("\\", "/")
-        if not name.isprintable():  # a zero byte is no part of a path
+        if not name.isprintable():  # the system refuses paths with a zero byte
             return None
-        direct = self.folder / name  # an absolute name stays itself
+        direct = self.folder / name  # an absolute name replaces the folder
         suffixes: tuple[str, ...] = PHOTOGRAPH_SUFFIXES
         if direct.suffix.lower() in suffixes:
             suffixes = ("", *suffixes)
@@ -88,7 +86,7 @@ class ImageFinder:
             if image is not None and can_read(image):
                 return image
         found = [image for image in self._named(name) if can_read(image)]
-        found = [image for image in found if not is_raw(image)] or found  # cameras write both
+        found = [image for image in found if not is_raw(image)] or found  # cameras write raw and JPEG files
         return found[0] if len(found) == 1 else None
 
     def require(self, name: str) -> Path:
@@ -99,23 +97,21 @@ class ImageFinder:
         return image
 
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
-        """Problems of missing images: one per unsupported format, one per image otherwise."""
+        """Problems of missing images: one per unsupported format, and one per image that does not exist."""
         others = self.unread(names)
-        expected = f"this image, once, in {self.folder}"
+        expected = f"one image of this name in {self.folder}"
         return unread_problems(where, list(others.values())) + [
             Problem(where, name, "not found", expected, remedy) for name in names if name not in others
         ]
 
     def unread(self, names: Sequence[str]) -> dict[str, Path]:
-        """Names of the images that exist in an unsupported format."""
+        """File by name of the images that exist in an unsupported format."""
         named = {name: self._named(name.replace("\\", "/")) for name in names}
         others = {name: [f for f in files if not can_read(f)] for name, files in named.items()}
         return {name: files[0] for name, files in others.items() if files}
 
     def _admitted(self, name: str) -> Path | None:
-        """The file with this name if it exists inside the folder; absolute paths, which tools write, are
-        accepted too.
-        """
+        """The file with this relative or absolute name, or None if it does not exist inside the folder."""
         if not os.path.lexists(self.folder / name):
             return None
         real, _ = fault_of(self.folder, name, (self.folder,))
@@ -140,15 +136,13 @@ class ImageFinder:
 
 
 def read_text(path: Path) -> str:
-    """A text file of plausible size. Raises :class:`InputError`."""
+    """Read a text file. Raises :class:`InputError` if it is unreadable or too large."""
     try:
         if not path.is_file():  # a pipe would block for ever
-            raise input_error(path, "", "no regular file", "an export of cameras", EXPORT_AGAIN)
+            raise input_error(path, "", "not a regular file", "an export of cameras", EXPORT_AGAIN)
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise input_error(path, "", "a file of over 256 MB", "an export of cameras", EXPORT_AGAIN)
         return path.read_text(encoding="utf-8-sig")
-    except InputError:
-        raise
     except (OSError, UnicodeDecodeError) as error:
         raise input_error(path, "", str(error), "a readable text file", EXPORT_AGAIN) from None
 
@@ -165,12 +159,12 @@ def head_of(path: Path, num_bytes: int = 4096) -> str:
 
 
 def read_xml(path: Path, budget: Budget) -> ElementTree.Element:
-    """The root of an XML file. Raises :class:`InputError`."""
+    """Read the root element of an XML file. Raises :class:`InputError`."""
     return parse_xml(read_text(path), path, budget, EXPORT_AGAIN)
 
 
 def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np.float64]:
-    """Exactly ``count`` finite numbers separated by blanks. Raises :class:`InputError`."""
+    """Parse exactly ``count`` finite numbers separated by blanks. Raises :class:`InputError`."""
     try:
         values = np.array([float(word) for word in (text or "").split()])
     except ValueError:
@@ -198,7 +192,7 @@ def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.floa
 
 
 def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray[np.float64]:
-    """world_from_camera (4, 4) from a rotation and the camera's centre."""
+    """world_from_camera (4, 4) from a rotation (3, 3) and the camera's centre (3,)."""
     pose = np.eye(4)
     pose[:3, :3] = world_from_camera_rotation
     pose[:3, 3] = center
@@ -208,14 +202,14 @@ def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray
 def polynomial(
     radial: tuple[float, float, float, float], tangential: tuple[float, float]
 ) -> Distortion | None:
-    """Distortion by k1 ... k4 (r^2 ... r^8) and OpenCV's p1, p2; None if all are 0."""
+    """Distortion with k1 ... k4 (of r^2 ... r^8) and OpenCV's p1, p2; None if all are 0."""
     k1, k2, k3, k4 = radial
     coefficients = (k1, k2, *tangential, k3, k4)
     return Distortion(model="polynomial", coefficients=coefficients) if any(coefficients) else None
 
 
 def check_skew(skew_px: float, focal_px: float, height_px: int, where: Path, field: str) -> None:
-    """Refuse a visible skew: ``skew_px`` shifts u by skew times y of the normalised image."""
+    """Raise :class:`InputError` for a visible skew, which shifts u by ``skew_px`` times the normalised y."""
     if abs(skew_px) * 0.5 * height_px / focal_px > _MAX_SKEW_PX:
-        remedy = "calibrate without skew (b2 = 0), or undistort the images there"
+        remedy = "calibrate without skew (b2 = 0), or export undistorted images"
         raise input_error(where, field, skew_px, "no skew", remedy)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 under the camera's white balance.
+"""Raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 with the camera's white balance.
 
-Black level and white level are the file's; values are not brightened, and no curve is applied. Channels are
-scaled so that the weakest channel in white light reaches 1 at the sensor's limit. A sensor value at the limit
-makes its pixel and the neighbours that are interpolated from it clipped in all channels, since the colour
-matrix mixes them.
+Black and white levels are the file's; values are not brightened, and no curve is applied. Channels are scaled
+so that the weakest channel in white light reaches 1 at the sensor's limit. Pixels interpolated from a sensor
+value at the limit count as clipped in all channels, since the colour matrix mixes them.
 """
 
 from __future__ import annotations
@@ -19,15 +18,14 @@ from datagen.foundation.exr import check_claim
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX
 
 LIMIT_SHARE = 0.99
-"""Clipping level within the range from black to white level: sensors saturate slightly below the level stated
-in files."""
+"""Clipping level within the range from black to white level; sensors saturate slightly below 1."""
 _REACH_PX = 5
 """Side of the square of sensor values from which a pixel is interpolated."""
-_TURNS = {3: 2, 5: 1, 6: -1}  # libraw's flip: quarter turns counter-clockwise
+_TURNS = {3: 2, 5: 1, 6: -1}  # quarter turns counter-clockwise by libraw's flip
 
 
 def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Linear pixels (H, W, 3), upright, and the mask (H, W) of clipped pixels. Raises :class:`InputError`."""
+    """Linear pixels (H, W, 3) and the mask (H, W) of clipped ones, upright. Raises :class:`InputError`."""
     import cv2
     import rawpy
 
@@ -66,7 +64,7 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
 
 
 def raw_size(path: Path) -> tuple[int, int]:
-    """(width, height), upright. Raises :class:`InputError`."""
+    """(width, height) in pixels of the upright photograph. Raises :class:`InputError`."""
     import rawpy
 
     if not path.is_file():
@@ -80,14 +78,14 @@ def raw_size(path: Path) -> tuple[int, int]:
 
 
 def raw_exposure(path: Path) -> float | None:
-    """Relative exposure t ISO / N^2; None if a value is missing."""
+    """Relative exposure: time in s * ISO / f-number^2; None if a value is missing."""
     import rawpy
 
     try:
         with rawpy.imread(str(path)) as raw:
             other = raw.other
             gathered = other.shutter_speed * other.iso_speed / other.aperture**2
-    except (rawpy.LibRawError, ZeroDivisionError):  # reading its pixels reveals the file's fault
+    except (rawpy.LibRawError, ZeroDivisionError):  # an unreadable file is reported when its pixels are read
         return None
     return float(gathered) if np.isfinite(gathered) and gathered > 0 else None
 

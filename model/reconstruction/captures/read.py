@@ -86,7 +86,7 @@ FORMS = (
     Form("Mitsuba scene", mitsuba_sensors.find, mitsuba_sensors.read),
     Form("RealityCapture XMP", realitycapture.find_xmp, realitycapture.read_xmp),
 )
-"""Forms in the order in which they are tried."""
+"""Calibration formats in the order in which they are tried."""
 
 
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
@@ -123,7 +123,7 @@ def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None
     ]:
         _, fault = fault_of(file.parent, name, given)
         if fault:
-            remedy = "copy it there, or name where it is with --images or --mesh"
+            remedy = "copy it there, or name its folder with --images, or the mesh with --mesh"
             got = f"{name[:200]!r} ({fault})"
             problems.append(Problem(file, field, got, "a file in the capture's folder", remedy))
     raise_problems(problems)
@@ -133,7 +133,7 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
     if path.is_dir():
         shards = sorted((path / "shards").glob("*.tar"))
         if len(shards) != 1:
-            expected = "one; a capture is one configuration"
+            expected = "one shard, since a capture is one configuration"
             raise input_error(path / "shards", "shards", len(shards), expected, "name the shard itself")
         path = shards[0]
     if not path.is_file():
@@ -142,8 +142,8 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
 
 
 def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
-    """The content of ``capture.json`` for calibrated photographs, with absolute paths, and notes on findings
-    and guesses.
+    """The content of ``capture.json`` for calibrated photographs, with absolute paths, and notes for the
+    user. Raises :class:`InputError`.
     """
     record, notes, _ = _calibrated(path, options, Budget(path, options.limits))
     return record, notes
@@ -152,7 +152,7 @@ def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tupl
 def _calibrated(
     path: Path, options: CaptureOptions, budget: Budget
 ) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
-    """As :func:`capture_file`, and the mesh if it had to be read."""
+    """As :func:`capture_file`, and the mesh in its own frame if it had to be read."""
     form, found = _form_of(path)
     try:
         calibration = form.read(found, options.images, budget)
@@ -169,14 +169,14 @@ def _calibrated(
     loaded = None
     cameras = [image.camera for image in calibration.images]
     if up == "auto":
-        up, said = judged_up(cameras)
-        notes.append(said)
+        up, note = judged_up(cameras)
+        notes.append(note)
     rotation = level_rotation(cameras) if up == "cameras" else z_up_from(up)
     if unit_m is None:
         loaded = load_mesh(mesh, budget)
         size = np.ptp(loaded.positions, axis=0) if len(loaded.positions) else np.zeros(3)
-        unit_m, said = judged_unit(float(np.linalg.norm(size)))
-        notes.append(said)
+        unit_m, note = judged_unit(float(np.linalg.norm(size)))
+        notes.append(note)
     elif not (np.isfinite(unit_m) and unit_m > 0):
         raise input_error("--unit", "", unit_m, "metres per unit, above 0", "correct it")
     finder = ImageFinder(calibration.folder)
@@ -213,9 +213,7 @@ def _calibrated(
 
 
 def has_cameras(path: Path) -> bool:
-    """Whether there is a capture of a known format at ``path``; the capture's faults are found when it is
-    read.
-    """
+    """Whether ``path`` has a known capture format; whether the capture is valid is not checked."""
     is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
     return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
 
@@ -226,7 +224,7 @@ def _form_of(path: Path) -> tuple[Form, Path]:
         if found is not None:
             return form, found
     expected = f"a shard, capture.json, an environment package or {', '.join(f.name for f in FORMS)}"
-    got = "nothing known in it" if path.exists() else "no such file or folder"
+    got = "no known format" if path.exists() else "no such file or folder"
     raise input_error(path, "", got, expected, "check the path")
 
 
@@ -260,7 +258,10 @@ def open_capture(
     mesh_in_its_frame: Mesh | None = None,
     budget: Budget | None = None,
 ) -> Capture:
-    """Capture of the photographs in ``base``, which must exist; reads the mesh unless given."""
+    """The capture of ``record``, whose paths are relative to ``base``; reads the mesh unless given.
+
+    Raises :class:`InputError` with all missing photographs, or for an unusable mesh.
+    """
     problems = [
         Problem(base / p.image, "", "no such file", "the view's image", "correct capture.json")
         for p in record.photographs
@@ -282,10 +283,9 @@ def open_capture(
     raw = load_mesh(file, budget) if mesh_in_its_frame is None else mesh_in_its_frame
     mesh, notes = sound_mesh(raw, np.asarray(record.mesh.world_from_mesh), file)
     geometry = CaptureGeometry(mesh, (GeometryPart("mesh", 0, len(mesh.faces)),))
-    merged, said = with_brackets(views)
-    capture = Capture(
-        record.name, merged, geometry, record.lights, notes + said, up_of(record.mesh.world_from_mesh)
-    )
+    merged, bracket_notes = with_brackets(views)
+    mesh_up = up_of(record.mesh.world_from_mesh)
+    capture = Capture(record.name, merged, geometry, record.lights, notes + bracket_notes, mesh_up)
     return _shrunk(capture, max_width_px)
 
 
@@ -295,9 +295,7 @@ def _shrunk(capture: Capture, max_width_px: int) -> Capture:
 
 
 def shrunk_camera(camera: Camera, max_width_px: int) -> Camera:
-    """The camera scaled to a longer side of at most ``max_width_px``, its aspect kept to the nearest
-    pixel.
-    """
+    """The camera scaled to a longer side of at most ``max_width_px``; sides are rounded to whole pixels."""
     longer = max(camera.width_px, camera.height_px)
     if longer <= max_width_px:
         return camera

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
 """RealityCapture / RealityScan: the CSV "Internal/External camera parameters" and the XMP sidecars.
 
-Both have a focal length for film 36 mm wide, where 36 mm is the image's longer side; and the principal point
-as an offset from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2
-where t1 multiplies (r^2 + 2 x^2): OpenCV's p2, p1. The files have no image sizes, so the images must be
-available.
+Both have the focal length in mm for film whose longer side is 36 mm, and the principal point as an offset
+from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2 where t1
+multiplies (r^2 + 2 x^2): OpenCV's p2, p1. The files have no image sizes, so the images must be available.
 
 CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera that
-looks along -z with y up: with all angles zero it looks straight down, with north (+y) at the top. XMP:
+looks along -z with y up: with all angles 0 it looks straight down, with north (+y) at the top. XMP:
 ``Rotation`` is camera_from_world row by row, of a camera with y down and z forward; ``Position`` is the
 centre ("RealityCapture XMP camera math").
 """
@@ -52,14 +51,14 @@ _FILM_MM = 36.0
 
 
 def find_csv(path: Path) -> Path | None:
-    """The CSV at ``path``, or the only CSV of this kind in that folder."""
+    """The CSV with camera parameters at ``path``, or the only one in that folder, or None."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
     found = [file for file in files if _columns(head_of(file)) is not None]
     return found[0] if len(found) == 1 else None
 
 
 def find_xmp(path: Path) -> Path | None:
-    """``path`` if it is a folder with XMP sidecars, or if its ``images`` contain them."""
+    """The folder with XMP sidecars: ``path`` or its ``images``, or None."""
     for folder in (path, path / "images"):
         if folder.is_dir() and any("capturingreality" in head_of(file) for file in folder.glob("*.xmp")):
             return folder
@@ -67,7 +66,7 @@ def find_xmp(path: Path) -> Path | None:
 
 
 def _columns(text: str) -> list[str] | None:
-    """Names of the columns: the header begins with #name and may follow a line with their number."""
+    """Names of the columns, or None. A line with their number may precede the header, which begins #name."""
     for line in text.lstrip("\ufeff").splitlines()[:3]:
         names = [word.strip().lstrip("#").lower() for word in line.split(",")]
         if set(_NEEDED) <= set(names):
@@ -76,7 +75,7 @@ def _columns(text: str) -> list[str] | None:
 
 
 def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every row whose image is found. Raises :class:`InputError` with all faults."""
+    """The calibration of every row. Raises :class:`InputError` with all faults, also for missing images."""
     text = read_text(path)
     names = _columns(text)
     if names is None:
@@ -121,7 +120,7 @@ def _from_row(row: Mapping[str, str], path: Path, field: str, finder: ImageFinde
 
 
 def rotation_of_angles(heading: float, pitch: float, roll: float) -> NDArray[np.float64]:
-    """world_from_camera (3, 3), y down and z forward, of the angles in degrees."""
+    """world_from_camera (3, 3) of a camera with y down and z forward, from angles in degrees."""
     a, b, c = (math.radians(v) for v in (-heading, pitch, roll))
     about_z = np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, math.cos(b), -math.sin(b)], [0, math.sin(b), math.cos(b)]])
@@ -151,8 +150,9 @@ def _camera(
 
 
 def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every sidecar with a pose; the image has the sidecar's name. Raises
-    :class:`InputError`.
+    """The calibration of every sidecar with a pose; an image has the name of its sidecar.
+
+    Raises :class:`InputError` with all faults.
     """
     images = images or folder
     finder = ImageFinder(images)
@@ -183,7 +183,7 @@ def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _from_sidecar(path: Path, finder: ImageFinder, budget: Budget) -> PosedImage | None:
-    values: dict[str, str] = {}  # attributes and elements: versions of the software write either
+    values: dict[str, str] = {}  # of attributes or elements, depending on the software's version
     for element in read_xml(path, budget).iter():
         values.update({k[len(_XCR) :]: v for k, v in element.attrib.items() if k.startswith(_XCR)})
         if element.tag.startswith(_XCR) and element.text:

@@ -31,7 +31,7 @@ class ShardSource:
     num_bytes: int
 
     def read(self, camera: Camera) -> ColorImage:
-        """The view's ``beauty``, averaged over areas for a smaller ``camera``."""
+        """The view's ``beauty``, resized to ``camera`` by averaging areas."""
         beauty = self._decode(("beauty",))["beauty"].astype(np.float32)
         size = (camera.width_px, camera.height_px)
         if (beauty.shape[1], beauty.shape[0]) != size:
@@ -57,11 +57,7 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """The library of a shard: the given paths, else the library from which its dataset was made, else the
-    bundled library.
-
-    The hashes in the configuration show whether the library is the same.
-    """
+    """The library of a shard: the given paths, else its dataset's library, else the bundled one."""
     folder = DatasetFolder(shard.parent.parent)
     if paths:
         return Library([*paths, *rooms_of(folder.root)])
@@ -71,7 +67,7 @@ def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
 
 
 def read_shard(shard: Path, library: Library) -> Capture:
-    """A shard as a capture. The packages must have the hashes in the configuration."""
+    """A shard as a capture. Raises :class:`InputError` unless packages have the configuration's hashes."""
     reader = ShardReader(shard)
     configuration = reader.configuration()
     records = {record.name: record for record in reader.records()}

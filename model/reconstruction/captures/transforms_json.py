@@ -38,19 +38,19 @@ _MODELS = {
 
 
 def find(path: Path) -> Path | None:
-    """The file at ``path``, or ``transforms.json`` in that folder."""
+    """The JSON file at ``path``, or ``transforms.json`` in that folder, or None."""
     file = path / "transforms.json" if path.is_dir() else path
     return file if file.suffix == ".json" and file.is_file() else None
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every frame."""
+    """The calibration of every frame. Raises :class:`InputError` with all faults."""
     folder = images or path.parent
     return Calibration(tuple(read_transforms(path, budget, folder)), folder)
 
 
 def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> list[PosedImage]:
-    """Every frame; image paths are made absolute, beside the file or in ``folder``.
+    """The image of every frame, with an absolute path, found beside the file or in ``folder``.
 
     Raises :class:`InputError` with all faults of the file.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks a capture before longer work on it: whether the mesh projects onto the photographs.
+"""Checks a capture before longer work on it: whether the mesh fits the photographs.
 
 Per view: share, side and distance of the visible mesh; black or clipped photographs; whether the mesh's edges
 coincide with the photograph's, and their offset (``check.edges``). Over all views: whether one offset and
@@ -36,7 +36,7 @@ _BETTER = 1.5  # ratio of scores that another frame must reach
 
 
 def check_capture(capture: Capture, out: Path | None = None, progress: Progress | None = None) -> CheckReport:
-    """Read, trace and check a capture; with ``out`` write ``check.json`` and contact sheets there.
+    """Read, trace and check a capture; write ``check.json`` and contact sheets to ``out`` if given.
 
     Raises :class:`InputError` if no view shows the mesh.
     """
@@ -53,7 +53,7 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
 
 
 def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
-    """Check a capture that has been read and traced."""
+    """As :func:`check_capture`, for a capture that has been read and traced."""
     looks = [
         Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
         for view in traced.views
@@ -62,7 +62,7 @@ def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
 
 
 def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None) -> CheckReport:
-    """Check views that have been read and traced. The Mitsuba variant must have been selected."""
+    """As :func:`check_capture`, for views that have been read and traced in the selected Mitsuba variant."""
     if not any((look.geometry.face >= 0).any() for look in looks):
         raise _nothing_seen(capture, looks)
     sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
@@ -81,7 +81,7 @@ def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Look]) -> None:
-    """Whether the mesh fits better with another up axis or unit, on a few views."""
+    """Warn of a mesh that does not fit, and name the up axis or unit with which it fits a few views."""
     step = max(1, len(looks) // _MAX_TRIED_VIEWS)
     chosen = looks[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T
@@ -95,19 +95,19 @@ def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Loo
         fit = _fit_of(capture, linear, chosen)
         if fit > best:
             best, name = fit, remedy
-    fitting = "the mesh's edges do not lie on the photographs'"
+    finding = "the mesh's edges do not match the photographs'"
     if name:
         report.better = name
-        report.warnings.append(f"{fitting} (score {now:.1f}); with {name} they do (score {best:.1f})")
+        report.warnings.append(f"{finding} (score {now:.1f}); with {name} they do (score {best:.1f})")
     elif report.fit < _MIN_FIT:
         report.warnings.append(
-            f"{fitting} (score {report.fit:.1f}, {_MIN_FIT:.0f} would do), and no other up axis or unit does "
-            "better; look at the pictures and compare the frames of cameras and mesh"
+            f"{finding} (score {report.fit:.1f} instead of at least {_MIN_FIT:.0f}), and no other up axis or "
+            "unit is better; look at the contact sheets and compare the frames of cameras and mesh"
         )
 
 
 def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]) -> float:
-    """Median of score at zero times coverage with the mesh under another transform."""
+    """Median of the views' score without a shift, times coverage, with the mesh transformed by ``linear``."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear
     mesh = replace(capture.geometry.mesh.transformed(matrix), normals=None)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Agreement of a mesh's edges with a photograph's: a score for every shift of one against the other.
 
-Both are fields of double angles: length is edge strength, direction twice the angle of the normal, so that
-parallel edges agree (+1), perpendicular edges disagree (-1) and textures without direction cancel. The score
-of a shift is the mean agreement over the mesh's edges. A small rotation of the camera shifts the image by
-focal length x angle: the peak of the scores gives the error of the camera, and the peak's height above all
-other scores the certainty. For a camera that is rolled, or too far forward, the peak is higher with an
-equally rotated or magnified mesh.
+Edges are fields of double angles (H, W, 2): the length is the edge's strength, the direction twice the angle
+of its normal, so parallel edges agree (+1), perpendicular edges disagree (-1) and textures without direction
+cancel. The score of a shift is the mean agreement over the mesh's edges. A small rotation of the camera
+shifts the image by focal length x angle: the position of the scores' peak gives the camera's error, and its
+height above other scores the certainty. If the camera is rolled or too far forward, the peak is higher for
+an equally rotated or magnified mesh.
 
 Letters: H, W size; R largest shift in pixels. Image axes: x right, y down; a shift (dx, dy) moves the mesh's
 edges onto the photograph's.
@@ -26,13 +26,13 @@ from datagen.foundation.color import luminance, srgb_from_linear
 from datagen.geometry.traced import ViewGeometry
 
 CREASE_RAD = np.radians(25.0)
-_JUMP = 0.03  # of the depth, against the plane through the neighbour
+_JUMP = 0.03  # minimum distance from the neighbour's plane at a discontinuity, relative to the depth
 _BORDER_PX = 3
 _FLAT_LEVEL = 0.01  # gradients below this are noise of 8-bit images
-MIN_EDGE_PX = 60  # fewer edge pixels are not significant
+MIN_EDGE_PX = 60  # minimum number of edge pixels for a score
 _PEAK_RADIUS_PX = 4
-_NEARLY = 0.15  # of the peak's height: shifts with such scores are not distinguished from the best
-_WARP_WIDTH_PX = 320  # rotated and magnified fields are compared at this size: half a pixel is no warp
+_NEARLY = 0.15  # shifts within this share of the peak's height are not distinguished from the best
+_WARP_WIDTH_PX = 320  # about the width at which rotated and magnified fields are compared
 _ROLLS_RAD = tuple(np.radians(k).item() for k in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0))
 _ZOOMS = (0.92, 0.95, 0.975, 1.025, 1.05, 1.08)
 
@@ -53,7 +53,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Length of a shift in pixels, minus the peak's blur in its direction."""
+        """Length of a shift in pixels, minus the peak's standard deviation in its direction; at least 0."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
@@ -65,7 +65,7 @@ class WarpMatch:
     """Rotation (clockwise in the image) and magnification of the mesh's image about the camera axis that
     align it with the photograph's.
 
-    For each, the gain of its peak is given in standard deviations. ``at_peak``: the higher of both peaks.
+    A gain is the increase of the peak in standard deviations; ``at_peak`` is the higher of both peaks.
     """
 
     roll_rad: float
@@ -76,7 +76,7 @@ class WarpMatch:
 
 
 def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
-    """Visible creases and depth discontinuities (H, W), as lines two pixels wide."""
+    """Mask (H, W) of visible creases and depth discontinuities, as lines two pixels wide."""
     z = geometry.depth_z_m[..., 0].astype(np.float64)
     hit = geometry.face >= 0
     normal = geometry.normal_world.astype(np.float64) @ camera.world_from_camera[:3, :3]
@@ -108,7 +108,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Distance of ``other`` from the plane through a pixel, relative to its depth."""
+    """Distance of the depth ``other`` from a pixel's plane along ``other_ray``, relative to ``other``."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across
@@ -117,9 +117,7 @@ def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_
 
 
 def edge_field(edges: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Double angles (H, W, 2) of lines: a ridge's normal is the direction of greatest curvature in its
-    blurred image.
-    """
+    """Double angles (H, W, 2) of lines, whose normal is the direction of greatest curvature when blurred."""
     soft = cv2.GaussianBlur(edges.astype(np.float32), (0, 0), 1.5)
     xx, yy = cv2.Sobel(soft, cv2.CV_32F, 2, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 2)
     xy = cv2.Sobel(soft, cv2.CV_32F, 1, 1)
@@ -131,9 +129,7 @@ def edge_field(edges: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def photograph_field(color: NDArray[np.float32], valid_mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Double angles (H, W, 2) of a linear photograph's gradients; strong gradients are limited to equal
-    length.
-    """
+    """Double angles (H, W, 2) of a linear photograph's gradients; lengths approach 1 for strong gradients."""
     grey = luminance(np.maximum(color, 0))
     level = float(np.quantile(grey[valid_mask], 0.9)) if valid_mask.any() else 0.0
     shown = srgb_from_linear(np.clip(grey * (0.7 / max(level, 1e-6)), 0, 1))
@@ -150,13 +146,13 @@ def photograph_field(color: NDArray[np.float32], valid_mask: NDArray[np.bool_]) 
 def match_edges(
     edges: NDArray[np.bool_], photograph: NDArray[np.float32], radius_px: int
 ) -> EdgeMatch | None:
-    """Best shift up to ``radius_px`` along each axis; None if the mesh has no visible edges."""
+    """Best shift up to ``radius_px`` along each axis; None with fewer than ``MIN_EDGE_PX`` edge pixels."""
     num = int(edges.sum())
     if num < MIN_EDGE_PX:
         return None
     scores = shift_scores(edge_field(edges), photograph, radius_px)
     peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
-    middle, spread = _accidental(scores)
+    middle, spread = _scores_off_peak(scores)
     best = float(scores[tuple(peak)])
     near = np.argwhere(scores >= best - _NEARLY * (best - middle)) - radius_px
     sub = peak - radius_px + _vertex(scores, peak)
@@ -167,7 +163,7 @@ def match_edges(
     return EdgeMatch(peak_px, (xx, xy, yy), at_zero, (best - middle) / spread, num)
 
 
-def _accidental(scores: NDArray[np.float64]) -> tuple[float, float]:
+def _scores_off_peak(scores: NDArray[np.float64]) -> tuple[float, float]:
     """Median and standard deviation of the scores away from the peak."""
     peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
     rows, columns = np.indices(scores.shape)
@@ -181,7 +177,7 @@ def match_warp(
     edges: NDArray[np.bool_], photograph: NDArray[np.float32], camera: Camera, radius_px: int
 ) -> WarpMatch | None:
     """Rotation and magnification about the camera's axis at which the mesh's edges fit best, each at its best
-    shift; None without edges.
+    shift; None with fewer than ``MIN_EDGE_PX`` edge pixels.
     """
     if int(edges.sum()) < MIN_EDGE_PX:
         return None
@@ -195,7 +191,7 @@ def match_warp(
     center = (camera.cx_px / shrink - 0.5, camera.cy_px / shrink - 0.5)  # OpenCV's pixel coordinates
     radius = max(6, radius_px // shrink)
     plain = shift_scores(mesh_field, taken, radius)
-    middle, spread = _accidental(plain)
+    middle, spread = _scores_off_peak(plain)
     at_plain = (float(plain.max()) - middle) / spread
 
     def height_of(roll_rad: float, zoom: float) -> float:
@@ -247,7 +243,7 @@ def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
 def shift_scores(
     mesh_field: NDArray[np.float32], photograph: NDArray[np.float32], radius_px: int
 ) -> NDArray[np.float64]:
-    """Mean agreement (2 R + 1, 2 R + 1) of the fields, the mesh's field moved by (column - R, row - R)."""
+    """Mean agreement (2 R + 1, 2 R + 1) of the fields with the mesh's moved by (column - R, row - R)."""
     height, width = mesh_field.shape[:2]
     shape = [cv2.getOptimalDFTSize(side + radius_px) for side in (height, width)]
     total = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex64)

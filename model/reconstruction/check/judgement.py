@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Judges the findings of the check: one common error of all views, else views that are off or do not
-match.
-"""
+"""Judges the findings of the check: an error common to all views, else single views with errors."""
 
 from __future__ import annotations
 
@@ -12,20 +10,19 @@ import numpy as np
 from model.reconstruction.check.registration import Registration, SeenShift, common_mistake
 from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
 
-_LOST = 0.6  # of SURE: among fitting views, one with a lower score shows another place
-_SURE_GAIN = 1.2  # standard deviations: in correct views roll and zoom gain less
+_LOST = 0.6  # share of SURE below which a view, among others that fit, shows another scene
+_SURE_GAIN = 1.2  # in standard deviations; roll and zoom of correct views gain less
 _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
-_MIN_VIEWS, _ALIKE = 4, 0.3  # this many views with such similar magnification have a common cause
+_MIN_VIEWS, _MAX_SPREAD = 4, 0.3  # number of views, and relative spread of magnifications of one cause
 
 
 def judge(report: CheckReport, looks: Sequence[Look]) -> None:
-    """Find one offset and scale of the mesh, and the views that are off or do not match."""
+    """Add to ``report`` the common offset and scale of the mesh, and warnings about them and single views."""
     with_edges = [view.edges for view in report.views if view.edges is not None]
     report.fit = float(np.median([edges.at_zero for edges in with_edges])) if with_edges else 0.0
     if not with_edges:
         report.warnings.append(
-            "no view shows enough edges of the mesh to compare them with the photographs; look at the "
-            "pictures"
+            "no view shows enough edges of the mesh to compare them with the photographs; look at the sheets"
         )
         return
     zoom = _common_zoom(report)
@@ -33,9 +30,9 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
         size, factor = ("small", zoom) if zoom > 1 else ("large", 1 / zoom)
         report.warnings.append(
             f"the mesh looks {factor:.3f} times too {size} in most views; the focal length, or the mesh's "
-            "scale against the cameras' frame, is off by as much; correct it and check again"
+            "scale in the cameras' frame, is off by this factor; correct it and check again"
         )
-        return  # shifts explained by it say nothing about single views
+        return  # it causes shifts, which therefore are no evidence of errors of single views
     pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
     mistake = common_mistake(
         [
@@ -48,15 +45,15 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
     report.scale = 1.0 if mistake is None else mistake.scale
     names = _listed([view.name for view, _ in pairs])
     if report.offset_m is not None:
-        said = ", ".join(f"{100 * v:+.1f}" for v in report.offset_m)
+        offset = ", ".join(f"{100 * v:+.1f}" for v in report.offset_m)
         report.warnings.append(
-            f"the mesh seems to be moved by ({said}) cm along x, y, z, as seen in {names}; "
+            f"the mesh seems to be moved by ({offset}) cm along x, y, z in {names}; "
             "register it to the cameras again"
         )
     if report.scale != 1:
         report.warnings.append(
-            f"the mesh seems to be {report.scale:.3f} times as large as in the cameras' frame, as seen in "
-            f"{names}; scale it by {1 / report.scale:.4f} about the cameras' middle"
+            f"the mesh seems to be {report.scale:.3f} times too large for the cameras' frame in {names}; "
+            f"scale it by {1 / report.scale:.4f} about the cameras' mean position"
         )
     left_px = {view.name: view.edges.peak_px for view, _ in pairs if view.edges is not None}
     if mistake is not None:
@@ -75,12 +72,12 @@ def _common_zoom(report: CheckReport) -> float | None:
     if len(zooms) < max(_MIN_VIEWS, 0.5 * len(warps)):
         return None
     middle = float(np.median(zooms))
-    is_common = float(np.median(np.abs(zooms - middle))) < _ALIKE * abs(middle)
+    is_common = float(np.median(np.abs(zooms - middle))) < _MAX_SPREAD * abs(middle)
     return 1 + middle if abs(middle) >= _MIN_ZOOM and is_common else None
 
 
 def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registration | None) -> None:
-    """Find views that are rolled or too far forward."""
+    """Warn of views whose camera is rolled, or too far forward or backward."""
     zoomed = []
     for view, look in zip(report.views, looks, strict=True):
         warp = view.warp
@@ -104,16 +101,16 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
         size, way = ("small", "backward") if zoom > 1 else ("large", "forward")
         share = abs(zoom - 1)
         view.warnings.append(
-            f"{view.name}: the mesh looks {100 * share:.0f} % too {size} in it; the camera stands some "
+            f"{view.name}: the mesh looks {100 * share:.0f} % too {size} in it; the camera is about "
             f"{100 * share * view.zoom_depth_m:.0f} cm too far {way}, or its focal length is off; correct it "
             "or leave the view out"
         )
 
 
 def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
-    """Warn of a view whose edges are off by too much, or match nowhere.
+    """Warn of a view whose edges are shifted too far, or do not match.
 
-    ``left_px``: the remaining shift, None if its edges are ambiguous.
+    ``left_px``: the shift that the common error does not explain, None if the view's edges are ambiguous.
     """
     assert view.edges is not None
     is_lost = left_px is None
@@ -128,8 +125,8 @@ def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | Non
             )
     if is_lost and is_fitting and view.edges.at_zero < _LOST * SURE:
         view.warnings.append(
-            f"{view.name}: its edges are nowhere near the mesh's; it shows another place or its pose is "
-            "wrong; correct its pose or leave it out"
+            f"{view.name}: its edges do not match the mesh's; it shows another scene or its pose is wrong; "
+            "correct its pose or leave it out"
         )
 
 

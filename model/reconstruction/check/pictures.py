@@ -32,7 +32,7 @@ def write_contact_sheets(
 ) -> list[Path]:
     """Write ``sheet-01.png`` etc. with all views in order, from linear ``colors`` (H, W, 3).
 
-    Edges are green if they fit, red if there is a fault, yellow if there are too few.
+    The masks ``edges`` (H, W) are drawn green if they fit, red if there is a fault, yellow if undetermined.
     """
     tiles = [
         _tile(view, color, lines) for view, color, lines in zip(report.views, colors, edges, strict=True)
@@ -74,5 +74,5 @@ def _verdict(view: ViewCheck) -> str:
     if view.edges is None:
         return "too few edges to compare"
     if not view.is_judged:
-        return f"edges say little ({view.edges.at_peak:.1f} sigma)"
+        return f"ambiguous edges ({view.edges.at_peak:.1f} sigma)"
     return f"fits: {view.edges.surely_px(view.edges.peak_px):.0f} px off, {view.edges.at_zero:.0f} sigma"

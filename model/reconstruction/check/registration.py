@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Registration of the mesh: whether the shifts of all views have one cause, a moved or scaled mesh.
+"""Registration of the mesh: whether a moved or scaled mesh explains the shifts of all views.
 
 If mesh points p are displaced to p + d + e (p - m), with m the cameras' mean position, a camera at c observes
 a displacement of d + e (c - m); the rest of e scales the room about the camera, which does not change its
@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 
-# smaller errors are negligible; significance in standard deviations
+# minimum offset and error of scale that are reported; their minimum significance in standard deviations
 _OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0
 _MIN_VIEWS, _MIN_VIEWS_FOR_SCALE = 4, 8
-_FLOOR_PX2 = 0.25  # added to the blur of a peak: shifts are known to half a pixel at best
-_OUTLIER = 1.5  # of a peak's blur: views that are further off have less weight
+_FLOOR_PX2 = 0.25  # added to a peak's blur, since shifts are known to half a pixel at best
+_OUTLIER = 1.5  # standard deviations of the residual above which a view has less weight
 _EXPLAINED = 0.75  # maximum share of the median shift that may remain
 
 
 @dataclass(frozen=True)
 class SeenShift:
-    """A view: its camera, the distance of its edges, their shift and its blur (``EdgeMatch``)."""
+    """A view's camera, the depth of its edges, and their shift and its blur (``EdgeMatch``)."""
 
     camera: Camera
     depth_m: float
@@ -49,16 +49,16 @@ class Registration:
     center_m: NDArray[np.float64]
 
     def moved_m(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apparent displacement (3,) of the mesh for a camera at a position."""
+        """Apparent displacement (3,) of the mesh, in metres, for a camera at ``position_m`` (3,)."""
         offset = np.zeros(3) if self.offset_m is None else np.array(self.offset_m)
         return offset + (self.scale - 1) * (position_m - self.center_m)
 
 
 def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
-    """Common cause that best explains the shifts of all views; None if the shifts are negligible.
+    """Offset and scale of the mesh that best explain the shifts of all views; None if insignificant.
 
-    Robust least squares: a single wrong view must not move the mesh. Scale is estimated with eight views or
-    more.
+    Least squares are robust, so a single wrong view does not move the mesh. Scale is estimated from eight
+    views or more.
     """
     if len(views) < _MIN_VIEWS:
         return None
@@ -96,7 +96,7 @@ def _is_moved(offset_m: NDArray[np.float64], covariance: NDArray[np.float64]) ->
 def _robust(
     a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solution (N,) and its covariance for rows (V, 2, N) and (V, 2)."""
+    """Robust solution (N,) of ``a`` (V, 2, N) x = ``b`` (V, 2), and its covariance (N, N)."""
     weight = np.ones(len(a))
     found = np.zeros(a.shape[2])
     for _ in range(20):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data of the check: views as read and traced, findings per view and for a capture."""
+"""Data of the check: views as read and traced, and findings per view and per capture."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from model.reconstruction.check.edges import (
     photograph_field,
 )
 
-MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room of the mesh
+MIN_COVERAGE = 0.05  # share of pixels below which a view hardly shows the mesh
 MAX_CLIPPED = 0.5
-_NEAR_M, _MAX_NEAR = 0.05, 0.5  # half a view nearer than this: the camera is in or at a wall
-SEARCH_RAD = np.radians(3.5)  # largest error of a camera that is searched
+_NEAR_M, _MAX_NEAR = 0.05, 0.5  # the camera is in or at a wall if half of the mesh is nearer than this
+SEARCH_RAD = np.radians(3.5)  # largest rotation error of a camera that is searched
 _MIN_RADIUS_PX = 24  # enough other shifts to distinguish a peak from chance
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
-SURE = 5.0  # standard deviations: a peak of this height is not chance
+SURE = 5.0  # standard deviations above which a peak is not chance
 
 
 @dataclass
 class ViewCheck:
     """Findings of a view.
 
-    Shares are fractions of the view's pixels; ``off_deg`` is the shift as an angle of the camera, None if the
-    edges do not determine it; ``depth_m`` and ``zoom_depth_m``: distances of edges that apply to shifts and
-    to magnifications.
+    ``coverage``: share of pixels that show the mesh; ``back_share``: share of these that show its back;
+    ``off_deg``: the shift as an angle of the camera, None without edges; ``depth_m`` and ``zoom_depth_m``:
+    mean depths of edges for shifts and for magnifications.
     """
 
     name: str
@@ -62,9 +62,9 @@ class ViewCheck:
 class CheckReport:
     """Findings per view and for the capture.
 
-    ``offset_m``: apparent displacement of the mesh, None if unknown or negligible; ``scale``: its apparent
-    scale in the cameras' frame; ``fit``: median over the views of the edges' score without a shift, in
-    standard deviations.
+    ``fit``: median over the views of the edges' score without a shift, in standard deviations; ``offset_m``:
+    apparent displacement of the mesh, None if unknown or negligible; ``scale``: its apparent scale in the
+    cameras' frame; ``better``: option or unit with which a mesh in the wrong frame fits, or empty.
     """
 
     name: str
@@ -87,14 +87,14 @@ class CheckReport:
 
 
 def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
-    """Faults that make a single view of little use, each with a remedy."""
+    """Warnings of faults that make a view of little use, each with a remedy."""
     found = []
     coverage = float((geometry.face >= 0).mean())
     if coverage == 0:
-        found.append(f"{name}: sees nothing of the mesh; correct its pose or leave it out")
+        found.append(f"{name}: shows nothing of the mesh; correct its pose or leave it out")
     elif coverage < MIN_COVERAGE:
         found.append(
-            f"{name}: only {coverage:.1%} of its pixels show the mesh; leave it out if it is of another place"
+            f"{name}: only {coverage:.1%} of its pixels show the mesh; leave it out if it shows another scene"
         )
     brightness = luminance(color)
     if not brightness.any():
@@ -106,7 +106,7 @@ def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry)
 
 @dataclass
 class Look:
-    """A view as read and traced, and the edges of mesh and photograph."""
+    """A view as read and traced, with the edges of the mesh and the field of the photograph's edges."""
 
     name: str
     camera: Camera
@@ -124,6 +124,7 @@ class Look:
         return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
 
     def checked(self, sides: NDArray[np.float32]) -> ViewCheck:
+        """The findings of the view; ``sides`` (M,) are the outer sides of the triangles, 1 or -1."""
         hit = self.geometry.face >= 0
         depth = self.geometry.depth_z_m[..., 0]
         is_back = self.geometry.is_front[hit] != (sides[self.geometry.face[hit]] > 0)
@@ -136,12 +137,12 @@ class Look:
         )
         if hit.any() and float((depth[hit] < _NEAR_M).mean()) > _MAX_NEAR:
             found.warnings.append(
-                f"{self.name}: most of what it sees is nearer than {100 * _NEAR_M:.0f} cm; "
-                "the camera is inside a wall or a thing, or the unit is wrong (--unit)"
+                f"{self.name}: most of the visible mesh is nearer than {100 * _NEAR_M:.0f} cm; "
+                "the camera is inside a wall or an object, or the unit is wrong (--unit)"
             )
         elif found.back_share > 0.5:
             found.warnings.append(
-                f"{self.name}: sees mostly the back of the mesh; the camera is inside a wall or outside the "
+                f"{self.name}: shows mostly the back of the mesh; the camera is inside a wall or outside the "
                 "room; correct its pose or leave it out"
             )
         if not found.warnings:
@@ -158,14 +159,15 @@ class Look:
         return found
 
     def _zoom_depth_m(self, at: NDArray[np.bool_], depth: NDArray[np.floating]) -> float:
-        """Depth z0 such that a forward move t of the camera magnifies its edges by t / z0.
+        """Depth z0 such that a forward move t of the camera magnifies its edges by t / z0 in the mean.
 
-        Each edge moves outwards by r t / z, with r its distance from the axis; least squares fit one factor
-        to all.
+        An edge at distance r from the axis and depth z moves outwards by r t / z; one factor is fitted to
+        all by least squares.
         """
         centers = self.camera.pixel_centers()[at] - [self.camera.cx_px, self.camera.cy_px]
         squared = (centers**2).sum(axis=-1)
         return float(squared.sum() / (squared / depth[at]).sum())
 
     def tolerance_px(self) -> float:
+        """Shift of the edges, in pixels, up to which a view counts as correct."""
         return max(_TOLERANCE_PX, self.camera.fx_px * float(np.tan(TOLERANCE_RAD)))

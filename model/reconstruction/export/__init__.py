@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""An atlas as images, asset package, GLB and Mitsuba scene."""
+"""Exports of an atlas: images, asset package, GLB, USDZ and Mitsuba scene."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A reconstruction as an asset package: an environment, usable in ``datagen``.
 
-All surface is one part with one material of three textures; every lamp is a separate part with its radiance.
-Windows are area lights, or the sky is an image (``found_lights``).
+The surface is one part with one material of three textures; every lamp is a separate part with its radiance.
+Windows are area lights or, if light from outside is far, replaced by an image of the sky.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import Reconstruction, Slot, environment_exr, export_slots
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, FoundLights
 
-_REGION_MARGIN_M = 0.05  # a capture with one camera has a region of no size
+_REGION_MARGIN_M = 0.05  # else the region of a capture with one camera would be empty
 
 
 def write_asset(
     path: Path, reconstruction: Reconstruction, asset_id: str, *, license_id: str = "LicenseRef-unstated"
 ) -> Package:
-    """The reconstruction as an environment package, with the capture's cameras and the recovered lights.
+    """Write the reconstruction as an environment package, with the capture's cameras and recovered lights.
 
-    Without recovered lights, the package has the capture's lights, except for lights with an image in another
-    package, which would make the package incomplete.
+    Without recovered lights, the package has the capture's lights, except those with an image in another
+    package, which would make it incomplete.
     """
     capture = reconstruction.capture
     files: dict[str, FileSource] = {

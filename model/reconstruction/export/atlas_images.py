@@ -2,7 +2,7 @@
 """Atlases as image files: PNG for viewers and packages, EXR for exact values, and the quantisation to 8 bits.
 
 Diffuse and specular albedo are stored sRGB-encoded in 8 bits (at most 1/510 off in encoded values), roughness
-linearly. Row 0 is at v = 1. Integer arrays are made band by band, so that a 16K atlas needs no float copy.
+linearly. Row 0 is at v = 1. Integer arrays are made band by band, so a 16K atlas needs no float copy.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ def quantized_bytes(values: NDArray) -> NDArray[np.uint8]:
 
 
 def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
-    """A map (N, N, C) of half floats as bytes, by a table of all 65,536 halves, which is exact and fast."""
+    """A map (N, N, C) of half floats as bytes, sRGB-encoded if it is a colour, by a table of all halves."""
     halves = np.arange(65536, dtype=np.uint32).astype(np.uint16).view(np.float16).astype(np.float32)
     values = np.nan_to_num(np.clip(halves, 0.0, 1.0))
     table = quantized_bytes(srgb_from_linear(values) if MAP_CHANNELS[name] == 3 else values)
-    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # stored as B G R, which the PNG writer need not copy
+    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # B G R in memory, which the PNG writer does not copy
     for top in range(0, array.shape[0], _BAND):
         band = np.ascontiguousarray(array[top : top + _BAND], np.float16)
         stored[top : top + _BAND] = table[band.view(np.uint16)]
@@ -51,7 +51,7 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
 
 
 def texture_shrink(atlas: Atlas) -> int:
-    """Side in texels of the squares that are averaged to keep a texture within :data:`MAX_TEXTURE`."""
+    """Side in texels of the squares that are averaged so that a texture has at most :data:`MAX_TEXTURE`."""
     return next(k for k in range(-(-atlas.size // MAX_TEXTURE), atlas.size + 1) if atlas.size % k == 0)
 
 
@@ -65,7 +65,7 @@ def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
 
 
 def mask_png(atlas: Atlas) -> bytes:
-    """PNG of observed, filled and empty texels."""
+    """PNG with :data:`SEEN`, :data:`FILLED` or :data:`EMPTY` for each texel."""
     mask = np.full(atlas.face.shape, EMPTY, np.uint8)
     for top in range(0, atlas.size, _BAND):
         rows = slice(top, top + _BAND)
@@ -75,9 +75,9 @@ def mask_png(atlas: Atlas) -> bytes:
 
 
 def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
-    """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``.
+    """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; returns the paths.
 
-    If confidence is known, ``confidence.png`` and ``.exr`` are written too, with D, S and R in R, G and B.
+    If the confidence is known, ``confidence.png`` and ``.exr`` contain that of D, S and R as R, G and B.
     """
     folder.mkdir(parents=True, exist_ok=True)
 

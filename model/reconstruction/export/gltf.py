@@ -25,7 +25,7 @@ _FLOAT, _UINT = 5126, 5125
 
 
 def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
-    """Write one GLB with geometry (rotated to Y up) and textures inside; returns the error of the conversion.
+    """Write a GLB with geometry (rotated to Y up) and textures; returns the error of the conversion.
 
     Recovered lamps, panels and windows are emissive surfaces; ``has_punctual`` adds point lights for small
     lamps. glTF has no sky.
@@ -117,7 +117,7 @@ class _Glb:
         return len(self.views) - 1
 
     def array(self, rows: NDArray, kind: str, *, has_bounds: bool = False) -> int:
-        """An accessor of vertex data (float32) or, for ``SCALAR``, of indices (uint32)."""
+        """Add vertex data (float32) or, for ``SCALAR``, indices (uint32); returns the accessor's index."""
         is_index = kind == "SCALAR"
         stored = np.ascontiguousarray(rows, "<u4" if is_index else "<f4")
         accessor: dict[str, Any] = {
@@ -132,7 +132,7 @@ class _Glb:
         return len(self.accessors) - 1
 
     def mesh(self, mesh: Mesh, *, has_uv: bool) -> dict[str, Any]:
-        """Attributes and indices of a primitive."""
+        """Add a mesh; returns the attributes and indices of its primitive."""
         assert mesh.normals is not None and mesh.uv is not None
         turn = Z_UP_FROM_Y_UP[:3, :3]  # multiplied from the right: the inverse rotation, Y up from Z up
         attributes = {
@@ -144,7 +144,7 @@ class _Glb:
         return {"attributes": attributes, "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR")}
 
     def image(self, png: bytes) -> int:
-        """Add an image; its index is also its texture's."""
+        """Add an image; returns its index, which is also its texture's."""
         self.images.append({"bufferView": self._view(png), "mimeType": "image/png"})
         return len(self.images) - 1
 
@@ -158,7 +158,7 @@ class _Glb:
         }
 
     def encode(self, document: dict[str, Any]) -> bytes:
-        """The GLB file."""
+        """The bytes of the GLB file with the JSON ``document``."""
         text = json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         binary = bytes(self.data) + bytes(-len(self.data) % 4)

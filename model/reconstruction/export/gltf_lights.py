@@ -2,8 +2,8 @@
 """Lights in glTF: emissive surfaces (KHR_materials_emissive_strength) and small lamps as points
 (KHR_lights_punctual).
 
-An emissive surface illuminates nothing in rasterising viewers, but everything in path tracers, which would
-count a lamp twice if it is a point light as well: points are therefore optional.
+An emissive surface illuminates nothing in rasterising viewers, but does in path tracers, which would count a
+lamp twice if it were a point light as well; point lights are therefore optional.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PUNCTUAL, STRENGTH = "KHR_lights_punctual", "KHR_materials_emissive_strength"
 SMALL_M = 0.5
 """Largest side of the bounding box of a lamp that becomes a point light."""
 LUMENS_A_WATT = 683.0
-"""Conversion per channel, as used by Blender and other programs for glTF's candela."""
+"""Candela per W/sr in each channel, the factor by which Blender and other programs convert intensities."""
 
 
 def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:

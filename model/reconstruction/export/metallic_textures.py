@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""D and S as textures of metallic-roughness with an additional specular colour, and the error of that
-conversion.
+"""D and S as metallic-roughness textures with an additional specular colour, and the conversion's error.
 
 glTF's F0 is lerp(min(0.04 c, 1), base, m) with the specular colour c and the metalness m, its diffuse albedo
 base (1 - m). Surfaces of F0 up to 0.16 (an index of 2.3) become dielectrics, exactly: m = 0, base = D, c = S
@@ -27,8 +26,8 @@ _BAND = 1024
 
 @dataclass(frozen=True)
 class ConversionError:
-    """Absolute error of D and S as decoded by a glTF reader, over all texels with surface, and the side of
-    the textures.
+    """Absolute errors of D and S as a glTF reader decodes them, over all texels with a surface, and the side
+    of the textures.
     """
 
     diffuse_mean: float
@@ -41,8 +40,8 @@ class ConversionError:
 def metallic_channels(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Base colour (..., 3), metalness (...), and specular colour divided by its factor 4 (..., 3), all in [0,
-    1].
+    """Base colour (..., 3), metalness (...) and specular colour divided by its factor 4 (..., 3), in [0, 1],
+    from D and S (..., 3).
     """
     limit = MAX_DIELECTRIC_F0
     d, s = diffuse.mean(axis=-1), specular.mean(axis=-1)
@@ -59,7 +58,7 @@ def metallic_channels(
 
 
 def as_read(base: NDArray, metallic: NDArray, tint: NDArray) -> tuple[NDArray, NDArray]:
-    """D and S (..., 3) as decoded by a glTF reader."""
+    """D and S (..., 3) as a glTF reader decodes the results of :func:`metallic_channels`."""
     m = metallic[..., None]
     return base * (1 - m), np.minimum(MAX_DIELECTRIC_F0 * tint, 1.0) * (1 - m) + base * m
 
@@ -77,7 +76,7 @@ class MetallicTextures:
 
 
 def metallic_textures(atlas: Atlas) -> MetallicTextures:
-    """The textures of an atlas, and their errors, quantisation included."""
+    """The textures of an atlas, and their errors including quantisation."""
     shrink = texture_shrink(atlas)
     bands: list[list[NDArray[np.uint8]]] = [[], [], []]
     sums, most, num = np.zeros(2), np.zeros(2), 0

@@ -29,7 +29,9 @@ _WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 
 
 
 def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sensors: bool = True) -> Path:
-    """Write ``scene.xml`` with meshes and textures beside it; its BSDF needs ``mitsuba_plugins.register()``.
+    """Write ``scene.xml`` with meshes and textures beside it, and return its path.
+
+    Loading it requires ``mitsuba_plugins.register()``, which provides its BSDF.
 
     Sensors are the capture's cameras (square pixels: the mean focal length). Lights are the recovered lights,
     else the capture's point lights and constant sky, else a white sky. Shapes are named as their meshes.
@@ -70,7 +72,7 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
 
 
 def _add_mesh(scene: ElementTree.Element, folder: Path, name: str, mesh: Mesh) -> ElementTree.Element:
-    """A shape; Mitsuba's row 0 of a texture is at v = 0."""
+    """Add a mesh with flipped v, since row 0 of Mitsuba's textures is at v = 0."""
     assert mesh.uv is not None
     downward = Mesh(mesh.positions, mesh.faces, mesh.normals, mesh.uv * [1, -1] + [0, 1])
     write_bytes_atomically(folder / f"{name}.ply", encode_ply(downward))

@@ -26,8 +26,8 @@ SURFACE = "surface"
 class Reconstruction:
     """Input of the exports.
 
-    It holds the unwrapped mesh in the capture's face order, its filled atlas, the folder with the maps
-    written by ``write_atlas_images`` as ``NAME.png``, and the recovered ``lights``, None if not requested.
+    ``mesh`` is unwrapped, with the capture's order of faces; ``atlas`` is filled; ``images`` is the folder of
+    ``write_atlas_images``; ``lights`` are None if not requested.
     """
 
     capture: Capture
@@ -59,7 +59,7 @@ class Slot:
 
 
 def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
-    """The chosen triangles (M,) with their vertices; normals are computed if the mesh has none."""
+    """The triangles in the mask ``chosen`` (M,), with their vertices; missing normals are computed."""
     mesh = with_normals(mesh)
     assert mesh.normals is not None
     faces = mesh.faces[chosen]
@@ -73,10 +73,8 @@ def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
 
 
 def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
-    """Slots by name.
-
-    The slots are ``surface``; ``lamp-0``, ``lamp-1``, ..., the emissive parts of the geometry, with recovered
-    radiance if there is any; and ``found-0``, ... (``found_lights``).
+    """Slots by name: ``surface``; ``lamp-0``, ..., the emissive parts of the geometry, with recovered
+    radiance if there is any; and ``found-0``, ..., other surfaces that were found to emit.
     """
     mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry
     found = reconstruction.shining_lights
@@ -102,7 +100,7 @@ def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
 
 
 def turned(mesh: Mesh) -> Mesh:
-    """The mesh with reversed winding."""
+    """The mesh with reversed winding and normals."""
     faces = np.ascontiguousarray(mesh.faces[:, [0, 2, 1]])
     return Mesh(mesh.positions, faces, None if mesh.normals is None else -mesh.normals, mesh.uv)
 
@@ -122,5 +120,5 @@ def patch_meshes(patches: Iterable[FoundPatch]) -> dict[str, tuple[Mesh, Color]]
 
 
 def environment_exr(environment: NDArray[np.float32]) -> bytes:
-    """EXR bytes of the sky's image."""
+    """EXR bytes of the sky's image (H, W, 3)."""
     return encode_view({"beauty": environment})

@@ -35,7 +35,7 @@ from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color
 POINT_RADIUS_M = 0.01
 """Radius of the sphere that represents a point light, which UsdLux lacks."""
 ROOT = "/room"
-WORKFLOWS = ("specular", "metallic")  # the last added variant is selected
+WORKFLOWS = ("specular", "metallic")  # the last is the default
 _TEXTURES = {"base_color": "sRGB", "orm": "raw", "diffuse_albedo": "sRGB", "specular_albedo": "sRGB"}
 _INPUTS = {
     "metallic": {"diffuseColor": "base_color.rgb", "roughness": "orm.g", "metallic": "orm.b"},
@@ -58,7 +58,7 @@ def require_usd() -> None:
         import pxr.Usd  # noqa: F401
     except ImportError:
         remedy = "pip install 'scene-materials[usd]', or leave --usd out"
-        raise input_error("--usd", got="no usd-core", expected="it installed", remedy=remedy) from None
+        raise input_error("--usd", "", "no usd-core", "the package usd-core", remedy) from None
 
 
 def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
@@ -126,7 +126,7 @@ def _write_textures(folder: Path, reconstruction: Reconstruction) -> None:
 
 
 class _Stage:
-    """A stage that :meth:`save` writes to ``file``; ``index`` of refraction of its surfaces."""
+    """A USD stage, written to ``file``; ``index`` is the refractive index in the metallic workflow."""
 
     def __init__(self, file: Path, index: float):
         from pxr import Gf, Usd, UsdGeom
@@ -148,7 +148,7 @@ class _Stage:
         self.stage.GetRootLayer().Save()
 
     def mesh(self, name: str, mesh: Mesh, emission: Color | None, *, has_material: bool) -> None:
-        """Add a mesh with its material; an emissive one is a light as well."""
+        """Add a mesh with its material; an emissive mesh is also a light."""
         from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdShade, Vt
 
         assert mesh.normals is not None and mesh.uv is not None
@@ -261,7 +261,7 @@ class _Stage:
         _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
 
     def dome(self, name: str, radiance: Color, image: str | None, world_from_environment: NDArray) -> None:
-        """Add light from outside, of one colour or times an image in our convention."""
+        """Add a dome light of a radiance, times an image in the project's convention if given."""
         from pxr import Sdf, UsdLux
 
         light = UsdLux.DomeLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
@@ -292,7 +292,7 @@ class _Stage:
 
 
 def _shine(light: Any, radiance: Color) -> None:
-    """Set radiance as a colour of at most 1 times an intensity."""
+    """Set a light's radiance, as a colour of at most 1 times an intensity."""
     from pxr import Gf
 
     peak = float(max(radiance))
@@ -301,7 +301,7 @@ def _shine(light: Any, radiance: Color) -> None:
 
 
 def _identifier(name: str) -> str:
-    """A prim's name: letters, digits and underscores."""
+    """``name`` with all but letters, digits and underscores replaced, as prims require."""
     from pxr import Tf
 
     return str(Tf.MakeValidIdentifier(name))

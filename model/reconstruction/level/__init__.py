@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The albedo scale, from interreflection."""
+"""Estimates the albedo scale from interreflection."""

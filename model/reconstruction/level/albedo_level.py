@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""The albedo scale, from interreflection in a photographed room.
+"""Estimates the albedo scale from interreflection in a photographed room.
 
 Networks confuse a grey wall in a bright room with a white one in a dim room. Photographs of a whole room
-record the radiance L that leaves its surfaces, so that rays from a point x give its irradiance E(x) and
+record the radiance L that leaves its surfaces, so rays from a point x give its irradiance E(x) and
 reflectance (inverse global illumination, Yu et al. 1999):
 
     rho(x) = pi L(x) / E(x),   about D + S on a rough surface,
 
-whatever the exposure. Unphotographed light (lamps behind the camera, sun through a window) makes rho too
-large where it falls; D is therefore corrected per smooth region of the mesh, by the mode of ln(rho / (D + S))
+independent of the exposure. Where unphotographed light falls (lamps behind the camera, sun through a window),
+rho is too large; D is therefore corrected per smooth region of the mesh, by the mode of ln(rho / (D + S))
 over a region's points, shrunk to the room's mode for regions with few points. Variation of D within a region
-remains the network's. Figures: docs/measurements.md.
+remains as predicted. Figures: docs/measurements.md.
 """
 
 from __future__ import annotations
@@ -32,16 +32,20 @@ NUM_POINTS, NUM_RAYS = 4096, 400
 """Number of surface points, distributed about evenly over the photographed surface, and of rays per point, a
 square number."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
-"""Cosine-weighted known share of a point's hemisphere for full weight, and below which it has none."""
+"""Cosine-weighted known share of a point's hemisphere above which it has full weight, below which none."""
 LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
-"""Uncertain share of a point's light up to which it has full weight, and from which on it has none."""
+"""Uncertain share of a point's light below which it has full weight, above which none."""
 MIN_POINTS, MIN_USED = 200, 0.4
 """Minimum number of points and their minimum mean weight for a correction."""
 MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
-"""Limits on fields of :class:`LevelReport`, above which nothing is corrected."""
+"""Maximum ``spread`` and ``impossible_share`` (:class:`LevelReport`) for a correction."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
-_MIN_RADIANCE = 1e-6  # of the median
-_POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # of Student's t in ln rho: points, regions
+_MIN_RADIANCE = 1e-6  # relative to the median
+_POINT_SCALE, _REGION_SCALE, _FREEDOM = (
+    0.2,
+    0.3,
+    2.0,
+)  # scales and degrees of freedom of Student's t of ln rho
 _ROUNDS = 40
 _CHUNK = 512
 
@@ -51,11 +55,11 @@ class LevelReport:
     """Result and statistics of the albedo scale.
 
     ``gain``: the room's gain of R, G and B, around which regions vary. ``coverage``: mean known share of the
-    points' hemispheres; ``used_share``: mean weight of the points, 1 if covered. ``spread``: half the
+    points' hemispheres; ``used_share``: mean weight of the points, in [0, 1]. ``spread``: half the
     interquartile range of ln(rho / (D + S)) of points about their region's mode, in green; ``region_spread``:
     half the interquartile range of the regions' ln gains, weighted by points. ``impossible_share``: weighted
     share of the points that reflect more than their incident light. ``clipped_share``: share of the
-    photographs' pixels that clip. ``reason``: why nothing was changed, or empty.
+    photographs' pixels that are clipped. ``reason``: why nothing was changed, or empty.
     """
 
     is_applied: bool
@@ -79,8 +83,8 @@ class AlbedoLevel:
     report: LevelReport
 
     def corrected(self, diffuse_albedo: NDArray, region: NDArray) -> NDArray[np.float16]:
-        """A view's ``diffuse_albedo`` (H, W, 3) times its gains, clipped to [0, 1]; unchanged off the mesh,
-        where ``region`` (H, W) is -1."""
+        """A view's ``diffuse_albedo`` (H, W, 3) times its gains, clipped to [0, 1]; unchanged where
+        ``region`` (H, W) is -1, off the mesh."""
         found = diffuse_albedo.astype(np.float16)
         on_mesh = region >= 0
         gained = self.gains[region[on_mesh]] * diffuse_albedo[on_mesh]
@@ -96,10 +100,9 @@ def find_level(
     clipped_share: float = 0.0,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
 ) -> AlbedoLevel:
-    """The albedo scale of the views' ``maps``.
+    """The albedo scale of the views' ``maps``; with too little evidence, gains are 1.
 
-    With too little evidence gains are 1 and the report has the reason. ``doubt_at`` returns the uncertain
-    diffuse shading (N,) at positions and normals.
+    ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading at positions and normals (N, 3).
     """
     num_regions = int(region_of_face.max(initial=-1)) + 1
     try:
@@ -124,15 +127,15 @@ def fit_level(
     clipped_share: float,
     sure: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Gains from the points' known irradiance (N, 3) and its share (N,) of the hemisphere.
+    """Gains from the points' known irradiance (N, 3) and the known share ``coverage`` (N,) of the hemisphere.
 
     ``sure`` (N,) in [0, 1] is a further weight of the points.
     """
     # unknown directions are assumed to be like the known ones
     arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]
     weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * sure
-    left = points.radiance @ LUMINANCE_WEIGHTS
-    weight[(arriving @ LUMINANCE_WEIGHTS <= 0) | (left <= _MIN_RADIANCE * np.median(left))] = 0
+    leaving = points.radiance @ LUMINANCE_WEIGHTS
+    weight[(arriving @ LUMINANCE_WEIGHTS <= 0) | (leaving <= _MIN_RADIANCE * np.median(leaving))] = 0
     used = weight > 0
     found: dict[str, Any] = {
         "coverage": float(coverage.mean()) if len(coverage) else 0.0,
@@ -141,7 +144,7 @@ def fit_level(
         "clipped_share": clipped_share,
     }
     if used.sum() < MIN_POINTS or found["used_share"] < MIN_USED:
-        return _unchanged(num_regions, "the photographs show too little of what lights the surfaces", **found)
+        return _unchanged(num_regions, "the photographs show too little of the light on surfaces", **found)
     regions, region = np.unique(points.region[used], return_inverse=True)
     rho = np.pi * points.radiance / np.maximum(arriving, 1e-300)
     excess = (points.radiance * np.pi - arriving) @ LUMINANCE_WEIGHTS > 0
@@ -181,7 +184,9 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 @dataclass(frozen=True)
 class _Points:
-    """Points on non-emitting surface: position, radiance, predicted D + S, smooth region."""
+    """N points on non-emitting surfaces: position, normal, radiance and predicted D + S (N, 3), and smooth
+    region (N,).
+    """
 
     position_m: Floats
     normal: Floats
@@ -196,7 +201,7 @@ def _draw_points(
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
 ) -> _Points:
-    """At most one pixel per cube, so that points are distributed by area, not by number of views."""
+    """Draw at most one pixel per cube, so points are distributed by area, not by number of views."""
     pixels, random = cache.pixels, np.random.default_rng(0)
     is_surface = np.zeros(len(pixels.view), dtype=bool)
     for index, view in enumerate(views):
@@ -238,7 +243,7 @@ def _irradiance(
 
 
 def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
-    """(N NUM_RAYS, 3) stratified cosine-distributed directions about ``normal`` (N, 3)."""
+    """Stratified cosine-distributed directions (N NUM_RAYS, 3) about ``normal`` (N, 3)."""
     side = int(np.sqrt(NUM_RAYS))
     cell = np.arange(NUM_RAYS)
     u = (cell // side + random.random((len(normal), NUM_RAYS))) / side
@@ -257,7 +262,7 @@ def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
 
 
 def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Distance (N,) to the mesh, Inf for misses, and the normal (N, 3) there, towards the ray."""
+    """Distance (N,) to the mesh, Inf for misses, and the normal (N, 3) there, towards the ray's origin."""
     import drjit as dr
     import mitsuba as mi
 
@@ -274,10 +279,9 @@ def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tup
 def _modes(
     values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
 ) -> tuple[float, Floats]:
-    """The room's mode and its regions' modes (num_regions,).
+    """Modes of the room and of its regions (num_regions,), for points with a value and a weight (N,).
 
-    Maximum likelihood with Student's t for points about their region's mode, and for regions about the
-    room's.
+    They have maximum likelihood under Student's t of points about their region and of regions about the room.
     """
     num = np.bincount(region, weight, num_regions)
     room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unphotographed light can only increase it
@@ -293,17 +297,18 @@ def _modes(
 
 
 def _precision(residual: Floats, scale: float) -> Floats:
-    """Weights of a least-squares step for Student's t."""
+    """Weights of residuals in a least-squares step for Student's t."""
     return (_FREEDOM + 1) / (_FREEDOM + (residual / scale) ** 2) / scale**2
 
 
 def weighted_quantiles(values: Floats, weight: Floats, levels: tuple[float, ...]) -> Floats:
+    """Weighted quantiles (L,) of ``values`` (N,) at ``levels`` in [0, 1]."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weight[order])
     return values[order][np.searchsorted(total, np.array(levels) * total[-1])]
 
 
 def interquartile_range(values: Floats, weight: Floats) -> float:
-    """Weighted interquartile range."""
+    """Weighted interquartile range of ``values`` (N,)."""
     low, high = weighted_quantiles(values, weight, (0.25, 0.75))
     return float(high - low)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Radiance of every photographed surface of a room, and of rays that leave its mesh.
+"""Radiance of every photographed surface of a room, and of rays that miss its mesh.
 
-Surfaces: pixels are grouped by cubes of space and the axis nearest to their normal, which separates the two
-sides of a wall. A cube holds the median over views of each view's mean. Background: windows and the outside
-are generally near, so that a ray gets the radiance of the photographed ray that leaves the mesh's box nearest
-to it in position and direction. Otherwise the radiance is unknown.
+Surfaces: pixels are grouped by cubes of space and the signed axis nearest to their normal, which separates
+the two sides of a wall. The radiance of a cube is the median over views of each view's mean. Background: the
+outside may be near, so a ray gets the radiance of the photographed ray that leaves the surfaces' bounding box
+nearest to it in position and direction. Otherwise the radiance is unknown.
 
 Colours are linear and of one exposure; radiance is in the same unit.
 """
@@ -23,19 +23,19 @@ from datagen.geometry.views import TracedView
 Floats = NDArray[np.float64]
 
 MAX_PIXELS = 4_000_000
-"""Maximum over all views; above it, only every second, third ... pixel along both axes is used."""
+"""Maximum over all views; above it, only every k-th pixel along both axes is used."""
 CUBES_ACROSS = 150
-"""Number along the diagonal of the photographed box: 5 cm in a room of 7 m."""
+"""Number of cubes along the diagonal of the photographed box: cubes of 5 cm in a room of 7 m."""
 _MAX_BACKGROUND = 20_000
-_REACH_CUBES = 2.0  # reach to the nearest cube with a colour
-_PLACE_WEIGHT = 2.25  # weight of a shift by the diagonal, relative to 1 rad of direction
+_REACH_CUBES = 2.0  # maximum distance to the nearest cube with a radiance
+_POSITION_WEIGHT = 2.25  # weight of a shift by the diagonal, relative to 1 rad of direction
 _BACKGROUND_REACH = 1.0
 
 
 @dataclass(frozen=True)
 class SeenPixels:
-    """Pixels on the mesh: indices ``view`` and ``pixel`` (P,) (flat), ``position_m`` and ``normal`` (P, 3),
-    and the index ``cube`` (P,) in the :class:`RadianceCache`.
+    """Pixels on the mesh: index of the view and flat index of the pixel (P,), position and normal (P, 3), and
+    index of the cube (P,) in the :class:`RadianceCache`.
     """
 
     view: NDArray[np.int64]
@@ -46,9 +46,7 @@ class SeenPixels:
 
 
 class RadianceCache:
-    """Radiance by cube of space, and of the background. Raises ValueError if the views show no extended
-    surface.
-    """
+    """Radiance of cubes and background. Raises :class:`ValueError` if the views show no extended surface."""
 
     def __init__(self, views: Sequence[TracedView]):
         total = sum(view.valid_mask.size for view in views)
@@ -71,9 +69,7 @@ class RadianceCache:
         self._set_background(views, step)
 
     def cubes(self, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-        """Index of the cube (N,) of points with their normals; points outside belong to the outermost
-        cubes.
-        """
+        """Index (N,) of the cubes of points and normals (N, 3); points outside get the outermost cubes."""
         at = ((position_m - self._low) / self.cube_m).astype(np.int64) + 1
         at = np.clip(at, 0, self._shape - 1)
         axis = np.abs(normal).argmax(axis=1)
@@ -92,7 +88,7 @@ class RadianceCache:
         order = np.argsort(cube * num_views + view, kind="stable")
         starts, keys = _runs((cube * num_views + view)[order])
         num = np.diff(np.append(starts, len(order)))
-        of_view = np.add.reduceat(color[order], starts) / num[:, None]  # pixels of a view's mean in a cube
+        of_view = np.add.reduceat(color[order], starts) / num[:, None]  # mean of a view in a cube
         cube_of_run = keys // num_views
         first, self._keys = _runs(cube_of_run)
         count = np.diff(np.append(first, len(cube_of_run)))
@@ -107,9 +103,9 @@ class RadianceCache:
         self._tree = cKDTree(np.concatenate([place, facing * self.cube_m], axis=1))
 
     def at(self, position_m: Floats, normal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) of surface with ``normal`` (N, 3, towards the viewer), and whether it is known.
+        """Radiance (N, 3) of surface points with ``normal`` towards the viewer, and whether it is known (N,).
 
-        Looked up in the point's cube, else in the nearest known cube within reach.
+        It is that of the point's cube, else of the nearest known cube within reach.
         """
         wanted = self.cubes(position_m, normal)
         index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
@@ -136,16 +132,14 @@ class RadianceCache:
         self._rays = cKDTree(ray[chosen]) if len(chosen) else None
 
     def _leaving(self, origin: Floats, direction: Floats) -> Floats:
-        """Rays (N, 6) as exit point of the photographed surface's bounding box, in diagonals, and
-        direction.
-        """
+        """Rays (N, 6): weighted exit point from the surfaces' bounding box, in diagonals, and direction."""
         safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
         distance = np.maximum((np.where(safe > 0, self._high, self._low) - origin) / safe, 0.0).min(axis=1)
-        place = (origin + distance[:, None] * direction) * (_PLACE_WEIGHT / self.size_m)
+        place = (origin + distance[:, None] * direction) * (_POSITION_WEIGHT / self.size_m)
         return np.concatenate([place, direction], axis=1)
 
     def beyond(self, origin: Floats, direction: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) along rays that miss the mesh, and whether it is known."""
+        """Radiance (N, 3) along rays that miss the mesh, and whether it is known (N,)."""
         if self._rays is None or not len(origin):
             return np.zeros((len(origin), 3)), np.zeros(len(origin), dtype=bool)
         distance, nearest = self._rays.query(
@@ -164,7 +158,7 @@ def _grid(view: TracedView, step: int) -> NDArray[np.int64]:
 
 
 def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
-    """View, flat index, position, normal and colour of the pixels on the mesh."""
+    """View index (P,), flat index (P,), position, normal and colour (P, 3) of the pixels on the mesh."""
     depth = view.geometry.depth_z_m.ravel()
     pixel = _grid(view, step)
     pixel = pixel[depth[pixel] > 0]
@@ -180,6 +174,6 @@ def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
 
 
 def _runs(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Start indices of the runs of equal sorted keys, and their keys."""
+    """Start index and key of each run of equal keys in sorted ``keys``."""
     starts = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
     return starts, keys[starts]

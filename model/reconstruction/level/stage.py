@@ -14,8 +14,8 @@ from model.reconstruction.stages import Maps, Run
 
 
 def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
-    """The maps with corrected scale of diffuse albedo, unchanged where evidence is weak; files on disk keep
-    the prediction.
+    """The maps with corrected albedo scale, or unchanged if evidence is weak; files on disk keep the
+    prediction.
     """
     with run.stage("level"):
         region_of_face = smooth_regions(traced.geometry.mesh)
@@ -29,7 +29,7 @@ def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
         )
         run.report.albedo_level = asdict(level.report)
         if not level.report.is_applied:
-            run.report.notes.append(f"the albedo scale is the network's: {level.report.reason}")
+            run.report.notes.append(f"the albedo scale is not corrected: {level.report.reason}")
             return maps
         corrected = []
         for view_maps, view in zip(maps, traced.views, strict=True):

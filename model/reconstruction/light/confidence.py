@@ -18,14 +18,14 @@ IMPOSSIBLE = (0.1, 0.3)
 """Limits on the share of nearby surfels that reflect more than their incident light: below the first, the
 light has full weight; above the second, none."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
-"""The same for a whole room: below the first, its light has full weight everywhere."""
+"""Like :data:`IMPOSSIBLE`, for the share in a room: below the first, its light has full weight everywhere."""
 DARK_ROOM = (0.2, 0.4)
-"""The same for a whole room with unphotographed lamps: above the second, its light has no weight anywhere."""
+"""Like :data:`IMPOSSIBLE`, for the share in a room: above the second, its light has no weight anywhere, since
+lamps are not photographed."""
 IMPOSSIBLE_SURFACE = (0.4, 0.8)
-"""The same for a surface in any room, for the weight of its light as evidence of D."""
+"""Like :data:`IMPOSSIBLE`, in any room, for the weight of a surface's light as evidence of D."""
 MIN_OBSERVATIONS = 50.0
-"""Number of observations at which a share is half determined by its own surfels, half by the larger surface
-around them."""
+"""Number of observations at which a share depends equally on its surfels and on the larger surface around."""
 BLOCK_CELLS = 25
 """Side of the blocks over which shares are computed, in cells: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
@@ -39,9 +39,8 @@ INFERRED_LIGHT = (0.02, 0.08)
 first they have full weight, above the second none."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
 """Limits on the spread of the normals around a surfel and on the room's median, in radians, for R: below
-either first it has full weight, above both second :data:`BUMPY_TRUST`. A mesh with errors is bumpy
-everywhere and mirrors in other directions than its surface; an exact one has plane walls and curved things.
-"""
+either first it has full weight, above both second :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere
+and reflects in wrong directions; an exact mesh is curved only at some objects."""
 _BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # minimum cosine between normals of one surface
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
@@ -73,7 +72,7 @@ class ImpossibleShares:
     def trust(self) -> NDArray[np.float32]:
         """Factor (N,) of all confidences; where it is low, the network's maps are blended in.
 
-        Some surfels are too bright in any room: :data:`IMPOSSIBLE_ROOM`.
+        It is 1 for all surfels below :data:`IMPOSSIBLE_ROOM`, since some surfels are too bright in any room.
         """
         trust = 1 - _ramp(self.of_room, IMPOSSIBLE_ROOM) * _ramp(self.around, IMPOSSIBLE)
         return (trust * (1 - _ramp(self.of_room, DARK_ROOM))).astype(np.float32)
@@ -81,8 +80,8 @@ class ImpossibleShares:
     def evidence(self) -> NDArray[np.float32]:
         """Factor (N,) of the confidence of D in any room.
 
-        Where most of a surface reflects more than its incident light, its shading is corrected by other
-        surfaces and by the network's maps.
+        Where most of a surface reflects more than its incident light, its shading is corrected using other
+        surfaces and the network's maps.
         """
         return (1 - _ramp(self.around, IMPOSSIBLE_SURFACE)).astype(np.float32)
 
@@ -133,12 +132,12 @@ def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
 
 
 def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of the confidences of S and R by the share (N,) of light of unphotographed lamps."""
+    """Factor (N,) of the confidences of S and R from the share (N,) of light of unphotographed lamps."""
     return (1 - _ramp(share, INFERRED_LIGHT)).astype(np.float32)
 
 
 def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
-    """Root mean square angle (N,), in radians, between a surfel's normal and those around on its surface."""
+    """Root mean square angle (N,), in radians, between the normals of a surfel and of its neighbours."""
     nearest = np.arange(min(_BUMPY_NEIGHBOURS + 1, len(surfels))) + 1
     _, index = cKDTree(surfels.position_m).query(surfels.position_m, k=nearest, workers=-1)
     normal = surfels.normal.astype(np.float64)
@@ -149,7 +148,7 @@ def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
 
 
 def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of the confidence of R by the ``spread`` (N,) of the normals around all surfels."""
+    """Factor (N,) of the confidence of R from the ``spread`` (N,) of the normals around all surfels."""
     of_room = _ramp(float(np.median(spread)), BUMPY_ROOM)
     return (1 - (1 - BUMPY_TRUST) * of_room * _ramp(spread, BUMPY)).astype(np.float32)
 

@@ -23,9 +23,9 @@ _SEED = 0x62616C
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
-    """Lamps, windows and, if the outside light is far, the sky, as photographed.
+    """Lamps, windows and, if light from outside is far, the sky, with their photographed radiance.
 
-    Lamps named by the geometry are not searched for.
+    Lamps that the geometry names are taken from it.
     """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)

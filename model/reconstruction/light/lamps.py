@@ -19,7 +19,7 @@ from model.reconstruction.found_lights import Color, FoundLamp
 def found_lamps(emitters: Emitters, mesh: Mesh, parts: Sequence[GeometryPart]) -> tuple[FoundLamp, ...]:
     """Lamps ``lamp-0``, ... of the emissive ``parts`` in order, and ``found-0``, ... of other surfaces.
 
-    A part has the area-weighted radiance of its triangles that shine, on the side of its winding.
+    A part's radiance is the area-weighted mean over its triangles that emit from the front of their winding.
     """
     areas = mesh.areas()
     shown = np.zeros((len(mesh.faces), 3))

@@ -3,8 +3,8 @@
 
 Rays that leave the background's box through one connected part of a face belong to one opening. Its plane,
 parallel to the face, is the one that they cross in the smallest area. Rays from surfels are
-cosine-distributed, so that the mean radiance of the rays through a rectangle preserves the irradiance. All
-rays through an opening count, whichever face of the box they cross behind it.
+cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
+through an opening count, regardless of the face of the box that they cross behind it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
 from model.reconstruction.light.rectangles import cover, cut
 
 FINE = 96
-"""Squares along both sides of a face of the box."""
+"""Number of squares along each side of a face of the box."""
 RAYS = 600_000
 MIN_RAYS, MIN_OPEN = 2, 0.4
 """Minimum number of rays through an open square, absolute and relative to the median square: squares at the
@@ -35,7 +35,7 @@ share of the rays that must start on the inner side of a plane."""
 MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
 """Maximum number of openings, searched from the largest, and minimum share of all leaving rays for each."""
 MIN_SIDE = 1 / 60
-"""Side of the smallest window, in diagonals of the box: smaller gaps may be cracks of the mesh."""
+"""Side of the smallest window, in diagonals of the box; smaller gaps may be cracks of the mesh."""
 MAX_BLOCK = FINE // 6
 """Maximum side of a rectangle in squares; longer ones are cut, so that gradients are preserved."""
 DARK = 1e-3
@@ -45,10 +45,10 @@ _GAP = 1e-3  # diagonals between the plane and the rectangles, which could other
 
 @dataclass(frozen=True)
 class LeavingRays:
-    """Rays (N, 3) that leave the mesh.
+    """N rays that leave the mesh.
 
-    ``origin``, ``direction``, the ``face`` (N,) of the box (twice the axis, plus 1 for the upper one),
-    ``radiance`` (N, 3) and whether it ``is_known``.
+    ``origin``, ``direction`` and ``radiance`` are (N, 3); ``face`` (N,) is the face of the box (twice the
+    axis, plus 1 for the upper one); ``is_known`` (N,): whether the radiance is known.
     """
 
     origin: NDArray[np.float64]
@@ -73,7 +73,7 @@ def leaving_rays(field: RadianceField, surfels: Surfels) -> LeavingRays:
     gap = _GAP * float(np.linalg.norm(field.background.high - field.background.low))
     origin = np.repeat(surfels.position_m[::step], count, axis=0) + normal * gap
     sphere = random.normal(size=normal.shape)
-    direction = normal + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)  # by the cosine
+    direction = normal + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)  # cosine-distributed
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
     ray = mi.Ray3f(mi.Point3f(vectors_from_rows(origin)), vectors_from_rows(direction))
     left = ~np.asarray(field.scene.ray_test(ray).numpy(), dtype=bool)
@@ -94,7 +94,7 @@ def _gathered(background: Background, origin: NDArray, direction: NDArray) -> Le
 def found_windows(
     rays: LeavingRays, background: Background, median_luminance: float
 ) -> tuple[FoundPatch, ...]:
-    """The windows found among ``rays``, in decreasing order of power, without dark ones."""
+    """The windows through which ``rays`` leave, in decreasing order of power, without dark ones."""
     windows: list[FoundPatch] = []
     rest = rays
     for _ in range(MAX_BUNDLES):
@@ -147,7 +147,7 @@ class _Plane:
         return (self.box.high - self.box.low)[list(self.across)] / FINE
 
     def crossed(self, rays: LeavingRays) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Which rays (N,) start on the inner side of the plane, and the square (N,) that each crosses."""
+        """Mask (N,) of rays that start inside the plane, and flat index (N,) of the square of each ray."""
         along = rays.direction[:, self.axis]
         along = np.where(np.abs(along) < 1e-9, np.where(self.face % 2, 1e-9, -1e-9), along)
         distance = (self.at_m - rays.origin[:, self.axis]) / along
@@ -157,7 +157,7 @@ class _Plane:
         return distance >= 0, square[:, 0] * FINE + square[:, 1]
 
     def within(self, rays: LeavingRays, is_open: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which rays (N,) cross the plane through open squares."""
+        """Mask (N,) of the rays that cross the plane through open squares."""
         is_inside, square = self.crossed(rays)
         return is_inside & is_open.ravel()[square]
 
@@ -188,7 +188,7 @@ class _Squares:
 
 
 def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which squares (FINE, FINE) are open, from the rays through them."""
+    """Mask (FINE, FINE) of the open squares, from the numbers of rays through squares."""
     crossed = num[num > 0]
     if not len(crossed):
         return np.zeros((FINE, FINE), dtype=bool)
@@ -198,13 +198,13 @@ def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _components(is_open: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """Connected components (FINE, FINE) of the open squares."""
+    """Masks (FINE, FINE) of the connected components of the open squares."""
     labels, count = ndimage.label(is_open)
     return [labels == label for label in range(1, count + 1)]
 
 
 def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[np.bool_], int]:
-    """The largest set of rays (N,) through one connected part of a face of the box, and that face."""
+    """Mask (N,) of the largest set of rays through one connected part of a face of the box, and that face."""
     best, of_face, most = np.zeros(len(rays.face), dtype=bool), 0, 0
     for face in range(6):
         mine = rays.face == face
@@ -219,7 +219,7 @@ def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[
 
 
 def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
-    """The plane that the rays cross in the smallest area."""
+    """The plane parallel to ``face`` that the rays cross in the smallest area."""
     best, least = _Plane(background, face, 0.0), np.inf
     side = float((background.high - background.low)[face // 2])
     for depth in np.linspace(0, MAX_DEPTH * side, PLANES):

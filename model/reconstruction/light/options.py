@@ -18,11 +18,11 @@ class LightOptions(GatherOptions):
     """Options of the light stage.
 
     Rays per observation of a solved point and roughness level (``solve_rays``) and per observation of a
-    surfel (``specular_rays``), beside the rays of :class:`GatherOptions`. At most ``max_points`` are solved,
-    with ``num_observations`` each. ``num_rounds``: in a second round, the light has less noise, and rays are
-    reflected at the metals found in the first. ``unmixes_edges``: whether pixels of mixed surfels get
-    the radiance of those surfels alone. ``has_prior``: whether the network's maps are a prior where evidence
-    is missing. ``is_corrected``: whether the shading gets a smooth correction where its light is not
+    surfel (``specular_rays``), in addition to the rays of :class:`GatherOptions`. At most ``max_points``
+    surfels are solved, with ``num_observations`` each. ``num_rounds``: a second round has less noise, and
+    reflects rays at the metals found in the first. ``unmixes_edges``: whether pixels of mixed surfels get the
+    radiance of those surfels alone. ``has_prior``: whether the network's maps are a prior where evidence is
+    missing. ``is_corrected``: whether the shading gets a smooth correction where its light is not
     photographed.
     """
 
@@ -41,7 +41,7 @@ STEPS = (
     "edges", "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction",
     "maps", "lights",
 )  # fmt: skip
-"""Steps of the stage in order; with one round, those of the second are left out."""
+"""Steps of the stage in order; with one round, "second round" is left out."""
 
 
 @dataclass

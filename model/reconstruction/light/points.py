@@ -57,7 +57,7 @@ class Points:
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
     """At most ``max_points`` surfels, evenly distributed over the segments.
 
-    Each keeps its brightest, its darkest and evenly ranked observations between them.
+    Each has at most ``num_observations``: its darkest, its brightest and evenly ranked ones between them.
     """
     num_segments = int(segment.max()) + 1
     size = np.bincount(segment, minlength=num_segments)
@@ -109,7 +109,7 @@ def _choose_observations(
 
 @dataclass(frozen=True)
 class PointShading:
-    """Specular shading ``ls0`` and ``ls1`` (P, O, levels, 3) of the points' observations.
+    """Specular shading S ``ls0`` + ``ls1`` of the points' observations, (P, O, levels, 3) by roughness level.
 
     Their ``weight`` (P, O) is lower where the lobe includes unphotographed radiance.
     """
@@ -155,7 +155,7 @@ def solve_points(
     exposure: float,
     options: LightOptions,
 ) -> SolvedSegments:
-    """S and R of the segments."""
+    """S and R of the segments, from the specular shading of their points."""
     of_point = segmentation.prior[points.surfel]
     num_segments = len(points.start) - 1
     segment = np.repeat(np.arange(num_segments), np.diff(points.start))

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Correction of the diffuse shading where the incident light is not photographed.
+"""Correction of the diffuse shading Ld where the incident light is not photographed.
 
-The error of Ld is smooth over a surface, whatever its texture: missing or wrongly estimated light affects the
-whole neighbourhood. u (N, 3), the logarithm of the factor by which the albedo pi L / E is too low, minimises
-over the surfels
+The error of Ld is smooth over a surface, regardless of texture: missing or wrongly estimated light affects
+the whole neighbourhood. u (N, 3), the logarithm of the factor by which the albedo pi L / E is too low,
+minimises over the surfels
 
     c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
 
 with rho = pi L / E, c the confidence in the light, D_p the network's albedo at the scale of the confident
 surfels, and D_r the mean albedo of the confident surfels of the same smooth region. The weight of each prior
 is the inverse square of its spread among the confident surfels; Huber weights make both robust. The texture
-of a surface remains that of the photographs.
+of a surface remains as photographed.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def shading_correction(
     """Correction u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected albedo, exp(-u) times Ld the
     corrected shading.
 
-    ``region`` (N,) smooth regions, ``predicted`` (N, 3) the network's albedo, ``confidence`` (N,) of the
-    light in [0, 1], ``is_diffuse`` (N,) where a diffuse albedo is known.
+    ``region`` (N,): smooth regions; ``predicted`` (N, 3): the network's albedo; ``confidence`` (N,) in the
+    light, in [0, 1]; ``is_diffuse`` (N,): mask of surfels whose diffuse albedo is known.
     """
     log_albedo, log_network = _log(albedo), _log(predicted)
     confident = confidence * is_diffuse
@@ -89,8 +89,8 @@ def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> ND
     """Factor (3,) from the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N, 3) of surfels in known
     light.
 
-    ``confident`` (N,) is the confidence in their light, 0 for metals. Its logarithm shrinks to 0 where little
-    light is known (:data:`SCALE_SUPPORT`).
+    ``confident`` (N,) is the confidence in their light, 0 for metals. The factor's logarithm shrinks to 0 if
+    little light is known (:data:`SCALE_SUPPORT`).
     """
     support = float(confident.mean())
     offset, _ = _network_offset(_log(albedo) - _log(predicted), confident)
@@ -133,7 +133,7 @@ def _minimised(
 
 
 def _blocks(surfels: Surfels) -> sparse.csr_matrix:
-    """Index of each surfel's block (N, K), of :data:`_BLOCK` cells along each axis, by side."""
+    """Membership (N, K), 0 or 1, of surfels in blocks of :data:`_BLOCK` cells along each axis, by side."""
     grid = surfels.grid
     shape = -(-grid.shape // _BLOCK)
     coarse = CellGrid(grid.low, _BLOCK * grid.cell_m, shape, grid.surfel)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Lamps that the geometry does not name: surfels whose emission is several times the light that any albedo
 could reflect, in nearly all views (mirrors reflect a lamp in some views only), and several times that of the
-surface around. Light of a hidden lamp on a wall ends gradually.
+surface around (the light of a hidden lamp on a wall fades gradually).
 
-Neighbouring cells of one side are clustered and exported as rectangles across the side's axis, just in front
-of the surface: the triangles of a ceiling extend beyond its lamp.
+Neighbouring cells of one side are clustered and exported as rectangles perpendicular to the side's axis, just
+in front of the surface, since the triangles of a ceiling extend beyond its lamp.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from model.reconstruction.light.rectangles import cover, cut
 EXCESS = 2.5
 """Minimum radiance of a lamp, relative to a white surface."""
 FAINTEST, MIN_VIEWS = 0.2, 3
-"""Share of the views in which it may be fainter, and minimum number of views that show it."""
+"""Share of the views in which a lamp may be fainter, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
-"""Minimum photographed share of a surfel's hemisphere: near unphotographed lamps, estimates are too dark."""
+"""Minimum photographed share of a surfel's hemisphere; near unphotographed lamps, estimates are too dark."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
 """Minimum size of a lamp in cells, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
-"""Cells along the longest side of a rectangle."""
+"""Maximum side of a rectangle in cells."""
 MIN_EDGE, RING_CELLS = 2.0, (1.5, 3.5)
-"""Minimum radiance of a lamp, relative to the surface of its side that is so many cells away."""
+"""Minimum radiance of a lamp, relative to the surface of its side at these distances, in cells."""
 _GAP = 0.25  # cells between the surface and its rectangle
 
 
@@ -87,7 +87,7 @@ def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: Lit) -> FoundPatch:
-    """Cells (K, 3) of one side with their surfels (K,) as rectangles."""
+    """A lamp of cells (K, 3) of one side, with the surfels (K,) in them, as rectangles."""
     surfels, grid = lit.surfels, lit.surfels.grid
     axis, is_upper = side // 2, side % 2 == 1
     across = [k for k in range(3) if k != axis]
@@ -99,7 +99,7 @@ def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: L
     np.add.at(num, tuple(at.T), 1)
     np.add.at(sums, tuple(at.T), surfels.radiance[surfel])
     mean = sums.sum(axis=(0, 1)) / num.sum()
-    # cells without observations, between others of a lamp
+    # fills cells without observations between others of a lamp
     mask = ndimage.binary_closing(np.pad(num > 0, 2), np.ones((3, 3)))[2:-2, 2:-2]
     area_m2 = float(mask.sum()) * grid.cell_m**2
     height = float(np.median(surfels.position_m[surfel, axis])) + _GAP * grid.cell_m * (1 if is_upper else -1)

@@ -32,7 +32,7 @@ def sky_image(background: Background) -> NDArray[np.float32]:
 
 
 def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
-    """Pixel (N,) of a direction in an image of ``height`` rows and twice as many columns.
+    """Flat pixel index (N,) of directions (N, 3) in an image of ``height`` rows and twice as many columns.
 
     The top row is +Z, the centre column +Y, and +X is to its right.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Specular albedo and roughness of segments, from the variation of radiance over views.
+"""Specular albedo and roughness of segments, from the variation of radiance over views (docs/light.md).
 
 For each roughness of :data:`ROUGHNESS_LEVELS` and specular albedo of :data:`SPECULAR_LEVELS`, the diffuse
 albedo of each point follows in closed form from its observations,
@@ -34,19 +34,19 @@ MIN_METAL = 0.2
 MIN_EVIDENCE = 0.05
 DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 """Limits on a segment's residual: below the first it has full confidence; above the second none, since no
-hypothesis explains it. Unexplained dielectrics are mostly metals among inexact light or geometry; metals are
-mirrors of both, and fit worse when right."""
+hypothesis explains it. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals
+fit worse than correct dielectrics, since they reflect the errors of both."""
 NETWORK_VARIANCE = 0.03
-"""Variance of the network's R per view of a segment, against which that of R over the hypotheses is weighed:
-from few views, likely hypotheses share errors of light and geometry that their variance does not show."""
+"""Variance of the network's R per view of a segment, relative to which the hypotheses' variance of R lowers
+confidence: from few views, likely hypotheses share errors of light and geometry that it does not include."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
-"""Difference of costs, relative to the residual, that makes a hypothesis of S and R e times less likely."""
+"""Difference of costs, relative to the residual, by which a hypothesis of S and R is e times less likely."""
 MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
-"""The same for matte (S = 0, R = 1) against the best glossy hypothesis; and the cost difference at which both
-are equally likely, since glossy hypotheses fit noise slightly better."""
+"""Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the cost
+difference at which both are equally likely, since glossy hypotheses fit noise slightly better."""
 METAL_SHARE = 0.25
-"""Share of metal among a smooth region's surfels from which it spreads there."""
+"""Share of metal among a smooth region's surfels above which metal spreads in the region."""
 METAL_TOLERANCE = 0.005
 """Excess cost over a dielectric at which metal still spreads to a segment."""
 
@@ -55,8 +55,8 @@ METAL_TOLERANCE = 0.005
 class PriorWeights:
     """Weights of the priors, each multiplied by ``1 / evidence``.
 
-    Squared differences to the square root of the network's S, and to its R; ``metal``: margin by which metal
-    must explain the observations better than a dielectric.
+    ``specular_albedo`` and ``roughness``: weights of the squared differences of sqrt(S) and of R from the
+    network's; ``metal``: margin by which metal must explain the observations better than a dielectric.
     """
 
     specular_albedo: float = 0.02
@@ -102,7 +102,7 @@ def segment_costs(
     ls1: NDArray[np.float32],
     exposure: float,
 ) -> Costs:
-    """Costs of segments whose points are ``start[g]`` to ``start[g + 1]`` (G + 1,).
+    """Costs of G segments, of the points from ``start[g]`` to ``start[g + 1]``, with ``start`` (G + 1,).
 
     For P points with O observations each: ``radiance`` (P, O, 3), ``weight`` (P, O), 0 for none; ``diffuse``
     (P, 3), their Ld; ``ls0`` and ``ls1`` (P, O, levels, 3).

@@ -70,10 +70,10 @@ def materials_from_light(
 ) -> LightMaterials:
     """Materials of ``views`` in their recorded light.
 
-    ``maps`` are the network's, ``emits`` (M,) the triangles known to emit, ``exposure`` the factor that
-    scales bright surfaces to 0.9; ``doubt_at`` returns the uncertain diffuse shading (N,) at positions and
-    normals. The result does not depend on the order of the views. Raises ValueError if the views show no
-    extended surface.
+    ``maps`` are the network's, ``emits`` (M,) is the mask of triangles known to emit, ``exposure`` the factor
+    that scales bright surfaces to 0.9; ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading
+    at positions and normals. The result does not depend on the order of the views. Raises ValueError if the
+    views show no extended surface.
     """
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
@@ -188,7 +188,7 @@ def _solved_surfels(
     if options.is_corrected:
         predicted, is_diffuse = segmentation.prior[:, :3], is_lit & ~is_metal
         scale = network_scale(albedo, predicted, confidence[:, 0] * is_diffuse)
-        # Only unexplained surfaces in trusted light take on its scale, not those whose light is not trusted.
+        # surfaces take on the scale only where their light is trusted but no hypothesis explains them
         unexplained = np.clip((trust - replaced) / np.maximum(1 - replaced, 1e-6), 0, 1)[:, None]
         prior_scale = 1 + unexplained * (scale - 1)
         correction = shading_correction(

@@ -17,10 +17,10 @@ _NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1),
 
 @dataclass(frozen=True)
 class SurfelConfidence:
-    """Confidence by cell.
+    """Confidence by cell and side.
 
-    ``cell`` (N,): cells and sides of the surfels, ascending; ``confidence`` (N, 3) of D, S and R as bytes;
-    ``low``, ``cell_m`` and ``shape`` of the grid.
+    ``low``, ``cell_m`` and ``shape`` describe the grid; ``cell`` (N,): index of each surfel's cell and side,
+    ascending; ``confidence`` (N, 3) of D, S and R, 255 for 1.
     """
 
     low: NDArray[np.float64]
@@ -31,15 +31,15 @@ class SurfelConfidence:
 
     @classmethod
     def of(cls, surfels: Surfels, confidence: NDArray) -> SurfelConfidence:
-        """From the surfels' ``confidence`` (N, 3) in [0, 1]."""
+        """Make it from the surfels' ``confidence`` (N, 3) in [0, 1]."""
         grid = surfels.grid
         stored = np.round(255 * np.clip(confidence, 0, 1)).astype(np.uint8)
         return cls(grid.low, grid.cell_m, grid.shape, np.flatnonzero(grid.surfel >= 0), stored)
 
     def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
-        """Confidence (..., 3) of surface at ``points`` (..., 3) on the side of ``normals``.
+        """Confidence (..., 3) of the surface at ``points`` (..., 3), on the side of ``normals``.
 
-        That of the surfel there, else of the nearest of the cells around; 0 without any.
+        It is that of the surfel in the point's cell, else in the nearest of the adjacent cells, else 0.
         """
         flat = points.reshape(-1, 3).astype(np.float64)
         side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Radiance of lamps that the geometry names and no photograph shows.
 
-A lamp is a connected part of the emitting triangles, and lamps of as many triangles and the same area are of
-one kind, with one radiance: that of a photographed lamp of the kind, or, without any, the one by which the
-surfaces around have the same albedo within a smooth region, near that of the network
-(:func:`~model.reconstruction.radiometry.recovered.recovered`).
+A lamp is a connected part of the emitting triangles. Lamps with the same number of triangles and the same
+area are of one kind and have one radiance: that of a photographed lamp of the kind or, without any, the
+radiance for which the illuminated surfaces have a uniform albedo within each smooth region, near the
+network's (:func:`~model.reconstruction.radiometry.recovered.recovered`).
 """
 
 from __future__ import annotations
@@ -32,33 +32,32 @@ from model.reconstruction.radiometry.recovered import (
 from model.reconstruction.radiometry.sources import Sources
 
 MAX_POINTS = 2500
-"""Surfels that determine the radiance."""
+"""Maximum number of surfels that determine the radiance."""
 SAME_AREA = 0.02
-"""Difference of the areas, as a part, of lamps of one kind."""
+"""Maximum relative difference of area between lamps of one kind."""
 MIN_LIGHT = 0.01
-"""Light of a kind that is searched for at least, as a part of the light without it."""
+"""Lower bound on the light of a kind, relative to the light without it."""
 ALBEDO_SPREAD = 0.5
-"""Standard deviation of the logarithm of the network's mean albedo of a region."""
-_EXPECTED, _EXPECTED_SPREAD = np.log(30.0), 2.0  # prior of a kind's light over MIN_LIGHT
-_MIN_ALBEDO = 0.02  # keeps dark predictions from drawing the logarithm
-_MIN_KNOWN = 0.5  # share of a surfel's light
+"""Prior standard deviation of the logarithm of a region's mean albedo, about the network's."""
+_EXPECTED, _EXPECTED_SPREAD = np.log(30.0), 2.0  # prior of ln(light / MIN_LIGHT)
+_MIN_ALBEDO = 0.02  # limits the effect of dark predictions on the mean logarithm
+_MIN_KNOWN = 0.5  # minimum known share of a surfel's light
 
 
 @dataclass(frozen=True)
 class UnseenLamps:
     """``emitters`` with the radiance of the lamps.
 
-    ``light_at`` returns the luminance (N,) of the diffuse shading at positions and normals by the lamps whose
-    radiance the surfaces determine; None without any.
+    ``light_at`` returns the luminance (N,), at positions and normals, of the diffuse shading by the lamps
+    whose radiance was estimated from surfaces; None without any.
     """
 
     emitters: Emitters
     light_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None
 
     def share(self, lit: Lit, region: NDArray) -> NDArray[np.float64]:
-        """Share (N,) of the light of each surfel's smooth ``region`` (N,) from these lamps.
-
-        It is at least that of the whole room.
+        """Share (N,) of these lamps in the light of each surfel's smooth ``region`` (N,), at least their
+        share in the whole room.
         """
         if self.light_at is None:
             return np.zeros(len(lit.surfels))
@@ -70,7 +69,7 @@ class UnseenLamps:
 
 
 def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> UnseenLamps:
-    """Emitters of a room whose light ``lit`` leaves its unseen lamps out.
+    """The emitters of a room with the radiance of its unphotographed lamps, whose light ``lit`` lacks.
 
     ``region`` (N,) and ``predicted`` (N, 3) are the surfels' smooth regions and the network's D.
     """
@@ -99,7 +98,7 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
         light += field.baker(shining).irradiance(position, normal, RAYS).diffuse
     lamps = sources(kind, np.ones((int(kind.max()) + 1, 3)))
     form = field.forms(lamps, position, normal)
-    lights = form.mean(axis=0) > 0  # any of the points
+    lights = form.mean(axis=0) > 0  # kinds that illuminate at least one point
     bound = MIN_LIGHT * light.mean(axis=0) / np.where(lights, form.mean(axis=0), np.inf)[:, None]
     group = np.unique(region[chosen], return_inverse=True)[1]
     log_albedo = np.log(np.maximum(predicted[chosen].astype(np.float64), _MIN_ALBEDO))
@@ -114,12 +113,12 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
     told = recovered(gathered, replace(lamps, bound=bound), prior)
     mine = kind >= 0
     radiance[mine] = np.where(lights[:, None], told.radiance, 0.0)[kind[mine]]
-    unsure = replace(told, spread=np.ones(len(lamps)))  # all of their light
+    unsure = replace(told, spread=np.ones(len(lamps)))  # all of their light counts as uncertain
     return UnseenLamps(emitters.with_radiance(radiance), doubt_of(field, lamps, unsure))
 
 
 def lamp_kinds(emitters: Emitters, mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Kind (K,) of the emitters of unknown radiance, -1 for others, and radiance (K, 3) of the others."""
+    """Kind (K,) of emitters of unknown radiance, -1 for others, and radiance (K, 3) of the others."""
     faces = emitters.triangles
     lamp_of_face = smooth_regions(Mesh(mesh.positions, mesh.faces[faces]), np.pi)
     emitter_of_face = emitters.of_face[faces]

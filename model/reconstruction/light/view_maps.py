@@ -6,8 +6,8 @@ Shading and materials of the surfels around a pixel are interpolated between cel
     D = (L - specular part) / ((1 - S) Ld),
 
 clipped to [0, MAX_ALBEDO], or in uncertain light to the albedo of white paint, with the specular part of the
-same view. S and R come from surfels of similar reflectance, so that they change with the colour, blended with
-the network's by confidence.
+same view. S and R come from surfels of similar reflectance, so they change with the colour, and are blended
+with the network's by confidence.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from model.reconstruction.light.solve import MAX_ALBEDO
 SIMILAR = 0.35
 """Difference in the logarithm of reflectance at which a surfel's S and R have the weight exp(-1/2)."""
 WHITE_PAINT = 0.85
-"""Maximum D in uncertain light: surfels of the development rooms that come out whiter there have a true D of
+"""Maximum D in uncertain light; surfels of the development rooms with a larger result there have a true D of
 0.78 to 0.91."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 
@@ -35,9 +35,9 @@ _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 class SolvedSurfels:
     """Shading and materials of N surfels with M observations.
 
-    ``diffuse`` (N, 3) Ld, ``specular`` (M, 3) S Ls0 + Ls1 of each observation, ``specular_albedo`` (N, 3),
-    ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1], ``replaced`` (N,)
-    share of the network's D that is replaced, ``prior_scale`` (N, 3) factor of the rest of it.
+    ``diffuse`` (N, 3): Ld; ``specular`` (M, 3): S Ls0 + Ls1 of each observation; ``specular_albedo`` (N, 3),
+    ``roughness`` (N,), ``is_metal`` (N,); ``confidence`` (N, 3) of D, S and R in [0, 1]; ``replaced`` (N,):
+    share of the network's D that is replaced; ``prior_scale`` (N, 3): factor of the network's D in the rest.
     """
 
     diffuse: NDArray[np.float32]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Weights of a view's pixels by their distance to its borders.
 
-Where a view's footprint ends, at the border of its image or behind something nearer, the merged value would
-step from one set of views to another, and the surface would show rectangles and silhouettes. A pixel's weight
-therefore falls to almost 0 towards the nearest border.
+Where a view's footprint ends, at the border of its image or behind a nearer surface, the set of merged views
+changes, and steps in the merged values would show rectangles and silhouettes. A pixel's weight therefore
+falls to almost 0 towards the nearest border.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 RAMP = 0.1
 """Length over which the weight falls, in diagonals of the image."""
 MIN_BORDER_WEIGHT = 1e-3
-"""Weight at a border: not 0, since a view with only borders, such as of leaves, still counts by itself."""
+"""Weight at a border; not 0, so that texels shown only at borders, such as leaves, have a value."""
 
 
 def border_weights(depth_z_m: NDArray, max_jump: float) -> NDArray[np.float32]:

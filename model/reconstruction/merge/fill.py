@@ -3,7 +3,7 @@
 
 In a partly observed chart, unseen texels get the value of the nearest observed texel of the chart; triangles
 of unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
-value of the nearest texel with surface, so that filtering at seams and in mip levels has no artefacts.
+value of the nearest texel with a surface, which avoids artefacts of filtering at seams and in mip levels.
 ``count`` still distinguishes observed from filled texels.
 """
 
@@ -24,18 +24,18 @@ from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces
 
 BAND = 1024
-"""Rows processed at a time."""
+"""Number of rows processed at a time."""
 GUTTER = 128
-"""Texels above and below a band that may fill it."""
-MAX_CHARTS = 20_000  # for more charts, each is so small that filling by triangle is as good
-_LARGE_WINDOW = 2**22  # texels of charts after which memory is released
+"""Number of rows above and below a band whose texels may fill it."""
+MAX_CHARTS = 20_000  # more charts are so small that filling by triangle is as good
+_LARGE_WINDOW = 2**22  # number of texels of a chart after which memory is released
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
-    """Fill every texel; ``mesh`` is the mesh of the merge."""
+    """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh."""
     means, num_seen = _face_means(atlas, len(mesh.faces))
     if not num_seen.any():
-        return  # nothing was observed at all: there is nothing to fill with
+        return  # no texel was observed
     charts = chart_of_faces(mesh)
     is_filled = _fill_charts(atlas, mesh, charts, num_seen)
     nearest = _nearest_means(mesh, means, num_seen).astype(np.float16).view(np.uint16)
@@ -56,7 +56,7 @@ def _bands(atlas: Atlas) -> Iterator[slice]:
 
 
 def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
-    """Rows of the maps as the integers of their half floats, since values are only copied."""
+    """Rows of the maps as integers with the bits of their half floats, since values are only copied."""
     return [array[rows].view(np.uint16) for array in atlas.maps.values()]
 
 
@@ -111,7 +111,7 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 
 
 def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -> NDArray[np.bool_]:
-    """Fill partly observed charts; returns which charts are complete."""
+    """Fill partly observed charts; returns a mask (C,) of the charts that need no other filling."""
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
     seen_in_chart = np.bincount(charts, num_seen, num_charts) > 0
@@ -171,9 +171,8 @@ def _copy_nearest(
 
 
 def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Labels (H, W) and flat indices (L,) of the nearest True pixel, approximately Euclidean.
-
-    At least one pixel must be True.
+    """Label (H, W) of each pixel's nearest True pixel, approximately Euclidean, and flat index (L,) of the
+    True pixel of each label. At least one pixel must be True.
     """
     import cv2
 

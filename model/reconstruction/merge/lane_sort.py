@@ -14,7 +14,7 @@ from datagen.multiview.compiled import compiled
 LANES = 64
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
 STEP = 4
-"""Lists are sorted by the network for the next multiple of this."""
+"""Lists are sorted by the network for their length rounded up to a multiple of this."""
 
 
 @compiled
@@ -57,7 +57,7 @@ def sort_lanes(values: Any, network: Any) -> None:
 
 @compiled
 def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
-    """As :func:`sort_lanes`; ``weights`` are permuted alike."""
+    """As :func:`sort_lanes`; ``weights`` (R, LANES) are permuted with the values."""
     for index in range(len(network)):
         i, k = network[index, 0], network[index, 1]
         a, b, light, heavy = values[i], values[k], weights[i], weights[k]
@@ -74,9 +74,8 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 def middle_mean(values: Any, weights: Any, lane: Any, num: Any) -> Any:
     """Mean of the middle half of a lane's sorted values by weight.
 
-    Each value counts by the part of its weight that lies between a quarter and three quarters of the
-    cumulative weight. Outliers are ignored as by the median, but a weight that fades changes the result
-    without a step.
+    A value counts by the part of its weight between a quarter and three quarters of the cumulative weight.
+    Outliers are ignored as by the median, but the result is continuous in the weights.
     """
     total = np.float32(0)
     for k in range(num):

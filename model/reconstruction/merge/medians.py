@@ -20,7 +20,7 @@ from model.reconstruction.atlas.texels import surface_point
 from model.reconstruction.merge.lane_sort import LANES, STEP, middle_mean, sort_lanes, sort_weighted_lanes
 
 SIDE = 8
-"""Side of a square of texels, all of which are the LANES."""
+"""Side of a square of texels, one for each of the LANES."""
 NUM_CHANNELS = 7
 PACKET = 8
 """Floats per pixel: D (3), S (3), R, and its smooth region."""
@@ -41,17 +41,17 @@ class ViewArrays(NamedTuple):
     cameras: NDArray[np.float32]
     """(V, CAMERA)."""
     first_pixel: NDArray[np.int64]
-    """(V,)."""
+    """(V,) index of each view's first pixel."""
     depth: NDArray[np.float32]
     """(P,) depth along z, 0 at pixels without a value."""
     packets: NDArray[np.float32]
-    """(P, 8)."""
+    """(P, PACKET)."""
     weight: NDArray[np.float32]
-    """(P, 3) of each pixel's D, S, R, or (0, 3) if all are equal."""
+    """(P, 3) weights of each pixel's D, S, R, or (0, 3) if all are equal."""
 
 
 class Rules(NamedTuple):
-    """Visibility and weights, as in :class:`datagen.multiview.visibility.VisibilityOptions`."""
+    """Parameters of visibility (:class:`datagen.multiview.visibility.VisibilityOptions`) and weights."""
 
     depth_tolerance: np.float32
     slope_tolerance_px: np.float32
@@ -77,7 +77,7 @@ class Surface(NamedTuple):
 
 @compiled
 def _project(state: Any, camera: Any, rules: Any) -> None:
-    """Project all lanes into a view; the limit of the depth test is -1 for lanes outside it."""
+    """Project all lanes into a view; the limit of the depth test is -1 for lanes outside the view."""
     r00, r01, r02, r10, r11, r12 = camera[0], camera[1], camera[2], camera[3], camera[4], camera[5]
     r20, r21, r22, cx, cy, cz = camera[6], camera[7], camera[8], camera[9], camera[10], camera[11]
     fx, fy, px, py, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
@@ -134,7 +134,7 @@ def _append_view(
     found: Any,
     values: Any,
 ) -> None:
-    """Append a view's values at the lanes to their lists, (lists * V, LANES) ``values``.
+    """Append a view's values to the lists of the lanes that it shows, in ``values`` (lists * V, LANES).
 
     Pixels of another smooth region, or (when interpolating) of another depth, are ignored.
     """
@@ -160,7 +160,7 @@ def _append_view(
             wi, wj, wk, wm = _ONE, _ZERO, _ZERO, _ZERO
             tolerance = _INFINITY
         else:
-            x = min(max(u - _HALF, _ZERO), last_x)  # beyond its centre the border pixel is repeated
+            x = min(max(u - _HALF, _ZERO), last_x)  # border pixels extend beyond their centres
             y = min(max(v - _HALF, _ZERO), last_y)
             left, top = int(x), int(y)
             s, t = x - np.float32(left), y - np.float32(top)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Merges the maps of all views into one atlas: for each texel, the exact median over the views
-that show it, or a weighted mean near it.
+"""Merges the maps of all views into one atlas: for each texel, the exact median over the views that show it,
+or the weighted mean of the middle half.
 
 Letters: V views, P pixels of all views. For each covered texel, the point and normal at its centre are
 projected into every view; views in which it is visible (``datagen.multiview.visibility``) contribute their D,
 S and R, and each channel gets the median, the mean of the middle two for even counts, or with weights the
-mean of the middle half (``lane_sort.middle_mean``). Values are gathered, not scattered, so that an atlas may
-have more texels than the views have pixels. Threads process tiles: memory holds the views' maps and a few
-tiles; the atlas is on disk. The loop is in ``medians``.
+mean of the middle half (``lane_sort.middle_mean``). Values are gathered, not scattered, so an atlas may have
+more texels than the views have pixels. Threads process tiles; memory contains the views' maps and a few
+tiles, and a large atlas is on disk. The loop is in ``medians``.
 """
 
 from __future__ import annotations
@@ -50,12 +50,10 @@ DEFAULT_TILE = 512
 
 @dataclass(frozen=True)
 class MapView:
-    """A view's maps: ``diffuse_albedo`` and ``specular_albedo`` (H, W, 3), ``roughness`` (H, W, 1), in [0,
-    1].
+    """A view's maps in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3) and ``roughness`` (H, W, 1).
 
-    ``depth_z_m`` (H, W, 1) is 0 at pixels without a value: background, lamps, pixels without a source.
-    ``face`` (H, W) is the triangle of each pixel, ``confidence`` (H, W, 3) weighs its D, S and R if
-    requested.
+    ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W) is
+    the triangle of each pixel; ``confidence`` (H, W, 3) is an optional weight of its D, S and R.
     """
 
     camera: Camera
@@ -88,7 +86,7 @@ class MapView:
 
 
 def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -> list[MapView]:
-    """Traced views with their maps; lamps and background are left out."""
+    """Traced views with their maps; lamps and background have depth 0."""
     return [
         MapView(
             view.camera,
@@ -106,10 +104,10 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
 class MergeOptions:
     """Options of the merge.
 
-    ``fetch`` interpolates a map between pixels of the same depth, or uses the nearest pixel; ``tile`` is the
-    side of a tile in texels. ``weights``: weights of the views by distance to the borders of their
-    footprints, by cosine, by pixels per square metre facing the view, by their confidence, or by the product
-    of all four.
+    ``fetch``: a map is interpolated between pixels of about the same depth, or the nearest pixel is used;
+    ``tile`` is the side of a tile in texels. ``weights`` of the views: distance to the borders of their
+    footprints, cosine of the angle of incidence, pixels per square metre facing the view ("distance"),
+    confidence, or the product of all four.
     """
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
@@ -134,12 +132,12 @@ class MergeOptions:
 
     @property
     def by_borders(self) -> bool:
-        """Whether pixels near the borders of a view count less."""
+        """Whether pixels near the borders of a view have less weight."""
         return self.weights in ("borders", "all")
 
     @property
     def by_confidence(self) -> bool:
-        """Whether pixels count by their confidence."""
+        """Whether pixels are weighted by their confidence."""
         return self.weights in ("confidence", "all")
 
 
@@ -164,7 +162,7 @@ class MapMerger:
         if self._rules.is_traced and scene is None:
             problems.append(Problem("merge", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'"))
         if self.options.by_confidence and any(view.confidence is None for view in views):
-            expected = "a confidence of every view"
+            expected = "a confidence for every view"
             problems.append(Problem("merge", "weights", repr(self.options.weights), expected, "use 'none'"))
         raise_problems(problems)
         self._scene = scene
@@ -188,7 +186,7 @@ class MapMerger:
         )
         starts = range(0, atlas.size, self.options.tile)
         total, done = len(starts) ** 2, 0
-        # Mitsuba's rays are cast from one thread at a time and use all processors themselves
+        # one thread casts Mitsuba's rays, which use all processors
         with ThreadPoolExecutor(1 if self._rules.is_traced else num_threads()) as pool:
             for top in starts:
                 row = [

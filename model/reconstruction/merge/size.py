@@ -17,8 +17,8 @@ _GRAZING_COSINE = 0.1  # bounds the footprints of grazing views
 def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: float = 0.1) -> float | None:
     """Side of a fine pixel's footprint in metres, None if no view shows the surface.
 
-    A pixel covers z / f / sqrt(cos) of a surface at depth z; the result is the ``quantile`` (the finest
-    tenth) of all pixels.
+    A pixel covers a square of side z / f / sqrt(cos) of a surface at depth z; the result is the ``quantile``
+    over all pixels.
     """
     footprints = []
     for camera, view in views:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""From a folder of photographs to an asset in one command."""
+"""Makes an asset from a folder of photographs in one command."""

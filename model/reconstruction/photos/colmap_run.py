@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs COLMAP: cameras and a mesh from a folder of photographs, each step once.
+"""Runs COLMAP, each step once, to get cameras and a mesh from a folder of photographs.
 
 WORK/database.db    features and matches
 WORK/found/         the models of the mapper
@@ -26,16 +26,16 @@ from model.reconstruction.captures.colmap import read_sights
 from model.reconstruction.photos.sparse_mesh import sparse_surface
 
 MAX_IMAGE_PX = 2400
-"""Larger photographs are shrunk to this longer side for features."""
+"""Longer side to which larger photographs are scaled down for features."""
 MAX_POINT_ERROR_PX = 2.0
-"""Mean reprojection error of the sparse points that the mesh goes through."""
-_OVERLAP = "take more photographs that overlap, sharp and large, from different places; see the log"
+"""Maximum mean reprojection error of the sparse points on the mesh."""
+_OVERLAP = "take more photographs that overlap, sharp and large, from different positions; see the log"
 _TAIL = 400  # characters of the log in an error
 
 
 @dataclass(frozen=True)
 class Step:
-    """Commands with a common result; ``clears`` lists possible remains of an earlier attempt."""
+    """Commands with a common result; ``clears`` lists files and folders that a failed attempt may leave."""
 
     name: str
     commands: tuple[tuple[str, ...], ...]
@@ -43,7 +43,7 @@ class Step:
 
 
 def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...]:
-    """Features, matches and cameras, on the CPU."""
+    """Steps that compute features, matches and cameras on the CPU."""
     database = ("--database_path", str(work / "database.db"))
     images = ("--image_path", str(photographs))
     features = (
@@ -64,7 +64,7 @@ def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...
 
 
 def dense_step(program: str, photographs: Path, work: Path) -> Step:
-    """Depth of every photograph and a Poisson surface, for which COLMAP needs CUDA."""
+    """Step that computes the depth of every photograph and a Poisson surface; COLMAP needs CUDA for it."""
     dense, points = str(work / "dense"), str(work / "dense" / "fused.ply")
     return Step(
         "dense",
@@ -80,7 +80,7 @@ def dense_step(program: str, photographs: Path, work: Path) -> Step:
 
 
 def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
-    """Instructions to install and run COLMAP if it is missing; ``rest`` is the command to continue with."""
+    """Shell commands that install and run COLMAP, followed by the command ``rest``."""
     found, largest = work / "found", work / "sparse" / "0"
     return "\n".join(
         [
@@ -102,7 +102,7 @@ class ColmapRun:
 
     @property
     def has_cameras(self) -> bool:
-        """Whether the cameras are computed, by this or by hand."""
+        """Whether the cameras are computed, by this run or by the user."""
         return self.model.is_dir()
 
     @property
@@ -129,7 +129,9 @@ class ColmapRun:
         return self.model
 
     def mesh(self) -> Path:
-        """A mesh in the frame of the cameras: dense if there is a GPU that COLMAP can use."""
+        """Compute a mesh in the cameras' frame, from dense points if COLMAP can use a GPU, and return its
+        path. Raises :class:`InputError` if the sparse points give no surface.
+        """
         mesh = self.work / "mesh.ply"
         if (self.work / "mesh.done").is_file() or (self.work / "dense.done").is_file():
             return mesh
@@ -143,7 +145,7 @@ class ColmapRun:
                 return mesh
             except subprocess.SubprocessError:
                 write_bytes_atomically(self.work / "dense.failed", b"")
-                self.tell("dense points need a COLMAP with CUDA; the sparse ones serve")
+                self.tell("dense points need COLMAP with CUDA; the mesh is made from sparse points")
         self.tell("mesh")
         surface = sparse_surface(read_sights(self.model, Budget(self.model), MAX_POINT_ERROR_PX))
         if not len(surface.faces):
@@ -174,9 +176,9 @@ class ColmapRun:
                     raise subprocess.CalledProcessError(ended.returncode, command)
                 if ended.returncode:
                     tail = log.read_text(errors="replace")[-_TAIL:].strip() or "nothing"
-                    got = f"{Path(command[0]).name} {command[1]} ended with {ended.returncode}: {tail}"
-                    remedy = _OVERLAP if command[1] == "mapper" else "see the log; then again"
-                    raise input_error(log, step.name, got, "a step that ends well", remedy)
+                    got = f"{Path(command[0]).name} {command[1]} exited with code {ended.returncode}: {tail}"
+                    remedy = _OVERLAP if command[1] == "mapper" else "see the log, then run it again"
+                    raise input_error(log, step.name, got, "exit code 0", remedy)
         write_bytes_atomically(done, b"")
 
 

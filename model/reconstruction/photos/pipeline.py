@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """``materials photos``: photographs → cameras and mesh → asset → turntable, each once, in one folder.
 
-OUT/photos.json     identity of the work: the photographs, and options for reading them
+OUT/photos.json     identity of the work: photographs, options and checkpoint
 OUT/colmap/         cameras and mesh by COLMAP, if the photographs have none (``colmap_run``)
 OUT/...             output of ``materials infer``
-OUT/turntable.gif   a turn through the room under the recovered lights
+OUT/turntable.gif   animation of a camera that turns in the room under the recovered lights
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class PhotosOptions:
 
 @dataclass(frozen=True)
 class Made:
-    """The result: the report, None if the asset existed before, and the turntable."""
+    """The report, None if the asset existed before, and the path of the turntable."""
 
     report: InferReport | None
     turntable: Path
@@ -63,7 +63,7 @@ def photographs_in(folder: Path) -> list[Path]:
     found = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in KNOWN_SUFFIXES]
     raw = [file for file in found if is_raw(file)]
     if raw:
-        remedy = "develop all alike to JPEG in another folder, or give a capture with cameras"
+        remedy = "develop all with equal settings to JPEG in another folder, or give a capture with cameras"
         raise input_error(folder, raw[0].name, "a raw photograph", "photographs that COLMAP reads", remedy)
     unread = [file for file in found if not can_read(file)]
     if unread:
@@ -82,7 +82,7 @@ def make_asset(
     tell: Progress,
     say: Callable[[str], None],
 ) -> Made:
-    """Run all steps from ``folder`` to ``out``. Results of an earlier run are reused.
+    """Run all steps from ``folder`` to ``out``, except those with results of an earlier run.
 
     Raises :class:`InputError` if the input is bad, a program is missing or fails, or ``out`` contains other
     work.
@@ -105,14 +105,14 @@ def make_asset(
         if reading.up == "auto":
             reading = replace(reading, up="cameras")
         if options.reading.mesh is None:
-            # a surface through the cameras' own points is in their frame, but has few edges of the room's
+            # a surface through COLMAP's points is in the cameras' frame, but has few of the room's edges
             inference = replace(inference, is_checked=False)
     report = None
     if not (out / "report.json").is_file():
         opened = replace(read_capture(capture, reading), name="room")
         registered = len(opened.views)
         if photographs and registered < len(photographs):
-            say(f"COLMAP placed {registered} of {len(photographs)} photographs")
+            say(f"COLMAP found the poses of {registered} of {len(photographs)} photographs")
         report = infer(opened, out, source, inference, tell)
     turntable = out / TURNTABLE
     if not turntable.is_file():
@@ -126,15 +126,18 @@ def make_asset(
 def _claim(
     out: Path, folder: Path, photographs: list[Path], source: MapSource, options: PhotosOptions
 ) -> None:
-    """Assign the folder to these photographs; with other options asset and turntable are made again."""
+    """Assign ``out`` to these photographs; if other options were used, remove the report and turntable.
+
+    Raises :class:`InputError` if ``out`` is assigned to other photographs.
+    """
     files = [[file.name, file.stat().st_size] for file in photographs]
     work: dict[str, Any] = {
         "format": "scene-materials/photos",
         "folder": folder.resolve().name,
         "files": files,
     }
-    told = [repr(options), source.identity]
-    state = canonical_json({**work, "options": sha256_hex(canonical_json(told))})
+    settings = [repr(options), source.identity]
+    state = canonical_json({**work, "options": sha256_hex(canonical_json(settings))})
     path = out / "photos.json"
     before = path.read_bytes() if path.is_file() else None
     if before is not None and before != state:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """A closed surface through the sparse points of structure from motion, which needs no dense depth.
 
-Labatut, Pons and Keriven (2007): Delaunay tetrahedra of the points are divided into free and solid ones by a
-minimum cut. Every line of sight from a camera to a point demands that the tetrahedra that it crosses are free
-and that the one behind the point is solid. The surface is where free meets solid; wide triangles bridge what
-has no points. COLMAP's own mesher of this kind needs CGAL, without which Debian builds it.
+Labatut, Pons and Keriven (2007): a minimum cut divides Delaunay tetrahedra of the points into free and solid
+ones. A line of sight from a camera to a point is evidence that the tetrahedra that it crosses are free and
+that the one behind the point is solid. The surface separates free from solid tetrahedra; wide triangles
+bridge areas without points. COLMAP's mesher of this kind needs CGAL, which Debian's COLMAP lacks.
 
 Letters: N points, V cameras, K lines of sight, T tetrahedra, M triangles.
 """
@@ -21,16 +21,16 @@ from datagen.multiview.compiled import compiled
 from model.reconstruction.captures.colmap import Sights
 
 SMOOTHNESS = 0.3
-"""Cost of a triangle of the surface, in lines of sight that cross it."""
+"""Cost of a triangle of the surface, equal to that of this number of lines of sight that cross it."""
 SPREAD_QUANTILE = 0.25
-"""Quantile of the edges' lengths that is taken for the standard deviation of the points."""
-_UNITS = 256  # of capacities, which are integers
-_OUTSIDE = 1.0  # of the box around the points, by which the tetrahedra extend beyond it
+"""Quantile of the edges' lengths that is used as the standard deviation of the points."""
+_UNITS = 256  # integer capacity of a cost of 1
+_OUTSIDE = 1.0  # margin of the tetrahedra around the box of points, relative to its longest side
 _FACETS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # opposite of each corner
 
 
 def sparse_surface(sights: Sights) -> Mesh:
-    """The surface as a mesh whose triangles face free space, without triangles if there are no points."""
+    """The surface as a mesh whose triangles face free space; it is empty if there are no points."""
     from scipy.spatial import Delaunay
 
     if not len(sights.points):
@@ -71,7 +71,9 @@ def _cross(
     spread: Any,
     crossed: Any,
 ) -> None:
-    """Add the lines of sight to the facets (T, 4) that they cross, less near their point, which errs."""
+    """Add to ``crossed`` (T, 4) the number of lines of sight through each facet, with less weight near their
+    points, whose positions are inexact.
+    """
     for ray in range(len(origin)):
         tetrahedron = start[ray]
         for _ in range(len(neighbors)):
@@ -100,7 +102,7 @@ def _cross(
 
 
 def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray) -> NDArray[np.bool_]:
-    """Which tetrahedra (T,) are free: the side of the cameras of the minimum cut."""
+    """Mask (T,) of the free tetrahedra, on the cameras' side of the minimum cut."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 

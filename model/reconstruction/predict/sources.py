@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sources of the views' maps: a checkpoint, the capture's truth, or given maps."""
+"""Sources of the views' maps: a checkpoint, the capture's ground truth, or given maps."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CheckpointMaps:
             raise input_error(self.path, "", str(error), expected, "check the path") from None
 
     def prepare(self, options: InferOptions) -> None:
-        """Refuse an unreadable checkpoint and a missing device."""
+        """Raise :class:`InputError` for an unreadable checkpoint or a missing device."""
         from model.checkpoint import read_card
         from model.devices import parse_device
 
@@ -43,7 +43,7 @@ class CheckpointMaps:
         parse_device(options.device)
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Stored maps, and predictions for all other views."""
+        """Stored maps where available, and predictions for all other views."""
         # torch, which other sources do not need
         from model.reconstruction.predict.view_maps import predicted_maps
 
@@ -52,7 +52,7 @@ class CheckpointMaps:
 
 @dataclass(frozen=True)
 class GivenMaps:
-    """Maps of any method: ``read`` returns the maps of every view."""
+    """Maps of any method; ``read`` returns those of every view, in the capture's order."""
 
     identity: str
     read: Callable[[TracedCapture], list[Maps]]
@@ -76,4 +76,4 @@ def _truth(view: CaptureView) -> Maps:
 
 
 TRUTH = GivenMaps("truth", lambda traced: [_truth(view) for view in traced.capture.views])
-"""The ground truth of a rendered capture: the remaining errors come from the later stages."""
+"""The ground truth of a rendered capture, with which only errors of later stages remain."""

@@ -80,7 +80,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
 def _batches(capture: Capture, size: int) -> list[list[int]]:
     """Batches of consecutive views of one size, at most ``size`` views, fewer for large ones.
 
-    Independent of stored maps: convolutions round differently for other batch sizes.
+    They do not depend on stored maps, since convolutions round differently for other batch sizes.
     """
     batches: list[list[int]] = []
     for index, camera in enumerate(capture.cameras):
@@ -124,6 +124,6 @@ def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> Maps | None
         if wants_confidence:
             maps["confidence"] = np.load(confidence_path)
     except (InputError, ValueError, EOFError):
-        return None  # damaged: predicted again
+        return None  # damaged files are predicted again
     shape = (view.camera.height_px, view.camera.width_px)
     return maps if all(values.shape[:2] == shape for values in maps.values()) else None

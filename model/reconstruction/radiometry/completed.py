@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Photographs brought to one exposure and completed where they clip.
+"""Brings photographs to one exposure and completes their clipped pixels.
 
-A clipped pixel is a lower bound. It gets the median of the views in which its surface is below the limit.
-Without any, it belongs to a source whose radiance is estimated from its illumination of other surfaces
-(``recovered``), unless enough light arrives there for the surface to be bright by reflection alone.
+The value of a clipped pixel is a lower bound. The pixel gets the median of the views in which its surface is
+below the limit. Without any, it belongs to a source whose radiance is estimated from its illumination of
+other surfaces (``recovered``), unless the surface receives enough light to be as bright by reflection alone.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from model.reconstruction.radiometry.sources import Sources, find_sources, sourc
 class Completed:
     """Result of :func:`completed_views`.
 
-    ``views`` at one exposure, completed; the cameras' calibration; the ``sources`` that clip in every view,
-    their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; the shares of pixels that clip and
-    that remain incomplete.
+    ``views`` are completed, at one exposure; ``radiometry`` is the cameras' calibration. ``sources`` are
+    clipped in every view; ``radiance`` (S, 3) is their radiance and ``spread`` (S,) the standard deviation of
+    its logarithm. ``clipped_share``: share of the pixels that are clipped; ``doubt_at``: see
+    :class:`~model.reconstruction.stages.Found`.
     """
 
     views: list[TracedView]
@@ -72,8 +73,8 @@ def completed_views(
     radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
     if len(sources):
         field = SourceField(traced.scene, surfels, emitters, background)
-        told = recovered(gather(field, sources, region_of_face), sources)
-        radiance, spread, doubt_at = told.radiance, told.spread, doubt_of(field, sources, told)
+        estimate = recovered(gather(field, sources, region_of_face), sources)
+        radiance, spread, doubt_at = estimate.radiance, estimate.spread, doubt_of(field, sources, estimate)
     for index, view in enumerate(found):
         if view.clipped_mask is None:
             continue
@@ -89,10 +90,10 @@ def _filled(
     assert view.clipped_mask is not None
     color, clipped = view.color.reshape(-1, 3).copy(), view.clipped_mask.reshape(-1, 3)
     pixel = np.flatnonzero(clipped.any(axis=1))
-    better = color[pixel].astype(np.float64)
+    estimate = color[pixel].astype(np.float64)
     on_surface = surfel[pixel] >= 0
-    better[on_surface] = surfels.radiance[surfel[pixel][on_surface]]
+    estimate[on_surface] = surfels.radiance[surfel[pixel][on_surface]]
     of_source = source[pixel] >= 0
-    better[of_source] = radiance[source[pixel][of_source]]
-    color[pixel] = np.where(clipped[pixel], np.maximum(color[pixel], better), color[pixel])
+    estimate[of_source] = radiance[source[pixel][of_source]]
+    color[pixel] = np.where(clipped[pixel], np.maximum(color[pixel], estimate), color[pixel])
     return replace(view, color=color.reshape(view.color.shape).astype(np.float32))

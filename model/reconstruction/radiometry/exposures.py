@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Exposure and white balance of each photograph, vignetting and response, from surfaces in several
-photographs.
+"""Estimates exposure and white balance of each photograph, vignetting and response from common surfaces.
 
-The logarithm of the value of surfel i in view v, at the squared image radius r2 (1 in the corners), is
+Surfel i of radiance L_i has, in view v at the squared image radius r2 (1 in the corners), the value
 
-    f(ln L_i + g_v - VIGNETTING r2),    f: linear of (e - c sin(2 pi e)),
+    f(exp(ln L_i + g_v - vignetting r2)),    f(x) = linear(e - c sin(2 pi e)),  e = sRGB(x),
 
-with e the sRGB-encoded value relative to the sensor's limit, g_v the view's gain by channel, and c for a
-response steeper or flatter than sRGB; a power of the radiance cannot be determined from exposures and stays
-1. Least squares with Cauchy weights and L_i eliminated is robust to highlights and faults of the geometry.
-The gauge is a median gain of 1.
+with values relative to the sensor's limit, g_v the view's ln gain by channel, and c the deviation of the
+response from sRGB; a power of the radiance cannot be determined from exposures and stays 1. Least squares of
+logarithms with Cauchy weights, with L_i eliminated, is robust to highlights and faults of the geometry. The
+undetermined common gain is chosen for a median gain of 1.
 """
 
 from __future__ import annotations
@@ -27,22 +26,22 @@ from datagen.geometry.views import TracedView
 from datagen.light.surfels import Surfels
 
 MAX_SURFELS, MIN_VIEWS, MIN_SAMPLES = 8_000, 2, 10
-"""Number of surfels used, views per surfel, and minimum observations of a view for a calibration."""
+"""Maximum number of surfels, and minimum numbers of views per surfel and of samples per view on average."""
 DARK, BRIGHT = 0.004, 0.9
 """Range of usable values relative to the limit: noise below, clipping above."""
 MIN_GAIN, MIN_VIGNETTING = 0.03, 0.05
 """Root mean square of ln gains, and of ln of the corners' factor, below which photographs stay unchanged,
 since highlights alone can cause as much."""
 MIN_EXPLAINED = 0.02
-"""Minimum reduction of the cost by a curve."""
+"""Minimum relative reduction of the cost by a response curve."""
 MIN_SPREAD = 0.1
-"""Minimum standard deviation of ln gains for a curve, which only differing exposures determine."""
+"""Minimum standard deviation of ln gains for a response curve, which only different exposures determine."""
 _ROUNDS = 10
 _SCALES = (0.5, 0.06)  # scale of Cauchy's distribution, in ln L: first and last round
 _PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05
 _PRIOR_WEIGHT = 5.0  # weight of a prior at one standard deviation, in observations
 _MAX_CURVE = 0.15  # above 1 / 2 pi the curve is not monotonic
-_STEP = 1e-3  # of derivatives
+_STEP = 1e-3  # of numerical derivatives
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,8 @@ class Radiometry:
     """Radiometric calibration of all photographs.
 
     ``gain`` (V, 3): each view's gain by channel. ``vignetting``: -ln of the factor in the image's corners.
-    ``curve``: the response's deviation c from sRGB."""
+    ``curve``: the response's deviation c from sRGB.
+    """
 
     gain: NDArray[np.float64]
     vignetting: float = 0.0
@@ -62,7 +62,7 @@ class Radiometry:
         return bool((self.gain != 1).any()) or self.vignetting != 0 or self.curve != 0
 
     def undone(self, view: TracedView, index: int) -> TracedView:
-        """View ``index`` with radiance at the common exposure."""
+        """``view``, the view ``index``, with its radiance at the common exposure."""
         color = view.color.astype(np.float64)
         if self.curve and view.limit is not None:
             color = view.limit * unbent(color / view.limit, self.curve)
@@ -72,9 +72,9 @@ class Radiometry:
 
 
 def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Values decoded as sRGB from a camera whose response deviates from sRGB by ``curve``.
+    """Values that a camera whose response deviates from sRGB by ``curve`` records, decoded as sRGB.
 
-    ``value`` is linear, relative to the clipping limit.
+    ``value`` is linear; both are relative to the clipping limit.
     """
     encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
@@ -159,7 +159,7 @@ def _samples(views: Sequence[TracedView], surfels: Surfels) -> _Samples:
 
 
 def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
-    """Squared radius (N,) of positions in a view's image."""
+    """Squared image radius (N,) of positions (N, 3) in a view, as in :func:`radius_squared`."""
     camera = view.camera
     matrix = camera.world_from_camera
     local = (position_m - matrix[:3, 3]) @ matrix[:3, :3]
@@ -239,7 +239,7 @@ class _Channel:
     def step(self, state: NDArray, first: int, last: int, scale: float) -> tuple[Any, ...]:
         """Normal matrix and right side of the cameras' unknowns, with the surfels eliminated.
 
-        For back-substitution of the surfels, also (N, unknowns) and (N,).
+        For back-substitution of the N surfels, also returns a matrix (N, unknowns) and a vector (N,).
         """
         predicted, slope, by_curve = self.predicted(state, first, last)
         rest = self.shown - predicted
@@ -259,7 +259,9 @@ class _Channel:
 
 
 def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ...]:
-    """Logarithm of the value for ln radiance, both relative to the limit, and its two derivatives."""
+    """Log of the value for the ln radiance ``arriving``, both relative to the limit, and its derivatives by
+    ``arriving`` and ``curve``.
+    """
     if not curve:
         here, slope = arriving, np.ones_like(arriving)
     else:
@@ -269,7 +271,7 @@ def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ..
 
 
 def _group_medians(values: NDArray, group: NDArray) -> NDArray[np.float64]:
-    """Median of each group."""
+    """Median (G,) of the ``values`` (N,) of each group."""
     order = np.lexsort((values, group))
     num = np.bincount(group)
     first = np.cumsum(num) - num

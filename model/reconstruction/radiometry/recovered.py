@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Radiance of sources that clip in every photograph, from the surfaces that they illuminate.
+"""Estimates the radiance of sources that every photograph clips, from the surfaces that they illuminate.
 
 At a surfel i below the limit, with the known light E_i and the contribution F_ik of source k at radiance 1,
 
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k),
 
-where the albedo D_g of a region is unknown, too: the contrast within a region, between surfels with and
-without light of a source, determines Le. The unknowns are the logarithms of each source's colour, bounded
-below by the photographs, estimated by least squares with Student's t weights and weak priors.
+where the albedo D_g of a region is also unknown: the contrast within a region, between surfels with and
+without light of a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded below
+by the photographs, are estimated by least squares with Student's t weights and weak priors.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 MAX_POINTS, RAYS = 2500, 576
-"""Number of points used, and rays per point: noise of a source's contribution biases its radiance down."""
+"""Maximum number of points, and rays per point; noise of a source's contribution biases its radiance down."""
 DOUBT_RAYS = 64
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
 """Minimum number of views of a usable surfel, and minimum photographed share of its light."""
 MAX_FACTOR = 3000.0
-"""Maximum ratio to the photographed radiance."""
+"""Maximum ratio of a source's radiance to its photographed radiance."""
 _SCALE = 0.15  # scale of Student's t, in ln L
 _FREEDOM = 2.0
-# number of independent points that all together count as, since neighbours' errors are correlated
+# maximum total weight, in independent points, since neighbours' errors are correlated
 _EFFECTIVE = 1000.0
 _ALBEDO, _ALBEDO_SPREAD = np.log(0.4), 0.8  # prior of ln D_g
 _BRIGHTER, _BRIGHTER_SPREAD = np.log(5.0), 2.0  # prior of ln (Le / bound)
@@ -54,8 +54,8 @@ _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 class Gathered:
     """Light at P points.
 
-    ``radiance`` (P, 3), irradiance ``known`` (P, 3) without the sources, ``form`` (P, S) the contribution of
-    a source of radiance 1, and the ``group`` (P,) of equal albedo.
+    ``radiance`` (P, 3); ``known`` (P, 3): diffuse shading without the sources; ``form`` (P, S): diffuse
+    shading by each source of radiance 1; ``group`` (P,): index of the group of points of equal albedo.
     """
 
     radiance: NDArray[np.float64]
@@ -74,8 +74,9 @@ class Recovered:
 
 @dataclass(frozen=True)
 class Prior:
-    """Normal distributions of ln D_g, with means ``albedo`` (G, 3), and of ln (Le / bound), with means
-    ``brighter`` (S,), and their standard deviations."""
+    """Normal priors of ln D_g, with means ``albedo`` (G, 3), and of ln (Le / bound), with means ``brighter``
+    (S,), and their standard deviations.
+    """
 
     albedo: NDArray[np.float64]
     brighter: NDArray[np.float64]
@@ -84,7 +85,7 @@ class Prior:
 
 
 class SourceField:
-    """The radiance field of a room with substituted colours of its ``sources``."""
+    """Radiance fields of a room in which the radiance of sources is replaced."""
 
     def __init__(self, scene: mi.Scene, surfels: Surfels, emitters: Emitters, background: Background):
         self._scene, self.surfels = scene, surfels
@@ -94,11 +95,11 @@ class SourceField:
         self._area = 0.5 * np.linalg.norm(cross, axis=1)
 
     def colored(self, sources: Sources, radiance: NDArray) -> Colored:
-        """The room with the ``radiance`` (S, 3) of the sources."""
+        """The room's radiance, with the ``radiance`` (S, 3) in the clipped channels of the sources."""
         return sources.colored(radiance, self._emitters, self._background, self.surfels)
 
     def alone(self, sources: Sources, radiance: NDArray) -> Colored:
-        """The room with light from its sources of ``radiance`` (S, 3) alone."""
+        """The room's radiance with no light but from its sources, of ``radiance`` (S, 3)."""
         whole = replace(sources, is_open=np.ones_like(sources.is_open))
         return whole.colored(
             radiance,
@@ -108,6 +109,7 @@ class SourceField:
         )
 
     def baker(self, colored: Colored) -> Baker:
+        """A baker of the light in the room with the radiance ``colored``."""
         grid, emitters = self.surfels.grid, self._emitters
         power = self._area * (colored.emitters @ LUMINANCE_WEIGHTS)[emitters.of_face[emitters.triangles]]
         shining = replace(emitters, radiance=colored.emitters, power=power.astype(np.float32))
@@ -130,7 +132,7 @@ class SourceField:
 
 
 def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int32]) -> Gathered:
-    """Irradiance of the surfels from the sources."""
+    """The light at usable surfels, without the sources and by each source; groups are smooth regions."""
     surfels = field.surfels
     clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
     usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
@@ -153,10 +155,9 @@ def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int3
 def doubt_of(
     field: SourceField, sources: Sources, found: Recovered
 ) -> Callable[[NDArray, NDArray], NDArray[np.float32]]:
-    """A function that returns the uncertain luminance (N,) of diffuse shading at positions and normals (N,
-    3).
+    """A function from positions and normals (N, 3) to the uncertain luminance (N,) of diffuse shading.
 
-    Only sources of uncertain radiance contribute, weighted by the uncertainty.
+    Each source contributes in proportion to the uncertainty of its radiance.
     """
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
     return lambda position_m, normal: (
@@ -165,7 +166,7 @@ def doubt_of(
 
 
 def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) -> Recovered:
-    """Radiance of the sources; in channels below the limit, the photographed radiance."""
+    """Radiance of the sources: estimated in clipped channels, photographed in others."""
     if prior is None:
         num_groups = int(gathered.group.max(initial=-1)) + 1
         prior = Prior(np.full((num_groups, 3), _ALBEDO), np.full(len(sources), _BRIGHTER))
@@ -178,7 +179,7 @@ def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) 
 def _fitted(
     gathered: Gathered, sources: Sources, bound: NDArray, prior: Prior, start: float
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Cost, ln (Le / bound) (S, 3) and its spread (S,), from ``start`` on, by Gauss-Newton with damping."""
+    """Cost, ln (Le / bound) (S, 3) and its standard deviation (S,), by damped Gauss-Newton from ``start``."""
     num = len(sources)
     is_open = sources.is_open
     factor = np.where(is_open, start, 0.0)
@@ -206,7 +207,7 @@ def _fitted(
 def _derivatives(
     gathered: Gathered, is_open: NDArray, bound: NDArray, factor: NDArray, prior: Prior
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Cost, gradient (3 S,) and Hessian (3 S, 3 S) by channel and source, the regions' albedo eliminated."""
+    """Cost, gradient (3 S,) and Hessian (3 S, 3 S) by channel and source, with the albedos eliminated."""
     num, points, count = len(factor), max(len(gathered.group), 1), len(prior.albedo)
     brighter, brighter_spread = prior.brighter[:, None], np.reshape(prior.brighter_spread, (-1, 1))
     radiance = bound * np.exp(factor)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Sources that clip in all photographs: emitters, openings and surfaces.
+"""Sources that all photographs clip: emitters, openings and surfaces.
 
-Each clipped emitter is a source. So is each connected part of a face of the room's box with clipped
-background, and each patch of neighbouring surfels that no view shows below the limit. A source has one
-colour, unknown in the clipped channels.
+Sources are clipped emitters, openings (connected parts of a face of the room's box with a clipped background)
+and patches of neighbouring surfels that no view shows below the limit. A source has one radiance by channel,
+unknown in the clipped channels.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 CLIPPED_SHARE = 0.5
-"""Clipped share of an emitter's pixels, and of a bin's, from which on a channel is unknown."""
+"""Clipped share of the pixels of an emitter or bin above which a channel is unknown."""
 SHUT = 0.9
-"""Clipped share of a surfel's pixels from which on it counts as clipped in all views."""
+"""Clipped share of a surfel's pixels above which it counts as clipped in all views."""
 MIN_CELLS = 4
 """Minimum number of surfels of a patch."""
 MIN_BINS, MIN_PIXELS = 8, 0.03
 """Minimum number of bins by position and direction of an opening, and its minimum share of all clipped pixels
 outside."""
 MAX_SOURCES = 24
-"""Number of largest patches and openings kept apart; the rest of each kind is one source."""
+"""Maximum number of sources of each kind; the smallest are joined to the last."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Sources (S) that clip.
+    """S clipped sources.
 
     ``bound`` (S, 3) is the photographed radiance, a lower bound in the channels where ``is_open`` (S, 3) is
-    True. The other arrays hold the index of the source of each emitter (K,), background bin (B,) and surfel
+    True. The other arrays are the index of the source of each emitter (K,), background bin (B,) and surfel
     (N,), -1 for none.
     """
 
@@ -58,7 +58,7 @@ class Sources:
     def colored(
         self, values: NDArray, emitters: Emitters, background: Background, surfels: Surfels
     ) -> Colored:
-        """Emitters, background and surfels with ``values`` (S, 3) in the open channels of the sources."""
+        """Radiance of the room with ``values`` (S, 3) in the channels of the sources that are open."""
         return Colored(
             _put(emitters.radiance, self.of_emitter, values, self.is_open),
             _put(background.radiance, self.of_bin, values, self.is_open),
@@ -92,7 +92,7 @@ def find_sources(
     region_of_face: NDArray[np.int32],
     mesh: Mesh,
 ) -> Sources:
-    """The sources in ``views``."""
+    """The clipped sources in ``views``; ``emits`` (M,) is the mask of the triangles known to emit."""
     marked = [replace(view, color=_mask_of(view).astype(np.float32)) for view in views]
     emitting = photographed_emitters(marked, mesh, emits, region_of_face).radiance
     low, high = background.low, background.high
@@ -140,16 +140,17 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
     for view in marked:
         clipped = (view.geometry.face < 0) & view.valid_mask & (view.color.max(axis=2) > 0)
         pixel = np.flatnonzero(clipped)
-        way = view.camera.ray_directions().reshape(-1, 3)[pixel]
-        origin = np.broadcast_to(view.camera.position_m, way.shape)
-        total += np.bincount(NEAR.bins_of(origin, way, low, high), minlength=len(total))
+        direction = view.camera.ray_directions().reshape(-1, 3)[pixel]
+        origin = np.broadcast_to(view.camera.position_m, direction.shape)
+        total += np.bincount(NEAR.bins_of(origin, direction, low, high), minlength=len(total))
     return total
 
 
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
-    """Openings: connected squares of a face of the box with ``seen`` (B,) pixels.
+    """Opening (B,) of each bin, -1 for none, and the bins' clipped ``share`` (B, 3).
 
-    Squares that only have their neighbours' radiance belong to the largest.
+    An opening is a connected part of a face of the box with clipped bins. Openings with few clipped pixels,
+    counted per bin in ``seen`` (B,), are joined to the largest.
     """
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
     shape = 6, NEAR.places, NEAR.places, NEAR.directions
@@ -169,7 +170,10 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
 
 
 def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[NDArray[np.int64], NDArray]:
-    """Patches of neighbouring surfels of one side that clip in all views."""
+    """Patch (N,) of each surfel, -1 for none, and its clipped channels (N, 3), 0 or 1.
+
+    A patch is a set of neighbouring surfels of one side that all views clip.
+    """
     clipped, total = np.zeros((len(surfels), 3)), np.zeros(len(surfels))
     for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
         mine = surfel >= 0
@@ -193,9 +197,9 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
 
 
 def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
-    """Labels by size, largest first.
+    """``label`` renumbered by decreasing size, with at most :data:`MAX_SOURCES` labels.
 
-    Those after :data:`MAX_SOURCES` are joined, those with fewer than ``least`` members dropped.
+    Labels with fewer than ``least`` members become -1.
     """
     num = np.bincount(label[label >= 0])
     order = np.argsort(-num, kind="stable")
@@ -219,7 +223,7 @@ def source_of_pixels(
     found[on_surfel] = sources.of_surfel[surfel[on_surfel]]
     outside = np.flatnonzero((face < 0) & view.valid_mask.ravel())
     if len(outside):
-        way = view.camera.ray_directions().reshape(-1, 3)[outside]
-        origin = np.broadcast_to(view.camera.position_m, way.shape)
-        found[outside] = sources.of_bin[NEAR.bins_of(origin, way, background.low, background.high)]
+        direction = view.camera.ray_directions().reshape(-1, 3)[outside]
+        origin = np.broadcast_to(view.camera.position_m, direction.shape)
+        found[outside] = sources.of_bin[NEAR.bins_of(origin, direction, background.low, background.high)]
     return found

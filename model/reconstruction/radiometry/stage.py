@@ -15,9 +15,9 @@ from model.reconstruction.stages import Run
 
 
 def completed(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with views of one exposure, completed where they clip.
+    """The capture with views of one exposure and completed clipped pixels.
 
-    Floating-point images have no limit: renderings and merged brackets already share one exposure.
+    It is returned unchanged if an image has no clipping limit, as in renderings, which share one exposure.
     """
     if any(view.limit is None for view in traced.views):
         return traced
@@ -31,7 +31,7 @@ def completed(traced: TracedCapture, run: Run) -> TracedCapture:
                 is_evened=run.options.is_evened,
             )
         except ValueError as error:
-            run.report.notes.append(f"exposures and clipped pixels stay as they are: {error}")
+            run.report.notes.append(f"exposures and clipped pixels are unchanged: {error}")
             return traced
     run.report.radiometry = described(found)
     run.report.notes += notes_of(found)
@@ -62,7 +62,7 @@ def described(found: Completed) -> dict[str, Any]:
 
 
 def notes_of(found: Completed) -> list[str]:
-    """Sentences about the calibration for the user."""
+    """Messages about the calibration for the user."""
     notes = []
     stops = np.log2(found.radiometry.gain).mean(axis=1)
     if found.radiometry.changes:
@@ -71,14 +71,14 @@ def notes_of(found: Completed) -> list[str]:
         if found.radiometry.vignetting:
             text += f", corners brightened by {found.radiometry.vignetting / np.log(2):.2f} stops"
         if found.radiometry.curve:
-            text += ", and a response that differs from sRGB's undone"
+            text += ", and the response's deviation from sRGB was corrected"
         notes.append(text)
     if found.clipped_share > 0.001:
         text = f"{found.clipped_share:.1%} of the pixels are at the sensor's limit"
         unsure = int((found.spread > 0.5).sum())
         if len(found.radiance):
-            text += f"; the radiance of {len(found.radiance)} sources is found from what they light"
+            text += f"; the radiance of {len(found.radiance)} sources is estimated from illuminated surfaces"
         if unsure:
-            text += f"; {unsure} of them are uncertain: photograph them with a shorter exposure, too"
+            text += f"; {unsure} of them are uncertain: also photograph them with a shorter exposure"
         notes.append(text)
     return notes

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction rendered again: from its cameras, under other light, as an animation."""
+"""Renders a reconstruction: from its cameras, under other light, or as an animation."""

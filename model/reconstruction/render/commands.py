@@ -23,7 +23,7 @@ FILM_SUFFIXES = (".gif", ".mp4")
 
 @dataclass(frozen=True)
 class LightWords:
-    """Light, insertions and samples as strings."""
+    """Options of light, inserted objects and samples, before parsing."""
 
     sky: Annotated[
         str | None, typer.Option(help="Instead of the asset's lights: an environment map (EXR) or R,G,B.")
@@ -36,7 +36,9 @@ class LightWords:
     ] = ()
     insert: Annotated[
         tuple[str, ...],
-        typer.Option(help="PACKAGE@X,Y,Z[,DEGREES], repeatable; bundled:ID is a package too."),
+        typer.Option(
+            help="Object to insert: PACKAGE@X,Y,Z[,DEGREES], repeatable; PACKAGE may be bundled:ID."
+        ),
     ] = ()
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16
     no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Render without the denoiser.")] = False
@@ -45,7 +47,7 @@ class LightWords:
     ] = 0.0
 
     def parse(self) -> RelightOptions:
-        """The parsed options. Raises ``BadParameter`` for an invalid light, position or colour."""
+        """The parsed options. Raises ``typer.BadParameter`` for an invalid light, position or colour."""
         from model.reconstruction.render.relight import RelightOptions
 
         return RelightOptions(
@@ -84,7 +86,7 @@ def render(
     is_film = out.suffix.lower() in FILM_SUFFIXES
     for option, is_given in (("--view", view and is_film), ("--out", film != FilmOptions() and not is_film)):
         if is_given:
-            expected = "FILE.gif or FILE.mp4 with the options of a film, a folder with --view"
+            expected = "FILE.gif or FILE.mp4 with options of an animation, a folder with --view"
             raise typer.BadParameter(f"{str(out)!r}; expected {expected}", param_hint=option)
     options = replace(light.parse(), views=tuple(view))
     with Bars("frames" if is_film else "views", is_quiet=quiet) as bars:

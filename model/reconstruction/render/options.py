@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of an asset's animation, for the command and :class:`TurntableOptions`."""
+"""Options of an asset's animation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """Options of an animation; frames are at most ``max_width_px`` wide."""
+    """Options of an animation; ``max_width_px`` bounds the longer side of frames."""
 
     way: Annotated[
         Literal["orbit", "cameras"],
@@ -22,7 +22,7 @@ class FilmOptions:
     frames: Annotated[int, typer.Option(min=2, help="Animation: number of frames.")] = 48
     frames_per_second: Annotated[float, typer.Option("--fps", help="Animation: frames per second.")] = 12.0
     max_width_px: Annotated[
-        int, typer.Option("--max-width", min=16, help="Animation: wider frames are shrunk.")
+        int, typer.Option("--max-width", min=16, help="Animation: maximum side of frames in pixels.")
     ] = 480
 
     def __post_init__(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Renders an asset again: from its own cameras, under its own or other light, with inserted objects.
+"""Renders an asset from its own cameras, under its own or other light, with inserted objects.
 
 The package becomes a configuration for ``datagen``'s renderer.
 """
@@ -35,7 +35,7 @@ from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 
 SKY_ID = "relight-sky"
-_DARK = 1e-3  # relative to the sky's radiance: views with a lower mean are not lit by it
+_DARK = 1e-3  # mean radiance of a view, relative to the sky's, below which the sky does not light it
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class Lamp:
 class RelightOptions:
     """Options of rendering an asset.
 
-    ``sky`` and ``lamps`` replace the asset's lights: an environment map (EXR) or a constant radiance, and
-    point lights. ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace them, named
-    ``frame-000`` onwards. ``compensation`` scales the exposure of PNG images and animations.
+    ``sky``, an environment map (EXR) or a constant radiance, and ``lamps`` replace the asset's lights.
+    ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace the asset's, with the names
+    ``frame-000``, .... ``compensation`` is a factor of the exposure of PNG images and animations.
     """
 
     sky: Path | tuple[float, float, float] | None = None
@@ -176,7 +176,7 @@ def _sky_light(sky: Path | tuple[float, float, float]) -> Light:
 
 @contextmanager
 def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path | None]:
-    """A package with the environment map, since configurations refer to images in packages only."""
+    """A temporary package with the environment map, since configurations refer only to images in packages."""
     if not isinstance(sky, Path):
         yield None
         return
@@ -202,15 +202,14 @@ def lit_images(
 ) -> Iterator[RenderedImage]:
     """The images of :func:`render_asset`, with a fallback for dark rooms.
 
-    If no light from the sky reaches the first view, or if there are no lights, the asset's own lights are
-    used, else a lamp in the middle of its cameras; ``warn`` is then called with an explanation.
+    If no light from the sky reaches the first view, the asset's own lights are used. If there are none, a
+    lamp in the middle of its cameras is used. ``warn`` is then called with an explanation.
     """
     with open_package(path) as package:
         asset = package.asset
     assert isinstance(asset, EnvironmentAsset)
     has_lights = bool(asset.lights) or any(any(m.emission or ()) for m in asset.materials.values())
-    is_told = options.sky is not None or bool(options.lamps)
-    if not is_told and not has_lights:
+    if options.sky is None and not options.lamps and not has_lights:
         options = _with_own_lamp(options, asset, path)
         _say(warn, f"the asset has no light: {_OWN_LAMP}")
     images = render_asset(path, options)
@@ -219,7 +218,7 @@ def lit_images(
         return
     if _is_unlit(first.color, options):
         options = replace(options, sky=None) if has_lights else _with_own_lamp(options, asset, path)
-        instead = "its own lights shine" if has_lights else _OWN_LAMP
+        instead = "its own lights are used" if has_lights else _OWN_LAMP
         _say(warn, f"no light of the sky reaches {first.name}: the room is closed; {instead}")
         images = render_asset(path, options)
         first = next(images)
@@ -227,7 +226,7 @@ def lit_images(
     yield from images
 
 
-_OWN_LAMP = "a lamp in the middle of its cameras shines (--lamp X,Y,Z places others)"
+_OWN_LAMP = "a lamp in the middle of its cameras is used (--lamp X,Y,Z sets others)"
 
 
 def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path) -> RelightOptions:
@@ -244,7 +243,7 @@ def _say(warn: Callable[[str], None] | None, text: str) -> None:
 
 
 def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
-    """Whether a view is practically black with a sky as its only light."""
+    """Whether the only light is a sky and a view of radiance ``color`` is practically black."""
     if options.sky is None or options.lamps:
         return False
     return float(luminance(color).mean()) < _DARK * _sky_luminance(options.sky)
@@ -289,5 +288,5 @@ def write_renders(
 
 
 def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
-    """A linear image (H, W, 3) as 8-bit sRGB."""
+    """A linear image (H, W, 3) times ``exposure`` as 8-bit sRGB."""
     return (np.clip(srgb_from_linear(color * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Animation of an asset: cameras on a path through it, their frames as a GIF or a video.
+"""Animation of an asset: frames from cameras on a path through it, as a GIF or a video.
 
-``orbit`` is a turn within the space of the asset's cameras: on an ellipse about their middle, at their mean
-height, looking across the room if most of them do, else outwards. ``cameras`` visits them in order, without
-stopping, and returns. Both end at their start, so that the animation can loop.
+The path ``orbit`` is an ellipse about the middle of the asset's cameras, at their mean height; its cameras
+look across the room if most of the asset's do, else outwards. The path ``cameras`` passes through the asset's
+cameras in order and returns. Both end at their start, so the animation can loop.
 """
 
 from __future__ import annotations
@@ -32,9 +32,7 @@ _GIF_COLORS = 255
 
 @dataclass(frozen=True)
 class TurntableOptions(FilmOptions):
-    """Options of an animation. ``render`` holds light, insertions and samples; its views and cameras are not
-    used.
-    """
+    """Options of an animation; views and cameras of ``render`` are not used."""
 
     render: RelightOptions = field(default_factory=RelightOptions)
 
@@ -53,7 +51,7 @@ def write_turntable(
     """
     options = options or TurntableOptions()
     if out.suffix.lower() not in SUFFIXES:
-        raise input_error(out, "", out.suffix or "no suffix", "a file .gif or .mp4", "name it so")
+        raise input_error(out, "", out.suffix or "no suffix", "a file .gif or .mp4", "rename it")
     with open_package(path) as package:
         asset = package.asset
         if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
@@ -79,8 +77,9 @@ def write_turntable(
 
 
 def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:
-    """The frames' cameras: the lens of the first camera, centred, with even width and height, as video
-    requires.
+    """The frames' cameras on the path ``options.way``, with the median focal length of ``cameras``.
+
+    The width and height are even, as video requires, in the first camera's aspect ratio.
     """
     lens = cameras[0]
     scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
@@ -95,7 +94,7 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
     forward = np.array([camera.forward for camera in cameras])
     center = 0.5 * (eyes.min(axis=0) + eyes.max(axis=0))
     center[2] = eyes[:, 2].mean()
-    # The cameras' bounding box may have empty corners: a circle of their spread stays among them.
+    # the cameras' bounding box may have empty corners; an ellipse of their spread stays among them
     radii = np.maximum(np.sqrt(2) * eyes[:, :2].std(axis=0), MIN_RADIUS_M)
     is_across = float(((center - eyes)[:, :2] * forward[:, :2]).sum()) >= 0
     slope = float(np.mean(forward[:, 2] / np.maximum(np.linalg.norm(forward[:, :2], axis=1), 0.2)))
@@ -111,7 +110,7 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
 
 
 def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
-    """A closed spline through the cameras' positions and directions, with equal time between cameras."""
+    """Poses on a closed spline through the cameras' positions and directions, equally spaced in time."""
     from scipy.interpolate import CubicSpline
 
     keys = np.array([np.concatenate([c.position_m, c.forward]) for c in cameras])
@@ -130,7 +129,7 @@ def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
 
 
 def _write_gif(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_second: float) -> None:
-    """Write a GIF with one palette for all frames; separate ones would make colours flicker."""
+    """Write a GIF with one palette for all frames, since separate palettes would make colours flicker."""
     from PIL import Image
 
     step = max(1, len(frames) // 16)
@@ -143,7 +142,7 @@ def _write_gif(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_secon
 
 
 def _write_video(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_second: float) -> None:
-    """Write VP9 in MP4: the wheel of OpenCV has no H.264."""
+    """Write VP9 in MP4, since OpenCV's wheels cannot encode H.264."""
     import cv2
 
     height, width = frames[0].shape[:2]
@@ -151,7 +150,7 @@ def _write_video(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_sec
     writer = cv2.VideoWriter(str(path), code, frames_per_second, (width, height))
     if not writer.isOpened():
         remedy = "write a .gif, or install an OpenCV whose FFmpeg has VP9"
-        raise input_error(path, "", "this OpenCV writes no VP9", "a video", remedy)
+        raise input_error(path, "", "this OpenCV cannot encode VP9", "an encoder for VP9", remedy)
     for frame in frames:
         writer.write(np.ascontiguousarray(frame[..., ::-1]))
     writer.release()

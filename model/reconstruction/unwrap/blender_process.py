@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's Smart UV Project in a separate process, for pieces of a mesh on which xatlas fails.
 
-``python -m model.reconstruction.unwrap.blender_process IN.npz OUT.npz``: the files of ``xatlas_process``.
+``python -m model.reconstruction.unwrap.blender_process IN.npz OUT.npz``: files as for ``xatlas_process``.
 Needs the Python module bpy; exit code 3 if it is not installed.
 """
 
@@ -16,7 +16,7 @@ _ANGLE_RAD = 1.15  # Blender's own default, 66 degrees
 
 
 def main(source: str, target: str) -> None:
-    """Unwrap one mesh."""
+    """Unwrap the mesh of the file ``source``, and write the result to the file ``target``."""
     try:
         import bpy
     except ImportError:
@@ -27,12 +27,12 @@ def main(source: str, target: str) -> None:
     mesh = bpy.data.meshes.new("piece")
     mesh.from_pydata(positions.tolist(), [], faces.tolist())
     if len(mesh.polygons) != len(faces):
-        raise SystemExit("Blender took not every triangle")
+        raise SystemExit("Blender did not accept every triangle")
     layer = mesh.uv_layers.new(name="UVMap")
-    thing = bpy.data.objects.new("piece", mesh)
-    bpy.context.scene.collection.objects.link(thing)
-    bpy.context.view_layer.objects.active = thing
-    thing.select_set(True)
+    piece = bpy.data.objects.new("piece", mesh)
+    bpy.context.scene.collection.objects.link(piece)
+    bpy.context.view_layer.objects.active = piece
+    piece.select_set(True)
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.uv.smart_project(
@@ -58,7 +58,7 @@ def main(source: str, target: str) -> None:
     areas = 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     is_placed = uv_areas > 1e-12
     if not is_placed.any():
-        raise SystemExit("Blender gave no triangle an area")
+        raise SystemExit("Blender's UVs have no area")
     metres = float(np.sqrt(areas[is_placed].sum() / uv_areas[is_placed].sum()))
     corners = (corners - corners[is_placed].min(axis=(0, 1))) * metres
     size = corners[is_placed].max(axis=(0, 1)) + metres * PADDING / PACK_RESOLUTION

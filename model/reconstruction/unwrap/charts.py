@@ -10,7 +10,7 @@ from datagen.foundation.meshes.mesh import Mesh
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
-    """Chart (M,) of each triangle: triangles that share a vertex with equal UVs belong together."""
+    """Index (M,) of each triangle's chart; triangles that share a vertex, hence its UV, are in one chart."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

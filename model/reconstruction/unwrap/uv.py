@@ -3,7 +3,7 @@
 
 UVs are valid if all are inside the unit square, none is missing and no two triangles cover one texel. xatlas
 runs in separate processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped
-by Blender's Smart UV Project, if bpy is installed; if that fails too, its triangles are laid out one by one,
+by Blender's Smart UV Project, if bpy is installed; if that fails too, its triangles are placed individually,
 which always works. Pieces are packed so that a metre has the same length everywhere on the atlas.
 """
 
@@ -34,11 +34,8 @@ BLENDER_PROCESS = "model.reconstruction.unwrap.blender_process"
 MIN_PADDING_TEXELS = 1
 _MAX_PADDING, _MAX_CHART_FACES = 8, 1_000_000
 _CHECK_SIZE = 1024
-_CHECK_OFFSET = (
-    0.5123,
-    0.4871,
-)  # away from typical vertex positions: rays on edges would hit two triangles
-_MAX_OVERLAP = 0.002  # share of the covered area: tolerates a few texels along touching charts
+_CHECK_OFFSET = (0.5123, 0.4871)  # avoids samples on edges, which two triangles cover
+_MAX_OVERLAP = 0.002  # share of the covered area; tolerates a few texels along touching charts
 _MAX_UNMAPPED = 0.001  # share of the surface with degenerate UVs
 _RANGE_SLACK = 1e-5
 
@@ -48,7 +45,7 @@ class UvReport:
     """Quality of an unwrap.
 
     ``source``: origin of the UVs; ``rejected``: fault of the mesh's own UVs, or ''; ``coverage``: share of
-    the atlas with surface; ``metres_per_side``: length on the surface of the atlas's side (median);
+    the atlas with a surface; ``metres_per_side``: median length of the atlas's side on the surface;
     ``stretch``: ratio of the 95th to the 5th percentile of the texel density by area, ideally 1;
     ``padding_texels``: gap between charts on an atlas of 1024 texels a side, 8 at most, None for too many
     triangles; ``num_blender_faces``: triangles unwrapped by Blender after xatlas failed;
@@ -66,25 +63,23 @@ class UvReport:
 
     @property
     def notes(self) -> list[str]:
-        """Remarks for the user."""
-        said = [f"the mesh's own UVs do not serve: {self.rejected}"] if self.rejected else []
+        """Messages for the user."""
+        notes = [f"the mesh's own UVs are not used: {self.rejected}"] if self.rejected else []
         if self.num_blender_faces:
-            said.append(f"xatlas failed on {self.num_blender_faces} triangles; Blender unwrapped them")
+            notes.append(f"xatlas failed on {self.num_blender_faces} triangles; Blender unwrapped them")
         if self.num_fallback_faces:
             has_bpy = find_spec("bpy") is not None
-            said.append(
-                f"{self.num_fallback_faces} triangles are laid out one by one, which wastes texels at their "
+            notes.append(
+                f"{self.num_fallback_faces} triangles are placed individually, which wastes texels at their "
                 "seams; unwrap the mesh by hand" + ("" if has_bpy else " or install bpy for Blender's unwrap")
             )
         if self.padding_texels is not None and self.padding_texels < MIN_PADDING_TEXELS:
-            said.append("charts touch each other: colours may bleed over seams in coarse mip levels")
-        return said
+            notes.append("charts touch each other: colours may bleed over seams in coarse mip levels")
+        return notes
 
 
 def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
-    """The mesh with UVs suitable for an atlas; triangles keep their order and corners, vertices may be
-    split.
-    """
+    """The mesh with UVs for an atlas; triangles keep their order and corners, but vertices may be split."""
     fault = "" if mesh.uv is None else own_uv_fault(mesh)
     if mesh.uv is not None and not fault:
         return mesh, _report(mesh, "mesh", "")
@@ -117,8 +112,9 @@ def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def padding_texels(mesh: Mesh) -> int | None:
-    """Texels between the two nearest charts on an atlas of 1024 texels a side, at most ``_MAX_PADDING``;
-    None for large meshes."""
+    """Number of texels between the two nearest charts on an atlas of 1024 texels a side, at most 8; None for
+    large meshes.
+    """
     from scipy.ndimage import maximum_filter, minimum_filter
 
     if len(mesh.faces) > _MAX_CHART_FACES:
@@ -194,9 +190,7 @@ def _pieces(mesh: Mesh) -> list[NDArray[np.int64]]:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Corners (M, 3, 2) in metres and the size (2,); number of triangles placed by Blender, and
-    individually.
-    """
+    """Corners (M, 3, 2) and size (2,) in metres; numbers of triangles placed by Blender and individually."""
 
     corners: NDArray[np.float64]
     size_m: NDArray[np.float64]
@@ -228,7 +222,7 @@ def _unwrap_piece(positions: NDArray[np.float32], faces: NDArray[np.int64], stem
 def _run(
     module: str, source: Path, target: Path
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Corners, size and placed triangles, from a process that may crash; None if it did, or placed none."""
+    """Corners, size and mask of placed triangles from a process; None if it failed or placed none."""
     command = [sys.executable, "-m", module, str(source), str(target)]
     root = Path(__file__).resolve().parents[3]
     try:
@@ -244,7 +238,7 @@ def _run(
 
 
 def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A layout of separate, undistorted triangles, their longest edges along shelves of decreasing height.
+    """A layout of separate, undistorted triangles with their longest edges along shelves.
 
     Returns corners (M, 3, 2) in metres and the sheet's size (2,).
     """
@@ -270,8 +264,8 @@ def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float
 
 
 def shelf_packed(boxes: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Lower left corners (N, 2) of boxes (N, 2) in rows by decreasing height, and the side of the square they
-    need.
+    """Lower left corners (N, 2) of boxes of sizes (N, 2), packed in rows by decreasing height, and the side
+    of the square around them.
     """
     order = np.argsort(-boxes[:, 1], kind="stable")
     best: tuple[NDArray[np.float64], float] | None = None

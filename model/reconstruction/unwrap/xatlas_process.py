@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """xatlas in a separate process, since it may crash on large or broken meshes.
 
-``python -m model.reconstruction.unwrap.xatlas_process IN.npz OUT.npz``: IN holds ``positions`` (N, 3) and
-``faces`` (M, 3); OUT gets ``corners`` (M, 3, 2), the triangles' corners on the sheet in metres, and
-``size_m`` (2,).
+``python -m model.reconstruction.unwrap.xatlas_process IN.npz OUT.npz``: IN contains ``positions`` (N, 3) and
+``faces`` (M, 3); OUT contains ``corners`` (M, 3, 2), the triangles' corners on a sheet in metres, its size
+``size_m`` (2,), and ``is_placed`` (M,), the mask of triangles that were unwrapped.
 
-xatlas drops edges below 1e-4 and triangles of less than 1.2e-7 in its unit: in metres that would be every
-triangle of a finely tessellated tap. The mesh is therefore passed in units of the median edge.
+xatlas drops edges below 1e-4 and triangles of less than 1.2e-7 in its unit; in metres, that would include
+every triangle of finely tessellated objects. The mesh is therefore passed in units of the median edge.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PACK_RESOLUTION, PADDING = 1024, 2
 
 
 def main(source: str, target: str) -> None:
-    """Unwrap one mesh."""
+    """Unwrap the mesh of the file ``source``, and write the result to the file ``target``."""
     import xatlas
 
     with np.load(source) as data:
@@ -38,7 +38,7 @@ def main(source: str, target: str) -> None:
         raise SystemExit("xatlas changed the order of the triangles")
     used = sheet[indices.ravel()]
     is_placed = used < atlas.atlas_count
-    shift = np.where(is_placed, used, 0)[:, None] * [float(atlas.width), 0.0]  # several sheets: side by side
+    shift = np.where(is_placed, used, 0)[:, None] * [float(atlas.width), 0.0]  # sheets are side by side
     texels = uv[indices.ravel()] * [float(atlas.width), float(atlas.height)] + shift
     texel_m = unit_m / atlas.texels_per_unit
     corners = (texels * texel_m).reshape(-1, 3, 2)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Moving the camera (around a point or from where one stands) and the light, by pointer and by keys.
+// Moves the camera (around a point, or about its own position) and the light, by pointer and keys.
 "use strict";
 
 VIEW.makeControls = (camera, canvas, bounds, changed) => {
@@ -12,7 +12,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
   let mode = "orbit";
   const light = new Vector3();
 
-  // "fly" turns where one stands: the point to turn around is right before the camera
+  // "fly" turns the camera about its own position: the point to turn around is just before the camera
   function setMode(wanted) {
     mode = wanted;
     const ahead = camera.getWorldDirection(new Vector3());

@@ -75,8 +75,8 @@ VIEW.shader = {
       return hasShadows ? radiance * visibility(lightShadow, 0, lightPosition, point, plane, range) : radiance;
     }
 
-    // a source as a point of intensity L (max(V w, 0) + rest); the area over pi bounds what it lights at contact, and
-    // is exact on a disk's axis
+    // A source as a point of intensity L (max(V w, 0) + rest). The term area / pi bounds the irradiance at contact, and
+    // is exact on a disk's axis.
     vec3 fromSources(vec3 D, vec3 S, float R, vec3 n, vec3 o, vec3 plane) {
       vec3 radiance = vec3(0.0);
       for (int k = 0; k < numSources; k++) {
@@ -98,7 +98,7 @@ VIEW.shader = {
 
     void main() {
       if (isLamp && shown > 0) { color = vec4(vec3(0.2), 1.0); return; }
-      if (isLamp && numSources > 0) { color = vec4(screen(emission * exposure), 1.0); return; } // switched off, it is grey
+      if (isLamp && numSources > 0) { color = vec4(screen(emission * exposure), 1.0); return; } // grey if switched off
       vec3 plane = normalize(cross(dFdx(point), dFdy(point)));
       vec3 D = texture(diffuseMap, at).rgb, S = texture(specularMap, at).rgb;
       vec3 rough = texture(roughMap, at).rgb;

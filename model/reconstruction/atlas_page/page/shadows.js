@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // Shadow maps of point lights: distances to the nearest surface through the six faces of a cube around each light.
 // Layer 6 k + f of an array of textures is face f of light k. Faces look along +x, -x, +y, -y, +z, -z, with +z up, or
-// +y for the last two; the shader finds them by the same rule. A distance over `range` is stored in 24 bits of RGB.
+// +y for the last two; the shader selects them by the same rule. Distances, divided by `range`, have 24 bits in RGB.
 "use strict";
 
 VIEW.MAX_SOURCES = 8; // as in sources.py
@@ -28,8 +28,8 @@ VIEW.shadowShader = {
       color = vec4(floor(steps / 65536.0), floor(mod(steps, 65536.0) / 256.0), mod(steps, 256.0), 255.0) / 255.0;
     }`,
 
-  // `n` is the normal of the plane in which `point` lies: every texel is compared with that plane's distance along the
-  // texel's own ray, so that a plane does not shadow itself however it is inclined.
+  // `n` is the normal of the plane through `point`: every texel is compared with that plane's distance along the
+  // texel's ray, so a plane does not shadow itself at any inclination.
   visibility: `
     float storedDistance(sampler2DArray maps, ivec2 texel, int layer, float range) {
       vec3 bytes = floor(texelFetch(maps, ivec3(texel, layer), 0).rgb * 255.0 + 0.5);
@@ -53,7 +53,7 @@ VIEW.shadowShader = {
         vec2 texel = clamp(low + corner, 0.0, float(side - 1));
         vec2 tangent = (texel + 0.5) / float(side) * 2.0 - 1.0;
         float slope = dot(n, normalize(ahead + tangent.x * right + tangent.y * up));
-        // the plane's distance on the texel's ray; a curved surface leaves its plane, hence at least 0.8
+        // the plane's distance on the texel's ray, at least 0.8 of the point's, since a curved surface leaves its plane
         float plane = abs(slope) > 1e-4 ? height / slope : far;
         float expected = plane > 0.0 ? clamp(plane, 0.8 * far, far) : far;
         float stored = storedDistance(maps, ivec2(texel), layer, range);

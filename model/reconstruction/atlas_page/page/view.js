@@ -32,12 +32,12 @@
   try {
     renderer = new T.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
   } catch (error) {
-    return complain(`This browser offers no WebGL 2 here (${error.message}).`);
+    return complain(`WebGL 2 is not available in this browser (${error.message}).`);
   }
   const world = new T.Scene(), camera = new T.PerspectiveCamera(60, 1, 0.01, 100);
   camera.up.set(0, 0, 1);
-  // What is looked at: where the cameras stand, with room around them, or the asset. A room's mesh may bring
-  // half a landscape.
+  // The bounds for navigation: those of the cameras with a margin, else of the asset. A room's mesh may include
+  // distant outdoor geometry.
   const places = data.cameras.length ? data.cameras.map((c) => c.position) : data.bounds;
   const bounds = [Math.min, Math.max].map((pick) => new T.Vector3(...[0, 1, 2].map((k) => pick(...places.map((p) => p[k])))));
   if (data.cameras.length) {
@@ -102,7 +102,7 @@
   const bulb = new T.Mesh(new T.SphereGeometry(1, 16, 12), new T.MeshBasicMaterial({ color: 0xffe08a }));
   world.add(bulb);
 
-  // The light's map is drawn again where it has moved; its ball throws no shadow, and lamps do not shadow themselves.
+  // The light's shadow map is drawn again when the light has moved. Its ball and the lamps cast no shadows.
   let shadowsFrom = null;
   function drawShadows() {
     bulb.visible = false;
@@ -186,16 +186,16 @@
   function setMode(mode) {
     ui.mode.value = mode;
     controls.setMode(mode);
-    $("spoken").textContent = mode === "fly" ? "camera turns where it stands" : "camera turns around the asset";
+    $("spoken").textContent = mode === "fly" ? "camera turns about its position" : "camera turns around the asset";
   }
 
-  // The room from its edge: where the camera stands that is farthest from the others, towards their middle.
+  // A view of the room from its edge: from the camera farthest from the others, towards the cameras' middle.
   const OUTSIDE = -1, ROOM = -2;
   function wholeRoom() {
     const at = data.cameras.map((c) => new T.Vector3(...c.position));
     const apart = at.map((from) => at.reduce((sum, to) => sum + from.distanceTo(to), 0));
     const first = apart.indexOf(Math.max(...apart));
-    if (first < 0 || apart[first] < 0.5 * at.length) return null; // from one place, the room has no edge
+    if (first < 0 || apart[first] < 0.5 * at.length) return null; // cameras at one position determine no edge
     const middle = at.reduce((sum, to) => sum.add(to), new T.Vector3()).divideScalar(at.length);
     return { name: "room", fov: 75, position: at[first].toArray(), target: middle.toArray() };
   }
@@ -210,7 +210,7 @@
       setMode("fly");
     } else { // from outside, or where an asset has no cameras
       const at = controls.center.clone().add(new T.Vector3(-0.75, -1, 0.6).normalize().multiplyScalar(1.3 * controls.size));
-      setMode("orbit"); // before the camera moves: it keeps the point to turn around
+      setMode("orbit"); // before the camera moves, since the mode keeps the point to turn around
       controls.look(at.toArray(), controls.center.toArray(), 50);
     }
     ui.camera.value = from ? number : OUTSIDE;
@@ -235,12 +235,12 @@
       slider("fill", "fill", 0, 1, 0.01, 0.06, (value) => value.toFixed(2), (value) => { settings.fill = value; shared.fill.value = value; }),
       axis(0, "x"), axis(1, "y"), axis(2, "z"),
       checkbox("shadows", "shadows", true, false, (value) => { shared.hasShadows.value = value; }),
-      element("p", { class: "note", text: "Drag the yellow ball, or use the keys. It is one point light; fill is light from all around, roughly." }),
+      element("p", { class: "note", text: "Drag the yellow ball, or use the keys, to move the point light. Fill approximates light from all directions." }),
       element("h2", { text: "Lights of the room" }),
       checkbox("sources", "switched on", false, !data.sources.length, (value) => { shared.numSources.value = value ? data.sources.length : 0; }),
-      element("p", { class: "note", id: "sources-note", text: data.sources.length ? `${data.numLights === 1 ? "1 light" : `${data.numLights} lights`}, as ${data.sources.length === 1 ? "1 point" : `${data.sources.length} points`} at the middle of what shines; without reflected light.` : "There are none: none was found, or none that this page can show." }),
+      element("p", { class: "note", id: "sources-note", text: data.sources.length ? `${data.numLights === 1 ? "1 light" : `${data.numLights} lights`}, as ${data.sources.length === 1 ? "1 point" : `${data.sources.length} points`} at their centres; without reflected light.` : "There are none that this page can show." }),
       element("h2", { text: "Keys" }),
-      element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 7: what is shown", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
+      element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 7: displayed quantity", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
       element("p", { class: "note", id: "sizes", text: `${data.materials.length} ${data.materials.length === 1 ? "material" : "materials"}, textures up to ${Math.max(1, ...sizes)} texels a side` }),
       ...data.notes.map((text) => element("p", { class: "note", text })));
     controls.whenLightMoves(() => { for (const k of [0, 1, 2]) ui[`light-${"xyz"[k]}`].apply(controls.light.getComponent(k)); });
