@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def read_linear(path: Path) -> NDArray[np.float32]:
-    """Pixels (H, W, 3) of an image file as stored, row 0 at the top."""
+    """Pixels (H, W, 3) of an image file without colour conversion, row 0 at the top."""
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.name = "Non-Color"
