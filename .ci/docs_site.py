@@ -28,7 +28,7 @@ def _docstring(path: Path) -> str:
 
 
 def api_pages() -> dict[str, list[str]]:
-    """Modules of each package and subpackage: ``{"datagen.formats": ["datagen.formats.asset", ...]}``."""
+    """Names of the modules by package: ``{"datagen.formats": ["datagen.formats.asset", ...]}``."""
     pages: dict[str, list[str]] = {}
     for package in PACKAGES:
         for path in sorted((REPOSITORY / package).rglob("*.py")):
@@ -69,7 +69,7 @@ def _api_index(pages: dict[str, list[str]]) -> str:
 
 
 def decisions() -> list[tuple[str, str]]:
-    """(file name, title) of every decision, by number."""
+    """File name and title of every decision, by number."""
     found = []
     for path in sorted((REPOSITORY / "docs" / "decisions").glob("[0-9]*.md")):
         found.append((path.name, path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")))
@@ -87,7 +87,7 @@ def _decisions_index() -> str:
 
 
 def on_config(config: Any) -> Any:
-    """Add the generated pages to the navigation."""
+    """Add the generated pages to the site's navigation."""
     config.nav += [
         {"API reference": ["api/index.md", *({owner: f"api/{owner}.md"} for owner in api_pages())]},
         {"Decisions": ["decisions/index.md", *(f"decisions/{name}" for name, _ in decisions())]},
@@ -96,7 +96,7 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the generated pages."""
+    """Add the generated pages to the site's files."""
     pages = api_pages()
     content = {f"api/{owner}.md": _api_page(owner, modules) for owner, modules in pages.items()}
     content["api/index.md"] = _api_index(pages)

@@ -27,7 +27,7 @@ _UV_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of an export: the completed ``fraction`` of the work, in [0, 1], and the current step."""
+    """Progress of an export: completed ``fraction`` in [0, 1], and the current step as ``text``."""
 
     fraction: float
     text: str
@@ -105,7 +105,7 @@ class _Assembly:
             self.contents.num_triangles += len(mesh.triangles)
 
     def _slots(self, key: int) -> list[int]:
-        """Slots of a mesh that have triangles."""
+        """Indices of the material slots of a mesh that have triangles."""
         if key not in self._used_slots:
             found = np.unique(self.contents.gathered.meshes[key].triangle_slots)
             self._used_slots[key] = [int(slot) for slot in found]
@@ -288,7 +288,7 @@ class _Assembly:
         return self._layouts[key]
 
     def description(self) -> dict[str, Any]:
-        """Materials, parts, lights and bounds for ``asset.json``."""
+        """The materials, parts, lights and bounds of ``asset.json``, after all parts are written."""
         offset = np.zeros(3)
         result: dict[str, Any] = {"materials": self.materials}
         tagged = self.contents.target.tagged

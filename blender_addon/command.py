@@ -34,7 +34,7 @@ def version() -> str:
 
 
 def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentParser:
-    """The command's arguments; defaults are from :class:`ExportSettings`."""
+    """Parser of the command's arguments, with the defaults of :class:`ExportSettings`."""
     default = ExportSettings()
     parser = argparse.ArgumentParser(
         prog=program,
@@ -72,7 +72,7 @@ def settings_from(arguments: argparse.Namespace) -> ExportSettings:
 
 @contextlib.contextmanager
 def quiet_stdout() -> Iterator[None]:
-    """Context that discards standard output, also that of Cycles, which bypasses Python."""
+    """Context that discards standard output, including Cycles', which bypasses Python."""
     sys.stdout.flush()
     saved = os.dup(1)
     null = os.open(os.devnull, os.O_WRONLY)

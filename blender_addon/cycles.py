@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders a scene of a session with Cycles and returns linear pixels; leaves no Render Result behind."""
+"""Renders a scene with Cycles and returns linear pixels, without leaving a Render Result."""
 
 from __future__ import annotations
 

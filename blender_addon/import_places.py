@@ -263,7 +263,7 @@ class Places:
 
 
 def _emitting_along(direction: Any) -> NDArray[np.float64]:
-    """A rotation whose -Z is ``direction``; its roll is arbitrary."""
+    """A rotation (3, 3) with -Z along ``direction`` and arbitrary roll."""
     z = -np.asarray(direction, dtype=np.float64)
     z /= np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [0.0, 1.0, 0.0], z)

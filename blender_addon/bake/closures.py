@@ -42,7 +42,7 @@ _SMALL_TRANSMISSION = 0.1
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """A node input that is not exported: its names, its effect, and the error that results."""
+    """A node input that is left out: its names, its effect, and the resulting error."""
 
     names: tuple[str, ...]
     effect: str
@@ -73,8 +73,8 @@ _DIFFUSE_ROUGHNESS = _LeftOut(
 class Lobe:
     """One weighted closure.
 
-    ``diffuse`` is its diffuse reflectance, (1 - S) D if the closure has a single D, which ``albedo`` states;
-    ``specular`` is its F0; ``roughness`` is perceptual, None without a specular part.
+    ``diffuse`` is the diffuse reflectance, (1 - S) D if ``albedo`` D is given; ``specular`` is F0;
+    ``roughness`` is perceptual, None without a specular part.
     """
 
     weight: Expression

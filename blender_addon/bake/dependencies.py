@@ -86,7 +86,7 @@ class Dependencies:
         return self.world or self.object_info
 
     def merge(self, other: Dependencies) -> None:
-        """Add other dependencies."""
+        """Add the dependencies ``other``."""
         self.uv_layers |= other.uv_layers
         self.named |= other.named
         self.frames |= other.frames
@@ -118,7 +118,7 @@ class DependencyWalk:
         self._is_normal = False
 
     def of(self, *expressions: Expression) -> Dependencies:
-        """All dependencies of the expressions."""
+        """All dependencies of the given expressions."""
         self._seen, self._result = set(), Dependencies()
         for expression in expressions:
             for value in sorted(sockets(expression), key=lambda s: (s.path, s.node, s.socket)):

@@ -83,7 +83,7 @@ class BakeSession:
         return self._scene
 
     def own(self, collection: Any, block: Any) -> Any:
-        """Register a datablock for removal when the session closes."""
+        """Register a datablock of ``collection`` for removal when the session closes, and return it."""
         self._created.append((collection, block))
         return block
 
@@ -103,7 +103,7 @@ class BakeSession:
         expressions: dict[str, Expression],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> WorkingMaterial:
-        """Copy a material and build sockets for ``expressions``; ``object_info`` replaces Object Info."""
+        """Copy a material and build ``expressions`` in it; ``object_info`` replaces Object Info nodes."""
         copy = self.own(bpy.data.materials, material.copy())
         copy.name = f"{_PREFIX}{material.name}"
         tree = copy.node_tree
@@ -191,7 +191,7 @@ class BakeSession:
 
     @contextmanager
     def only(self, thing: bpy.types.Object) -> Iterator[None]:
-        """Context in which ``thing`` is the only rendered object, selected and active, for operators."""
+        """Context for operators in which ``thing`` is the only rendered object, selected and active."""
         layer = self.scene.view_layers[0]
         for other in self.scene.collection.objects:
             other.hide_render = other != thing
@@ -217,7 +217,7 @@ class BakeSession:
         size: int,
         uv_layer: str = BAKE_UV,
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Bake a channel; returns pixels (size, size, 3), row 0 at the bottom, and the mask of baked ones."""
+        """Bake a channel; returns pixels (size, size, 3), row 0 at the bottom, and a mask of baked pixels."""
         tree = working.material.node_tree
         colour = working.emission.inputs["Color"]
         for link in list(colour.links):
@@ -270,7 +270,7 @@ UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 @dataclass
 class _Builder:
-    """Turns expressions into nodes of a working tree."""
+    """Builds expressions as nodes of a working tree."""
 
     session: BakeSession
     tree: bpy.types.NodeTree

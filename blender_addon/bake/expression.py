@@ -90,7 +90,7 @@ def _is_complement(expression: Expression) -> bool:
 
 
 def operate(name: str, *arguments: Expression) -> Expression:
-    """Apply an operation, folding constants and dropping neutral elements."""
+    """Apply an operation of :data:`OPERATIONS`, folding constants and dropping neutral elements."""
     width = max(argument.width for argument in arguments)
     if all(isinstance(argument, Constant) for argument in arguments):
         function = OPERATIONS[name]
@@ -149,7 +149,7 @@ def clamp(expression: Expression) -> Expression:
 
 
 def unclamped(expression: Expression) -> Expression:
-    """The expression without outer minima and maxima with constants."""
+    """Strip the outer minima and maxima with constants from an expression."""
     while (
         isinstance(expression, Operation)
         and expression.name in ("minimum", "maximum")
@@ -160,7 +160,7 @@ def unclamped(expression: Expression) -> Expression:
 
 
 def complement(expression: Expression) -> Expression:
-    """1 - x."""
+    """1 - expression."""
     return subtract(ONE, expression)
 
 

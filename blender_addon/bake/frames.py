@@ -45,7 +45,7 @@ IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 
 def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] | None:
-    """3x3 homogeneous map of a Mapping node in the UV plane, None if it is not constant or not planar."""
+    """Homogeneous map (3, 3) of a Mapping node in the UV plane, None if it is not constant or not planar."""
     if node.vector_type not in ("POINT", "TEXTURE"):
         return None
     values: list[tuple[float, ...]] = []

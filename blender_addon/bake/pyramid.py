@@ -50,12 +50,12 @@ def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArr
 
 
 def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> Image:
-    """Interpolate bilinearly at the texel centres of a finer grid; ``repeats``: lookups wrap at borders."""
+    """Interpolate bilinearly at the texel centres of a finer grid; ``repeats``: wrap at the borders."""
     return _interpolate_rows(image, slice(0, height), height, width, repeats)
 
 
 def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeats: bool = True) -> Image:
-    """Rows ``rows`` of :func:`interpolate`. An axis of unchanged size is not interpolated."""
+    """A range of rows of the result of :func:`interpolate`; axes of unchanged size are not interpolated."""
     if image.shape[0] == height:
         result = image[rows]
     else:

@@ -79,8 +79,8 @@ Channel = tuple[float, ...] | BakedTexture | PlainImage
 class BakedMaterial:
     """Baked ``channels`` of a material by name.
 
-    The mesh's UVs become texture coordinates by ``frame``; then the window (u0, v0, u1, v1) is mapped to the
-    unit square. ``uv`` (C, 2) replaces the UVs if the mesh has a new layout.
+    ``frame`` maps the mesh's UVs to texture coordinates; then the window (u0, v0, u1, v1) is mapped to the
+    unit square. ``uv`` (C, 2), by face corner, replaces the UVs if the mesh has a new layout.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -155,7 +155,7 @@ class MaterialBaker:
         uv: NDArray[np.float32],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> BakedMaterial:
-        """Bake a slot of the session's object ``thing`` in the bake layout ``uv`` (C, 2)."""
+        """Bake a slot of the session's object ``thing`` in the layout ``uv`` (C, 2) of its face corners."""
         result = BakedMaterial(uv=uv)
         mesh = thing.data
         pending = {**plan.constants, **plan.varying}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A UV layout without overlaps for the faces of one material slot, on a mesh of the session."""
+"""Finds a UV layout without overlaps for the faces of one material slot."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's cameras as pinhole intrinsics and a pose (x right, y down, z forward)."""
+"""Converts Blender's cameras to pinhole intrinsics and a pose (x right, y down, z forward)."""
 
 from __future__ import annotations
 

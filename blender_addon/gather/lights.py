@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's lights in radiometric units, as dictionaries of the asset format.
+"""Converts Blender's lights to dictionaries of the asset format, in radiometric units.
 
 With the power P = energy * colour * 2^exposure of the light: radiant intensity I = P / (4 pi) of a point with
 radius 0 and of a spot; radiance L = P / (4 pi^2 r^2) of a sphere with radius r, and L = P / (pi A) of an area
@@ -110,7 +110,7 @@ def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
 
 
 def fitted_beam_width(half_angle: float, blend: float) -> float:
-    """Half angle [rad] from which a fall-off linear in angle, to 0 at ``half_angle``, has Cycles' flux."""
+    """Half angle [rad] from which a fall-off that is linear to 0 at ``half_angle`` has Cycles' flux."""
     angle = (np.arange(4096) + 0.5) / 4096 * half_angle
     weight = np.sin(angle)
     wanted = float((spot_profile(np.cos(angle), half_angle, blend) * weight).sum())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Marker objects: support surfaces, light slots, openings, camera regions."""
+"""Converts marker objects: support surfaces, light slots, openings, camera regions."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _listed(values: NDArray[np.float64]) -> list[float]:
 def gather_markers(
     things: list[bpy.types.Object], metres_per_unit: float, problems: ProblemList
 ) -> dict[str, list[dict[str, Any]]]:
-    """The environment's markers, as lists by their keys in ``asset.json``."""
+    """Convert the markers among ``things`` to lists of entries, by their keys in ``asset.json``."""
     found: dict[str, list[dict[str, Any]]] = {
         "support_surfaces": [],
         "light_slots": [],

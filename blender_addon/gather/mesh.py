@@ -44,7 +44,7 @@ class MeshArrays:
 
 @dataclass(frozen=True)
 class Submesh:
-    """Triangles of one material, as in a file: N vertices, ``uv`` (N, 2) or None, T triangles ``faces``."""
+    """Triangles ``faces`` (T, 3) of one material with ``positions``, ``normals`` (N, 3) and ``uv`` (N, 2)."""
 
     positions: FloatArray
     normals: FloatArray
@@ -84,7 +84,7 @@ def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
 
 
 def _hash_rows(*columns: NDArray) -> NDArray[np.uint64]:
-    """A 64-bit hash of each row of float32 or int32 columns (N, k), read as bits."""
+    """A 64-bit hash (N,) of each row of float32 or int32 columns (N, k), by their bits."""
     result = np.zeros(len(columns[0]), np.uint64)
     multiplier = np.uint64(0x9E3779B97F4A7C15)
     for column in columns:
@@ -146,7 +146,7 @@ def _compact(indices: IntArray, size: int) -> tuple[IntArray, IntArray]:
 
 
 def _merge(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
-    """Index of the first of each group of equal rows, in order, and each row's group."""
+    """Indices of the first row of each group of equal rows, in order, and the group (N,) of each row."""
     hashes = _hash_rows(*columns)
     _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)

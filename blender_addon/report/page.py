@@ -42,7 +42,7 @@ class Comparison:
 
     @property
     def relative_error(self) -> float:
-        """Mean absolute difference divided by the mean radiance of the original."""
+        """Mean absolute difference divided by the mean radiance of Cycles' image."""
         assert self.mitsuba is not None
         return float(np.abs(self.mitsuba - self.cycles).mean() / max(float(self.cycles.mean()), 1e-9))
 
@@ -55,7 +55,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Largest distance in pixels between a point's projection by Blender and by the exported camera."""
+    """Largest distance [px] between the projections of points by Blender and by the exported camera."""
 
     name: str
     error_px: float

@@ -126,7 +126,7 @@ class Room:
         self._outside()
 
     def _outside(self) -> None:
-        """Add a lawn and a hedge around the room, which hide the lower half of the sky from the windows."""
+        """Add a lawn and a hedge around the room, since the sky is black below the horizon."""
         reach, level = 20.0, -0.35
         self.workshop["outside", "lawn"] += box(
             (2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), bevel=0, grain=0

@@ -42,7 +42,7 @@ class Cells:
 
 
 class Graph:
-    """Builder of one material's node tree."""
+    """Builds the node tree of one material."""
 
     def __init__(self, name: str) -> None:
         self.material = bpy.data.materials.new(name)
@@ -129,7 +129,7 @@ class Graph:
 
     # patterns --------------------------------------------------------------------------------------------
     def uv(self) -> tuple[Socket, Socket]:
-        """The two texture coordinates."""
+        """The sockets of u and v."""
         if self._uv is None:
             split = self.node("ShaderNodeSeparateXYZ")
             self.tree.links.new(self.node("ShaderNodeTexCoord").outputs["UV"], split.inputs[0])

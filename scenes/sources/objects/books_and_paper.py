@@ -168,7 +168,7 @@ def box_cardboard(w: Workshop) -> None:
     flat = [box((x - 0.004, y / 2 - 0.001, t), (0, s * y / 4, h), 0.0012, grain=0) for s in (-1, 1)]
 
     def ajar(p: np.ndarray) -> np.ndarray:
-        """Raise the inner edge of the rear flap."""
+        """Raise the inner edge of a flap."""
         q = p.copy()
         q[:, 2] += 0.012 * np.clip(1 - np.abs(p[:, 1]) / (y / 2), 0, 1)
         return q

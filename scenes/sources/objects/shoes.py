@@ -95,7 +95,7 @@ class _Shoe:
         ]
 
     def laces(self) -> Shape:
-        """Five laces over the instep."""
+        """The five laces over the instep."""
         front = self.rings()[-1][:, 1].min()
         bars = []
         for k in range(5):
