@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build the add-on as a Blender extension and validate it with Blender's own tool: build_extension.py OUT."""
+"""Builds the add-on as a Blender extension and validates it with Blender's tool: build_extension.py OUT."""
 
 import subprocess
 import sys

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Generated parts of the site: the API reference and the index of decisions.
+"""Generates the API reference and the index of decisions of the documentation site.
 
-MkDocs calls the ``on_...`` functions (``hooks`` in mkdocs.yml), and mkdocstrings calls the extension. Both
-lists are made from the files, so that no module and no decision is left out.
+MkDocs calls the ``on_...`` functions (``hooks`` in mkdocs.yml), and mkdocstrings calls the extension. Modules
+and decisions are listed from the files, so that none is omitted.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mkdocs.structure.files import File, Files
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
-# Commands are described by --help and in the pages; what only starts them has no interface.
+# Commands are documented by --help and in the pages; modules that only start them have no interface.
 _NOT_API = re.compile(r"(^|\.)(__main__|cli|commands?|command_line)$")
 _ROLE = re.compile(r":(?:class|func|meth|mod|data|attr):(?=`)")
 _CODE = re.compile(r"(``.*?``|`[^`]*`)", re.S)
@@ -28,7 +28,7 @@ def _docstring(path: Path) -> str:
 
 
 def api_pages() -> dict[str, list[str]]:
-    """Modules of each package and subpackage: ``{"datagen.formats": ["datagen.formats.asset", ...]}``."""
+    """Names of the modules by package: ``{"datagen.formats": ["datagen.formats.asset", ...]}``."""
     pages: dict[str, list[str]] = {}
     for package in PACKAGES:
         for path in sorted((REPOSITORY / package).rglob("*.py")):
@@ -52,7 +52,7 @@ def _api_index(pages: dict[str, list[str]]) -> str:
     lines = [
         "# API reference",
         "",
-        "Made from the docstrings of every module. Shapes, units and ranges follow "
+        "Generated from the docstrings of every module. Shapes, units and ranges follow "
         "[the conventions](../conventions.md); bad input raises "
         "`datagen.foundation.errors.InputError` everywhere.",
         "",
@@ -69,7 +69,7 @@ def _api_index(pages: dict[str, list[str]]) -> str:
 
 
 def decisions() -> list[tuple[str, str]]:
-    """(file name, title) of every decision, by number."""
+    """File name and title of every decision, by number."""
     found = []
     for path in sorted((REPOSITORY / "docs" / "decisions").glob("[0-9]*.md")):
         found.append((path.name, path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")))
@@ -80,14 +80,14 @@ def _decisions_index() -> str:
     lines = [
         "# Decisions",
         "",
-        "Why things are as they are, where a source leaves a choice or a later reader would ask.",
+        "Reasons for choices that depart from a source, or that a later reader would question.",
         "",
     ]
     return "\n".join([*lines, *(f"- [{title}]({name})" for name, title in decisions())]) + "\n"
 
 
 def on_config(config: Any) -> Any:
-    """Add the generated pages to the navigation."""
+    """Add the generated pages to the site's navigation."""
     config.nav += [
         {"API reference": ["api/index.md", *({owner: f"api/{owner}.md"} for owner in api_pages())]},
         {"Decisions": ["decisions/index.md", *(f"decisions/{name}" for name, _ in decisions())]},
@@ -96,7 +96,7 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the generated pages."""
+    """Add the generated pages to the site's files."""
     pages = api_pages()
     content = {f"api/{owner}.md": _api_page(owner, modules) for owner, modules in pages.items()}
     content["api/index.md"] = _api_index(pages)
@@ -107,12 +107,10 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 class PlainDocstrings(griffe.Extension):
-    """Rewrites docstrings for the site, since they are written for readers of the code: ``[m]`` is a unit,
-    not a link, and ``:class:`` is noise.
-    """
+    """Converts docstrings to Markdown: escapes brackets such as those of ``[m]``, and removes roles."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Rewrite an object's docstring before it becomes Markdown."""
+        """Rewrite an object's docstring in place."""
         if obj.docstring is None:
             return
         pieces = _CODE.split(_ROLE.sub("", obj.docstring.value))

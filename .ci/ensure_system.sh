@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT
-# Brings what pip cannot: usage `ensure_system.sh llvm|blender|tests`.
+# Installs dependencies that pip cannot: usage `ensure_system.sh llvm|blender|tests`.
 #   llvm     LLVM 19 or later, which Mitsuba compiles its kernels with
 #   blender  the shared libraries that Blender's Python module links to
-#   tests    a real Slurm, a real browser, Khronos' glTF validator; tests skip and say so where one is missing
-# Uses apt-get as root or through password-less sudo; else says exactly which package to install.
+#   tests    Slurm, a browser and Khronos' glTF validator; the tests that need a missing one are skipped
+# Uses apt-get as root or through password-less sudo; otherwise prints the packages to install.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=${VENV:-.venv}/bin/python
@@ -87,7 +87,7 @@ ensure_blender() {
     install_packages "${missing[@]}"
 }
 
-ensure_validator() { # Khronos' glTF validator; its test skips and says so where node is missing
+ensure_validator() {
     if ! command -v npm >/dev/null 2>&1; then
         echo "one test of glTF files will skip; it needs node and npm" >&2
     elif [ ! -d .ci/gltf/node_modules ]; then

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT
-# Creates the virtual environment: usage `ensure_venv.sh PYTHON FOLDER`. Debian splits venv off Python.
+# Creates the virtual environment: usage `ensure_venv.sh PYTHON FOLDER`. Debian packages venv separately.
 set -euo pipefail
 python=$1
 folder=$2

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Builds the sdist and the wheel into dist/, and tries each outside the checkout.
+"""Builds the sdist and the wheel into dist/, and tests each outside the checkout.
 
-The wheel is built from the sdist. It is installed with its dependencies into a new environment, first the
-base alone, then the extra `train`; the sdist is installed into a second environment, which takes the
-dependencies from the first. In both, the commands run outside the checkout, and every imported module must
-lie in the environment. Usage: try_packages.py CONSTRAINTS
+The wheel is built from the sdist and installed with its dependencies into a new environment, first without
+extras, then with `train`. The sdist is installed into a second environment, which uses the dependencies of
+the first. In both, commands run outside the checkout, and every module must be imported from the
+environment. Usage: try_packages.py CONSTRAINTS
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ here, checkout = Path(sys.prefix).resolve(), Path(sys.argv[1])
 for path in [*(Path(m.__file__) for m in (blender_addon, datagen, mitsuba_plugins, model)), bundled_folder()]:
     assert path.resolve().is_relative_to(here), f"{path} is not in {here}"
 for path in sys.path:
-    assert not Path(path).resolve().is_relative_to(checkout), f"{path} is of the checkout"
+    assert not Path(path).resolve().is_relative_to(checkout), f"{path} is in the checkout"
 """
 WITHOUT_TORCH = """
 import importlib.util
-assert importlib.util.find_spec("torch") is None, "the base brings torch"
+assert importlib.util.find_spec("torch") is None, "torch is installed without the extra train"
 """
 
 
 class Environment:
-    """A new virtual environment, and a folder in which its commands run."""
+    """A new virtual environment in ``folder``, in which its commands run."""
 
     def __init__(self, folder: Path):
         self.folder, self.bin = folder, folder / "venv" / "bin"
@@ -49,7 +49,7 @@ class Environment:
         return next((self.folder / "venv" / "lib").glob("python*/site-packages"))
 
     def run(self, program: str, *arguments: str | Path) -> str:
-        """Run a program of the environment; returns its output. Raises if the program fails."""
+        """Run a program of the environment; returns its output. A failure raises ``SystemExit``."""
         return self._call([str(self.bin / program), *map(str, arguments)])
 
     def _call(self, command: list[str]) -> str:
@@ -79,7 +79,7 @@ def build() -> tuple[Path, Path]:
 
 
 def try_dataset(environment: Environment) -> None:
-    """Run the commands that need no torch: a dataset from the bundled library by a bundled recipe."""
+    """Make a dataset from the bundled library and recipe, with the commands that need no torch."""
     environment.run("python", "-c", IS_ISOLATED, REPOSITORY)
     assert environment.run("datagen", "--version").startswith("scene-materials ")
     assert "bundled library" in environment.run("datagen", "doctor")
@@ -98,7 +98,7 @@ def try_inference(environment: Environment) -> None:
 
 
 def main() -> None:
-    """Build both packages and try each."""
+    """Build both packages and test each."""
     constraints = Path(sys.argv[1]).resolve()
     sdist, wheel = build()
     install = ("install", "--quiet", "--disable-pip-version-check")

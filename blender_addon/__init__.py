@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender extension that exports scenes, objects and materials as asset packages. Registration only."""
+"""Registers the Blender extension that exports scenes, objects and materials as asset packages."""
 
 from __future__ import annotations
 
 
 def register() -> None:
-    """Called by Blender when the extension is enabled."""
+    """Register the operators and panels. Blender calls this when the extension is enabled."""
     from . import operators, panels
 
     operators.register()
@@ -13,7 +13,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Called by Blender when the extension is disabled."""
+    """Remove the panels and operators. Blender calls this when the extension is disabled."""
     from . import operators, panels
 
     panels.unregister()

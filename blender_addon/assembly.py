@@ -27,7 +27,7 @@ _UV_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class Progress:
-    """State of an export: the ``fraction`` of the work that is done, in [0, 1], and the current step."""
+    """Progress of an export: completed ``fraction`` in [0, 1], and the current step as ``text``."""
 
     fraction: float
     text: str
@@ -36,7 +36,7 @@ class Progress:
 def write_target(
     reader: Reader, contents: Contents, writer: PackageWriter
 ) -> Generator[Progress, None, None]:
-    """Bake the materials of the target and write its package."""
+    """Bake the materials of a target and write its package; yields the progress."""
     target = contents.target
     description: dict[str, Any] = {
         "format": FORMAT,
@@ -93,7 +93,7 @@ class _Assembly:
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def run(self) -> Generator[Progress, None, None]:
-        """All instances, in order."""
+        """Bake and write the parts of all instances; yields the progress."""
         instances = self.contents.gathered.instances
         self._find_windows()
         for index, instance in enumerate(instances):
@@ -105,14 +105,14 @@ class _Assembly:
             self.contents.num_triangles += len(mesh.triangles)
 
     def _slots(self, key: int) -> list[int]:
-        """Slots of a mesh that have triangles."""
+        """Indices of the material slots of a mesh that have triangles."""
         if key not in self._used_slots:
             found = np.unique(self.contents.gathered.meshes[key].triangle_slots)
             self._used_slots[key] = [int(slot) for slot in found]
         return self._used_slots[key]
 
     def _find_windows(self) -> None:
-        """Find the box of texture coordinates in which each material is read, over all meshes that use it."""
+        """Compute the bounding box of each material's texture coordinates over all meshes that use it."""
         for instance in self.contents.gathered.instances:
             mesh = self.contents.gathered.meshes[instance.mesh_key]
             for slot in self._slots(instance.mesh_key):
@@ -197,7 +197,7 @@ class _Assembly:
     def _effective_plan(self, name: str) -> MaterialPlan:
         plan = self.job.plan(name)
         if any(image.needs_unit_uv for image in plan.images.values()) and self._exceeds_unit(name):
-            return force_bake(plan, on_mesh=False)
+            return force_bake(plan)
         return plan
 
     def _key(self, instance: Instance, slot: int, name: str) -> tuple[Any, ...]:
@@ -227,7 +227,7 @@ class _Assembly:
             repeats = plan.is_periodic or material.get("sm_tile_size_m") is not None
             if (plan.varying or plan.bakes_normal) and plan.frame is not None and not repeats:
                 window = padded_window(*self._boxes[name])
-            size = self._side_m(instance, slot, plan, window) if plan.bakes_normal else 1.0
+            size = self._window_side(instance, slot, plan, window) if plan.bakes_normal else 1.0
             layers = plan.dependencies.layer_names
             baked = self.baker.on_plane(material, plan, window, info, size, layers)
         number = 1
@@ -256,10 +256,8 @@ class _Assembly:
         self._baked[self._key(instance, slot, name)] = (slot_name, baked)
         return slot_name, baked
 
-    def _side_m(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:
-        """Side of the square that the window covers on the surface, in Blender units, to scale the heights of
-        bumps.
-        """
+    def _window_side(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:
+        """Side of the square that the window covers on the surface, in Blender units; it scales bumps."""
         mesh = self.contents.gathered.meshes[instance.mesh_key]
         frame = plan.frame
         layer = (frame.layer if frame is not None else "") or mesh.active_uv
@@ -271,7 +269,7 @@ class _Assembly:
         return 1.0 / density if density else 1.0
 
     def _thing(self, instance: Instance) -> bpy.types.Object:
-        """The object of the session that shows the instance's mesh at the instance's transform."""
+        """The session's object with the instance's mesh and transform, created on first use."""
         if instance.mesh_key not in self._things:
             self._things[instance.mesh_key] = self.job.session.object_of(
                 self.contents.copies[instance.mesh_key]
@@ -290,7 +288,7 @@ class _Assembly:
         return self._layouts[key]
 
     def description(self) -> dict[str, Any]:
-        """Materials, parts, lights and bounds for ``asset.json``."""
+        """The materials, parts, lights and bounds of ``asset.json``, after all parts are written."""
         offset = np.zeros(3)
         result: dict[str, Any] = {"materials": self.materials}
         tagged = self.contents.target.tagged

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The export as a command: arguments, a progress bar, the problem list, an exit code."""
+"""The command line of the export."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 REFUSED, CANCELLED = 2, 130
 _BAR_WIDTH = 30
-_SILENCE_S = 30.0
+_LOG_INTERVAL_S = 30.0
 
 
 def version() -> str:
@@ -34,7 +34,7 @@ def version() -> str:
 
 
 def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentParser:
-    """The command's arguments; defaults are from :class:`ExportSettings`."""
+    """Parser of the command's arguments, with the defaults of :class:`ExportSettings`."""
     default = ExportSettings()
     parser = argparse.ArgumentParser(
         prog=program,
@@ -44,21 +44,20 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
     parser.add_argument("--version", action="version", version=f"scene_materials {version()}")
     parser.add_argument("blend", type=Path, nargs="?", help="the file (inside Blender: the open one)")
     parser.add_argument("--out", type=Path, help="folder for the packages")
-    parser.add_argument("--kind", choices=KINDS, default=default.kind)
+    parser.add_argument("--kind", choices=KINDS, default=default.kind, help="auto: as the file's tags state")
     parser.add_argument("--only", action="append", default=[], metavar="NAME", help="export only this asset")
     parser.add_argument("--tolerance", type=float, default=default.tolerance,
                         help="mean change of a channel below which its texture is not enlarged")  # fmt: skip
-    parser.add_argument(
-        "--max-texture", dest="max_texture_px", type=int, default=default.max_texture_px, metavar="PX"
-    )
+    parser.add_argument("--max-texture", dest="max_texture_px", type=int, default=default.max_texture_px,
+                        metavar="PX", help="maximum side of a texture, a power of two")  # fmt: skip
     parser.add_argument("--texture-bits", type=int, choices=(8, 16), default=default.texture_bits)
-    parser.add_argument("--bake-normals", action="store_true")
+    parser.add_argument("--bake-normals", action="store_true", help="bake bump and normal maps")
     parser.add_argument("--license", default="", help="SPDX identifier, if the file's tags have none")
     parser.add_argument("--author", default="")
     parser.add_argument("--source", default="")
-    parser.add_argument("--report", action="store_true", help="write fidelity.html beside the packages")
+    parser.add_argument("--report", action="store_true", help="write fidelity.html to the folder --out")
     parser.add_argument(
-        "--report-python", default="", metavar="EXE", help="Python that has this project, to run Mitsuba with"
+        "--report-python", default="", metavar="EXE", help="Python with this project, for the report"
     )
     parser.add_argument("--check", action="store_true", help="list the problems and write nothing")
     return parser
@@ -73,7 +72,7 @@ def settings_from(arguments: argparse.Namespace) -> ExportSettings:
 
 @contextlib.contextmanager
 def quiet_stdout() -> Iterator[None]:
-    """Hide Cycles' own output, which bypasses Python, from the terminal."""
+    """Context that discards standard output, including Cycles', which bypasses Python."""
     sys.stdout.flush()
     saved = os.dup(1)
     null = os.open(os.devnull, os.O_WRONLY)
@@ -92,7 +91,7 @@ class ProgressLine:
 
     def __init__(self) -> None:
         self.is_terminal = sys.stderr.isatty()
-        self.started = self.said = time.monotonic()
+        self.started = self.printed = time.monotonic()
 
     def __call__(self, progress: Progress) -> None:
         now = time.monotonic()
@@ -102,8 +101,8 @@ class ProgressLine:
             filled = int(fraction * _BAR_WIDTH)
             bar = "#" * filled + "." * (_BAR_WIDTH - filled)
             print(f"\r\033[K[{bar}] {fraction:4.0%} {left} {progress.text[:60]}", end="", file=sys.stderr)
-        elif now - self.said >= _SILENCE_S:
-            self.said = now
+        elif now - self.printed >= _LOG_INTERVAL_S:
+            self.printed = now
             print(f"{time.strftime('%H:%M:%S')} {fraction:4.0%} {left} {progress.text}", file=sys.stderr)
 
     def end(self) -> None:
@@ -118,7 +117,7 @@ def _list(problems: Sequence[Problem]) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Export the open file; returns the exit code."""
+    """Export the open file; returns the exit code: 0, ``REFUSED`` or ``CANCELLED``."""
     from .export import check, export_steps
 
     try:
@@ -132,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
         _list(problems)
         return REFUSED if any(p.severity == "error" for p in problems) else 0
     if arguments.out is None:
-        print("error: --out is missing; say which folder the packages go into", file=sys.stderr)
+        print("error: --out is missing; give the folder for the packages", file=sys.stderr)
         return REFUSED
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
@@ -179,7 +178,7 @@ def leave(code: int) -> NoReturn:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point with pip's bpy: opens the file, then exports."""
+    """Entry point with the bpy module from PyPI: open the file and export it; returns the exit code."""
     arguments = build_parser().parse_args(argv)
     if arguments.blend is None or not arguments.blend.is_file():
         print(f"error: {arguments.blend}: no such file; give the path of a .blend file", file=sys.stderr)
@@ -191,7 +190,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return REFUSED
     try:
         with quiet_stdout():
-            # Whatever the preferences are: the file is untrusted.
+            # The file is untrusted: its scripts stay off, whatever the preferences.
             path = str(arguments.blend.resolve())
             bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
     except RuntimeError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders a scene of a session with Cycles and returns linear pixels; leaves no Render Result behind."""
+"""Renders a scene with Cycles and returns linear pixels, without leaving a Render Result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def read_linear(path: Path) -> NDArray[np.float32]:
-    """Pixels (H, W, 3) of an image file as stored, row 0 at the top."""
+    """Pixels (H, W, 3) of an image file without colour conversion, row 0 at the top."""
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.name = "Non-Color"

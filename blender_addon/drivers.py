@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drivers that Blender did not evaluate because they need Python and the file's scripts are disabled.
+"""Refuses drivers that Blender did not evaluate because they need Python and scripts are disabled.
 
 The driven property is then 0, whatever it was when the file was saved.
 """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The export behind the operator, the panel and the command line.
+"""The export that the operator, the panel and the command line run.
 
-:func:`export_steps` is a generator: each step reports its progress, and closing it cancels. In any case no
-data remains in the file and no half-written package on disk.
+:func:`export_steps` is a generator: it yields its progress, and closing it cancels the export. In any case,
+no temporary data remains in the file and no partial package on disk.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ REPORT_FILE = "fidelity.html"
 
 @dataclass
 class ExportResult:
-    """Written folders, all approximations, and counts for the report."""
+    """Paths of the report and the packages, all problems, and counts of triangles and instances."""
 
     report: Path | None = None
     packages: list[Path] = field(default_factory=list)
@@ -41,7 +41,7 @@ Steps = Generator[Progress, None, ExportResult]
 
 
 def export(out_dir: Path, settings: ExportSettings | None = None) -> ExportResult:
-    """Export the current file into ``out_dir``, a folder of packages. Raises :class:`ExportRefused`."""
+    """Export the open file into ``out_dir``, a folder of packages. Errors raise :class:`ExportRefused`."""
     steps = export_steps(out_dir, settings or ExportSettings())
     while True:
         try:
@@ -51,7 +51,7 @@ def export(out_dir: Path, settings: ExportSettings | None = None) -> ExportResul
 
 
 def check(settings: ExportSettings | None = None) -> list[Problem]:
-    """All problems of an export, found before it bakes or writes anything."""
+    """Find the problems of an export without baking or writing packages."""
     problems = ProblemList()
     settings = settings or ExportSettings()
     _refuse_old_blender(problems)
@@ -65,7 +65,7 @@ def check(settings: ExportSettings | None = None) -> list[Problem]:
 
 
 def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
-    """Export step by step; see :func:`export`."""
+    """Export as :func:`export` does, and yield the progress before each step."""
     problems = ProblemList()
     _refuse_old_blender(problems)
     problems.refuse_errors()

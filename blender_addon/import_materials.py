@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials of an asset package as node graphs, with the right colour spaces.
+"""Builds the materials of an asset package as node graphs.
 
 If S is a constant grey of at most 0.2, the material is a Principled BSDF of base colour D with the specular
-level for that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the
-project's own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports
-back to the same channels.
+level for that F0. Otherwise it is the sum of a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S, which
+equals the project's BSDF for any D and S (Principled has one base colour for both), and which the add-on
+exports to the same channels.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _LARGEST_DIELECTRIC_F0 = 0.2
 
 
 def package_file(folder: Path, name: str) -> Path:
-    """A file named by the package; raises ``ValueError`` if the file is outside the package or missing."""
+    """Path of a file in a package; raises ``ValueError`` if it is outside the package or missing."""
     parts = PurePosixPath(name).parts
     if not parts or name.startswith("/") or ".." in parts or "\\" in name or ":" in name:
         raise ValueError(f"{folder}/asset.json: path {name!r} leaves the package; refused")
@@ -30,7 +30,7 @@ def package_file(folder: Path, name: str) -> Path:
 
 
 def make_material(name: str, entry: dict[str, Any], folder: Path, pack: bool) -> bpy.types.Material:
-    """The material of one entry; ``pack`` keeps its images in the .blend file."""
+    """Create a material from its entry in ``asset.json``; ``pack`` stores its images in the .blend file."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     for key, tag in (("classes", "sm_class"), ("replaceable_by", "sm_replaceable_by")):
@@ -108,7 +108,7 @@ class _Nodes:
         return node
 
     def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
-        """Diffuse of (1 - S) D plus Metallic of S: F82 with a white edge is Schlick's Fresnel."""
+        """Diffuse of (1 - S) D plus Metallic of S; F82 with a white edge tint is Schlick's approximation."""
         self.tree.nodes.remove(self.principled_node)
         gloss, lambert, total = (
             self._new("BsdfMetallic"),
@@ -134,7 +134,7 @@ class _Nodes:
         return total
 
     def finish(self, shader: bpy.types.Node, entry: dict[str, Any]) -> None:
-        """Opacity, emission and normal around the shader."""
+        """Add normal, emission and opacity to the shader, and link it to the output."""
         result = shader.outputs[0]
         if entry.get("normal"):
             normal = self._new("NormalMap")
@@ -161,7 +161,7 @@ class _Nodes:
 
 
 def add_sample(material: bpy.types.Material, collection: bpy.types.Collection) -> None:
-    """Add a square metre of a material."""
+    """Add a square of a material to ``collection``, as wide as its tile (by default 1 m)."""
     mesh = bpy.data.meshes.new(material.name)
     side = float(material.get("sm_tile_size_m", 1.0))
     mesh.from_pydata([(0, 0, 0), (side, 0, 0), (side, side, 0), (0, side, 0)], [], [(0, 1, 2, 3)])

@@ -22,7 +22,7 @@ from .version import fault_of_version
 
 _MAX_ZIP_BYTES = 4 << 30
 _MAX_JSON_BYTES = 256 * 1024 * 1024
-_SHEAR = 1e-5  # largest share of a matrix that location, rotation and scale may miss
+_SHEAR = 1e-5  # largest relative error of a matrix composed of location, rotation and scale
 _OFF_CENTRE_M = 1e-4
 
 
@@ -37,9 +37,9 @@ class Imported:
 def import_package(path: Path) -> Imported:
     """Load a package (its folder, its ``asset.json`` or a zip) into a new collection of the scene.
 
-    An environment's own light becomes the scene's world, and its first camera the scene's camera if it had
-    none. A zip's images are packed. Raises ``ValueError`` with the file and the field for an invalid package,
-    and if Blender is too old.
+    An environment light becomes the scene's world, and the first camera becomes the scene's camera if it had
+    none. Images of a zip are packed. An invalid package raises ``ValueError`` with the file and the field, as
+    does a version of Blender that is too old.
     """
     fault = fault_of_version()
     if fault is not None:
@@ -99,7 +99,7 @@ def _load(folder: Path, pack: bool) -> Imported:
     places.add_lights(data.get("lights", []))
     if data["kind"] == "object":
         if data.get("footprint_m"):
-            imported.remarks.append("the footprint's polygon is left out; an export takes the bounds")
+            imported.remarks.append("the footprint's polygon is left out; an export uses the bounding box")
         return imported
     for light in (light for light in data.get("lights", ()) if light["type"] == "environment"):
         image = package_file(folder, light["image"]) if light.get("image") else None
@@ -138,7 +138,7 @@ def _add_parts(
     for part in data["parts"]:
         matrix = np.array(part.get("asset_from_part", np.eye(4)))
         matrix[:3] /= metres
-        if _is_sheared(matrix):  # objects have no shear: it is applied to a mesh of the part's own
+        if _is_sheared(matrix):  # objects cannot be sheared: the part gets a separate, transformed mesh
             mesh = _mesh(part["name"], package_file(folder, part["mesh"]), matrix)
             mesh.materials.append(materials[part["material"]])
             matrix = np.eye(4)
@@ -154,13 +154,13 @@ def _add_parts(
 
 
 def _is_sheared(matrix: NDArray[np.float64]) -> bool:
-    """Whether location, rotation and scale cannot represent a matrix."""
+    """Whether a matrix (4, 4) is more than a location, rotation and scale."""
     kept = np.array(Matrix.LocRotScale(*Matrix(matrix.tolist()).decompose()))
     return bool(np.abs(kept - matrix).max() > _SHEAR * np.abs(matrix[:3, :3]).max() + 1e-6)
 
 
 def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int32]]:
-    """Vertex columns (N,) by name and triangles (M, 3) of a binary little-endian PLY as in packages."""
+    """Vertex columns (N,) by name and triangles (M, 3) of a package's PLY; others raise ``ValueError``."""
     content = path.read_bytes()
     end = content.find(b"end_header\n")
     if not content.startswith(b"ply") or end < 0:
@@ -185,12 +185,12 @@ def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int
     if (faces["count"] != 3).any():
         raise ValueError(f"{path}: expected triangles only")
     if len(faces) and (faces["index"].min() < 0 or faces["index"].max() >= counts["vertex"]):
-        raise ValueError(f"{path}: a face refers to a vertex that is not there")
+        raise ValueError(f"{path}: a face refers to a vertex that does not exist")
     return {name: table[:, i] for i, name in enumerate(names)}, faces["index"].astype(np.int32)
 
 
 def _mesh(name: str, path: Path, matrix: NDArray[np.float64] | None = None) -> bpy.types.Mesh:
-    """The mesh of a PLY file, moved by ``matrix`` (4, 4) if one is given."""
+    """Create a mesh from a PLY file, transformed by ``matrix`` (4, 4) if given."""
     columns, faces = read_ply(path)
     mesh = bpy.data.meshes.new(name)
     matrix = np.eye(4) if matrix is None else matrix

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lights, the world, cameras and markers of an asset package as Blender objects: the inverse of ``gather``.
+"""Adds the lights, the world, cameras and markers of an asset package to Blender: the inverse of ``gather``.
 
-Values in packages are in metres and watts; ``metres`` is the scene's unit scale, metres per Blender unit.
-Parts without a counterpart in Blender are left out and listed in ``remarks``, one sentence each.
+Packages are in metres and watts; ``metres`` is the number of metres per Blender unit. Items without a
+counterpart in Blender are left out, with a sentence about each in ``remarks``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .gather.lights import fitted_beam_width
 from .gather.world import WORLD_FROM_ENVIRONMENT
 
 _SENSOR_MM = 36.0
-_UNLIMITED_CLIP_M = (1e-3, 1e5)  # for cameras without limits; Blender has no infinite ones
+_UNLIMITED_CLIP_M = (1e-3, 1e5)  # for cameras without clipping; Blender's limits must be finite
 _SKEW = 1e-4  # cosine between the edges of a rectangle above which it is refused
 
 
@@ -47,7 +47,7 @@ class Places:
     # ---- lights
 
     def add_lights(self, lights: list[dict[str, Any]]) -> None:
-        """Add lights of the asset format, except for the environment, which is the world."""
+        """Add all lights but environments, which :meth:`set_world` adds."""
         makers: dict[str, Callable[[dict[str, Any]], bpy.types.Object | None]] = {
             "point": self._point,
             "sphere": self._sphere,
@@ -64,7 +64,7 @@ class Places:
     def _light(
         self, kind: str, light: dict[str, Any], power: Any, matrix: NDArray[np.float64]
     ) -> bpy.types.Object:
-        """A light object; ``power`` is energy times colour."""
+        """Add a light object; ``power`` (3,) is energy times colour."""
         data = bpy.data.lights.new(light["name"], kind)
         data.energy = max(power)
         data.color = [v / max(power) for v in power] if max(power) > 0 else (0, 0, 0)
@@ -97,11 +97,11 @@ class Places:
         return thing
 
     def _blend(self, name: str, half_angle: float, beam_width: float) -> float:
-        """The blend whose smooth edge emits the same flux as a linear one from ``beam_width`` on."""
+        """Blender's spot blend, in [0, 1], with the flux of a linear fall-off from ``beam_width`` [rad]."""
         if beam_width >= fitted_beam_width(half_angle, 0.0) - 1e-5:
             return 0.0
         if beam_width < fitted_beam_width(half_angle, 1.0) - 1e-5:
-            self.remarks.append(f"spot {name!r}: its edge is softer than Blender's softest")
+            self.remarks.append(f"spot {name!r}: the edge is softer than Blender supports")
             return 1.0
         low, high = 0.0, 1.0
         for _ in range(40):
@@ -136,7 +136,7 @@ class Places:
         """Rotation with X and Y along two edges; None, with a remark, if they are not perpendicular."""
         lengths = np.linalg.norm([along_x, along_y], axis=1)
         if not lengths.min() > 0 or abs(along_x @ along_y) > _SKEW * lengths.prod():
-            self.remarks.append(f"{what} is no rectangle and is left out")
+            self.remarks.append(f"{what} is not a rectangle and is left out")
             return None
         x = along_x / lengths[0]
         z = np.cross(x, along_y)
@@ -173,7 +173,7 @@ class Places:
             texture.image.pack()
         matrix = np.array(light.get("world_from_environment", np.eye(4)))
         turn = Matrix((matrix @ np.linalg.inv(WORLD_FROM_ENVIRONMENT)).tolist()).to_3x3()
-        # rotating the picture one way is rotating its coordinates the other way
+        # the coordinates rotate by the inverse of the image's rotation
         mapping.inputs["Rotation"].default_value = turn.inverted().to_euler()
         background.inputs["Strength"].default_value = light.get("scale", 1.0)
         tree.links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
@@ -183,7 +183,7 @@ class Places:
     # ---- cameras
 
     def add_cameras(self, cameras: list[dict[str, Any]]) -> None:
-        """Add cameras. Blender stores size and shape of pixels with the scene: the first camera sets them."""
+        """Add cameras. The first sets the scene's resolution and pixel aspect if the scene has no camera."""
         scene, render = bpy.context.scene, bpy.context.scene.render
         for index, camera in enumerate(cameras):
             width, height = camera["width_px"], camera["height_px"]
@@ -198,7 +198,7 @@ class Places:
             if not np.allclose(has, (width, height, aspect), rtol=1e-4):
                 self.remarks.append(
                     f"camera {camera['name']!r} has {width} x {height} pixels, each {aspect:.4g} times as "
-                    "high as wide; the scene has others: set them in the scene's output properties"
+                    "high as wide; the scene differs: set both in the scene's output properties"
                 )
 
     def _camera(self, camera: dict[str, Any], aspect: float) -> bpy.types.Object:
@@ -263,7 +263,7 @@ class Places:
 
 
 def _emitting_along(direction: Any) -> NDArray[np.float64]:
-    """A rotation whose -Z is ``direction``; its roll is arbitrary."""
+    """A rotation (3, 3) with -Z along ``direction`` and arbitrary roll."""
     z = -np.asarray(direction, dtype=np.float64)
     z /= np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [0.0, 1.0, 0.0], z)

@@ -50,7 +50,7 @@ class ExportOptions(bpy.types.PropertyGroup):
     kind: EnumProperty(name="Kind", items=KIND_ITEMS, default="auto")  # type: ignore[valid-type]
     tolerance: FloatProperty(  # type: ignore[valid-type]
         name="Tolerance",
-        description="Mean change of a channel at which its texture stops growing",
+        description="Mean change of a channel below which its texture is not enlarged",
         default=1 / 255,
         min=1e-4,
         max=0.5,
@@ -79,7 +79,7 @@ class ExportOptions(bpy.types.PropertyGroup):
     status: StringProperty()  # type: ignore[valid-type]
 
     def settings(self) -> ExportSettings:
-        """The settings for the export functions."""
+        """Convert to the settings of the export functions."""
         return ExportSettings(
             kind=self.kind,
             tolerance=self.tolerance,
@@ -103,7 +103,7 @@ class ExportOptions(bpy.types.PropertyGroup):
 
 
 def options() -> ExportOptions:
-    """The session's options."""
+    """The panel's settings in the running Blender."""
     return bpy.context.window_manager.scene_materials
 
 
@@ -121,7 +121,7 @@ class SCENE_MATERIALS_OT_check(bpy.types.Operator):
 
 
 class SCENE_MATERIALS_OT_export(bpy.types.Operator):
-    """Export everything tagged as asset packages; Esc cancels"""
+    """Write everything that is tagged to asset packages; Esc cancels"""
 
     bl_idname = "scene_materials.export"
     bl_label = "Scene Materials asset package"
@@ -258,7 +258,7 @@ class SCENE_MATERIALS_OT_tag(bpy.types.Operator):
 
 
 class SCENE_MATERIALS_OT_set_property(bpy.types.Operator):
-    """Add a tag with its usual value, to be edited in the panel"""
+    """Add a tag with a typical value, to edit in the panel"""
 
     bl_idname = "scene_materials.set_property"
     bl_label = "Add tag"
@@ -283,7 +283,7 @@ class SCENE_MATERIALS_OT_set_property(bpy.types.Operator):
 
 
 class SCENE_MATERIALS_OT_select_problem(bpy.types.Operator):
-    """Select the object named by the chosen problem"""
+    """Select the object of the selected problem"""
 
     bl_idname = "scene_materials.select_problem"
     bl_label = "Select object"
@@ -295,7 +295,7 @@ class SCENE_MATERIALS_OT_select_problem(bpy.types.Operator):
             return {"CANCELLED"}
         thing = context.view_layer.objects.get(chosen.problems[chosen.active_problem].object)
         if thing is None:
-            self.report({"INFO"}, "the problem names no object")
+            self.report({"INFO"}, "the problem is not of an object")
             return {"CANCELLED"}
         for other in context.selected_objects:
             other.select_set(False)
@@ -305,7 +305,7 @@ class SCENE_MATERIALS_OT_select_problem(bpy.types.Operator):
 
 
 class SCENE_MATERIALS_OT_import(bpy.types.Operator, ImportHelper):
-    """Load an asset package as objects with Principled materials"""
+    """Load an asset package as objects with materials"""
 
     bl_idname = "scene_materials.import_package"
     bl_label = "Scene Materials asset package"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Converts baked materials and gathered meshes to entries of ``asset.json`` and files beside it."""
+"""Converts baked materials and gathered meshes to entries of ``asset.json`` and the files that they name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COLOURS = ("diffuse_albedo", "specular_albedo")
 
 
 def channel_entry(name: str, channel: Any, stem: str, writer: PackageWriter, bits: int) -> Any:
-    """The JSON value of one channel; writes its texture if it has one."""
+    """The JSON value of one channel; writes its texture, if any, with ``bits`` per component."""
     if isinstance(channel, BakedTexture):
         pixels = channel.pixels[::-1]
         is_colour = name in _COLOURS
@@ -39,7 +39,7 @@ def channel_entry(name: str, channel: Any, stem: str, writer: PackageWriter, bit
 
 
 def image_file(image: bpy.types.Image, writer: PackageWriter) -> str:
-    """Write an image's own bytes if packages support its format, else its pixels losslessly."""
+    """Write an image's file unchanged if packages support its format, else its pixels; returns the path."""
     stem = slug(Path(image.filepath or image.name).stem)
     suffix = _PASSED_THROUGH.get(Path(image.filepath_raw or image.name).suffix.lower())
     if suffix is not None and not image.is_dirty:
@@ -68,7 +68,7 @@ def material_entry(
     writer: PackageWriter,
     bits: int,
 ) -> dict[str, Any]:
-    """The JSON object of a material."""
+    """The JSON object of a material; writes its textures, with names that begin with ``stem``."""
     entry: dict[str, Any] = {"classes": list(classes)}
     for name, channel in baked.channels.items():
         if name == "emission" and not any(channel):  # type: ignore[arg-type]
@@ -86,13 +86,13 @@ def material_entry(
 
 
 def mesh_file(part: Submesh, stem: str, writer: PackageWriter) -> str:
-    """Write a PLY; returns its path."""
+    """Write a PLY file; returns its path in the package."""
     content = ply_bytes(part.positions, part.normals, part.uv, part.faces)
     return writer.add("meshes", stem, ".ply", content)
 
 
 def uv_density(part: Submesh, matrix: NDArray[np.float64]) -> float | None:
-    """Median UV units per metre over triangles, None without UVs or area; ``matrix`` is metres_from_part."""
+    """Median UV units per metre over triangles, None without UVs or area; ``matrix``: metres_from_part."""
     if part.uv is None or len(part.faces) == 0:
         return None
     faces = part.faces if len(part.faces) <= 20_000 else part.faces[:: len(part.faces) // 20_000]
@@ -109,7 +109,7 @@ def uv_density(part: Submesh, matrix: NDArray[np.float64]) -> float | None:
 
 
 def box_uv(mesh: MeshArrays, metres: NDArray[np.float64]) -> NDArray[np.float32]:
-    """UVs (C, 2) projected along the dominant axis of each triangle's plane, one unit per metre.
+    """UVs (C, 2) projected along the dominant axis of each polygon's normal, one unit per metre.
 
     ``metres`` (3,) scales the object's axes to metres. Corners that no triangle uses get 0.
     """

@@ -14,7 +14,7 @@ _MATERIAL_TAGS = (("sm_class", "other"), ("sm_replaceable_by", "wood, metal"), (
 
 
 class SCENE_MATERIALS_UL_problems(bpy.types.UIList):
-    """Severity, place and message in one line."""
+    """List of problems: an icon of the severity, and the message."""
 
     def draw_item(
         self,
@@ -73,7 +73,7 @@ class SCENE_MATERIALS_PT_tags(_Panel, bpy.types.Panel):
 
 
 class SCENE_MATERIALS_PT_export(_Panel, bpy.types.Panel):
-    """Settings, problems and the export itself."""
+    """Settings, problems and buttons of the export."""
 
     bl_label = "Export"
 

@@ -15,7 +15,7 @@ class Problem:
 
     ``severity``: ``error`` stops the export; ``approximation`` is exported differently from Blender's
     rendering; ``note`` changes nothing. ``message`` states the finding and, for an approximation, the size of
-    the error; ``remedy`` states what the artist can do.
+    the error; ``remedy`` tells the artist how to avoid the problem.
     """
 
     severity: str
@@ -69,7 +69,7 @@ class ProblemList:
 
 
 class ExportRefused(Exception):
-    """The export stopped before anything was written; carries all problems."""
+    """Raised if errors stop an export; ``problems`` lists all problems."""
 
     def __init__(self, problems: Iterable[Problem]):
         self.problems = list(problems)

@@ -37,7 +37,11 @@ from .targets import Target
 
 @dataclass
 class Contents:
-    """A target with all data read from the scene."""
+    """A target with all data read from the scene.
+
+    ``copies``: meshes to bake, by key; ``images``: pixels (H, W, 3) of environment lights, by name;
+    ``extra``: further fields of ``asset.json``.
+    """
 
     target: Target
     gathered: Gathered = field(default_factory=Gathered)
@@ -49,7 +53,7 @@ class Contents:
 
 
 def rendering_layers() -> dict[str, str]:
-    """For each material, the name of the active UV layer if all meshes with the material have the same."""
+    """Name of the active UV layer by material, for materials whose meshes all have the same one."""
     found: dict[str, set[str]] = {}
     for thing in bpy.data.objects:
         is_mesh = isinstance(thing.data, bpy.types.Mesh)
@@ -88,13 +92,13 @@ class Reader:
         return self._plans[name]
 
     def uv_layers(self) -> dict[str, tuple[str, ...]]:
-        """For each planned material's name, the UV maps that its nodes name."""
+        """Names of the UV maps to which the nodes of each planned material refer, by the material's name."""
         return {name: plan.dependencies.layer_names for name, plan in sorted(self._plans.items())}
 
     # ---- reading
 
     def prepare(self, target: Target) -> Contents:
-        """Read a target and plan its materials, noting every problem."""
+        """Read a target and plan its materials; adds every problem to the list."""
         contents = Contents(target)
         fallback = {
             "license": self.settings.license,
@@ -124,7 +128,7 @@ class Reader:
         self._check_materials(contents)
         if not contents.gathered.instances:
             self.problems.add(
-                ERROR, f"{target.title!r} holds no visible surface", "add a mesh, or correct the tags"
+                ERROR, f"{target.title!r} contains no visible surface", "add a mesh, or correct the tags"
             )
         self._prepare_lights(contents, depsgraph)
         if target.kind == "object":
@@ -219,7 +223,7 @@ class Reader:
             contents.lights.append(entry)
 
     def approximations(self, material: str) -> tuple[str, ...]:
-        """Differences between a material as exported and as rendered by Blender."""
+        """Messages on the differences between a material as exported and as rendered by Blender."""
         return tuple(
             (f"{problem.node}: " if problem.node else "") + problem.message
             for problem in self.problems

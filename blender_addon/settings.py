@@ -10,7 +10,7 @@ KINDS = ("auto", "environment", "object", "material")
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """Scope and accuracy of an export.
+    """Scope and accuracy of an export. Values out of range raise ``ValueError``.
 
     ``kind``: ``auto`` follows the ``sm_role`` tags, and exports the scene as one environment if there are
     none. ``tolerance``: mean absolute change of a channel below which a texture is not doubled again.
@@ -19,7 +19,7 @@ class ExportSettings:
     materials to export (empty: everything tagged). ``license``, ``author``, ``source``: provenance where the
     asset has no such tags. ``apply_box_uv``: meshes without UVs get a box projection of one unit per metre,
     so that other materials can be assigned to them. ``report``: write the fidelity report. ``report_python``:
-    Python executable for the report, with this project installed.
+    Python executable, with this project installed, that renders the report.
     """
 
     kind: str = "auto"

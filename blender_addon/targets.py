@@ -15,7 +15,7 @@ from .settings import ExportSettings
 
 @dataclass(frozen=True)
 class Target:
-    """One package to write. ``tagged`` is the block with the tags; ``owners`` are names of objects."""
+    """One package to write. ``tagged``: the block with the tags; ``owners``: names of its objects."""
 
     kind: str
     id: str
@@ -33,7 +33,7 @@ def _identify(block: bpy.types.ID, fallback: str) -> tuple[str, str]:
 
 
 def find_targets(scene: bpy.types.Scene, settings: ExportSettings, problems: ProblemList) -> list[Target]:
-    """Packages selected by the settings, in order of their ids."""
+    """The packages that the settings select, in order of their ids; adds errors to ``problems``."""
     targets: list[Target] = []
     if settings.kind in ("auto", "material"):
         targets += _material_targets(settings)

@@ -2,8 +2,8 @@
 """``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: converts files that Blender reads to binary
 glTF.
 
-Scripts in .blend files stay off. Images outside the file's folder and of the FOLDERs are omitted;
-omissions are printed in lines that begin with ``to_gltf: ``.
+Scripts in .blend files stay off. Images outside the file's folder and the FOLDERs are omitted; each omission
+is printed on a line that begins with ``to_gltf: ``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _MARK = "to_gltf: "
 
 
 def read(path: Path) -> None:
-    """Replace the scene by the contents of a file. Raises ``RuntimeError``, as Blender's operators do."""
+    """Replace the scene by the contents of a file. Raises ``RuntimeError`` if Blender cannot read it."""
     suffix = path.suffix.lower()
     if suffix == ".blend":
         bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
@@ -32,17 +32,17 @@ def read(path: Path) -> None:
     elif suffix in (".gltf", ".glb"):
         bpy.ops.import_scene.gltf(filepath=str(path))
     else:
-        raise RuntimeError(f"{suffix} is no file that Blender reads")
+        raise RuntimeError(f"{suffix} is not a format that Blender reads")
 
 
 def leave_out_images(folders: list[Path]) -> None:
-    """Remove images whose files are elsewhere."""
+    """Remove images whose files are outside ``folders``, and print each."""
     for image in list(bpy.data.images):
         if image.packed_file is not None or not image.filepath:
             continue
         real = Path(bpy.path.abspath(image.filepath)).resolve()
         if not any(real.is_relative_to(folder) for folder in folders):
-            print(f"{_MARK}{image.name}: an image at {real}, outside the file's folder, left out")
+            print(f"{_MARK}{image.name}: left out, since {real} is outside the file's folder")
             bpy.data.images.remove(image)
 
 

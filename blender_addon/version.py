@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Supported versions of Blender. Older versions load the extension, but all of its commands refuse to run."""
+"""Supported versions of Blender. Older versions load the extension, but its commands refuse to run."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes asset packages: JSON, PLY, PNG and EXR bytes from arrays. Needs NumPy only, no bpy.
 
-Equal input gives equal bytes. A package appears whole or not at all: it is written into a temporary folder
-beside its path and renamed.
+Equal input gives equal bytes. A package appears whole or not at all: it is written to a temporary folder next
+to its path, which is then renamed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def ply_bytes(
     uv: NDArray[np.float32] | None,
     faces: NDArray[np.int32],
 ) -> bytes:
-    """Binary little-endian PLY with positions, normals and, if given, u v; faces (T, 3)."""
+    """Binary little-endian PLY of positions and normals (N, 3), UVs (N, 2) if given, and faces (T, 3)."""
     names = ["x", "y", "z", "nx", "ny", "nz"] + (["u", "v"] if uv is not None else [])
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(positions)}"]
     lines += [f"property float {name}" for name in names]
@@ -143,7 +143,7 @@ def exr_bytes(pixels: NDArray) -> bytes:
 
 
 def _exr_zip(block: bytes) -> bytes:
-    """OpenEXR's ZIP: bytes split into even and odd, differences, zlib; raw if that is not smaller."""
+    """Compress by OpenEXR's ZIP: even bytes, then odd ones, differences, zlib; raw if that is not smaller."""
     source = np.frombuffer(block, np.uint8)
     split = np.concatenate([source[0::2], source[1::2]]).astype(np.int16)
     split[1:] = (split[1:] - split[:-1] + (128 + 256)) % 256
@@ -152,7 +152,7 @@ def _exr_zip(block: bytes) -> bytes:
 
 
 def rounded(value: Any) -> Any:
-    """JSON data with floats cut to nine significant digits; NaN and Inf raise ``ValueError``."""
+    """JSON data with floats rounded to nine significant digits; NaN and Inf raise ``ValueError``."""
     if isinstance(value, bool) or value is None or isinstance(value, (str, int)):
         return value
     if isinstance(value, dict):
@@ -172,25 +172,23 @@ def json_bytes(data: dict[str, Any]) -> bytes:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on disk: after a power failure all or nothing is
-    there.
-    """
-    if os.name != "posix":  # Windows cannot open either for it
+    """Wait until a file, or a folder's list of entries, is on disk, to survive a power failure."""
+    if os.name != "posix":  # not possible on Windows
         return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network file systems cannot
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # unsupported by some network file systems
             raise
     finally:
         os.close(descriptor)
 
 
 class PackageWriter:
-    """Collects a package's files in a folder beside ``folder`` and moves it there on success.
+    """Context manager that collects a package's files in a temporary folder, and renames it on success.
 
-    Use as a context manager; an exception removes the files. Files of equal content are stored once.
+    An exception removes the files. Files of equal content are stored once.
     """
 
     def __init__(self, folder: Path):

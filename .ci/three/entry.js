@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// What the 3D page takes from three.js; the rest is left out of the bundle.
+// The parts of three.js that the 3D page uses; the bundle contains nothing else.
 export {
   BufferAttribute, BufferGeometry, DataTexture, DoubleSide, GLSL3, LinearFilter, LinearMipmapLinearFilter, Mesh, MeshBasicMaterial,
   NearestFilter, PerspectiveCamera, Plane, RawShaderMaterial, Raycaster, RepeatWrapping, Scene, SphereGeometry, SRGBColorSpace, Texture,

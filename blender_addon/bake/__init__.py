@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From Blender's shader graphs to the three channels of the project's BSDF."""
+"""Converts Blender's shader graphs to the channels of the project's BSDF: constants and textures."""

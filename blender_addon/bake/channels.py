@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From weighted lobes to the channels D, S, R and opacity, as expressions.
+"""Combines weighted lobes into expressions of the channels D, S, R and opacity.
 
 With lobe weights w, diffuse reflectances r, F0s s and slope widths a = roughness^2:
 
     S = sum w s        D = sum w r / (1 - S)        R = sqrt(sum w m a / sum w m),  m = mean component of s
 
-D is divided by 1 - S because the project's BSDF renders (1 - S) D / pi: a mix thus preserves the diffusely
-reflected light, not the parameter (docs/decisions/0030). A single lobe keeps its own D.
+D is divided by 1 - S because the diffuse term of the project's BSDF is (1 - S) D / pi: a mix thus preserves
+diffusely reflected light rather than D (docs/decisions/0030). A single lobe keeps its D.
 """
 
 from __future__ import annotations
@@ -27,20 +27,17 @@ from .expression import (
     multiply,
     operate,
     reduce_to_scalar,
+    unclamped,
     widen,
 )
 
-_MIN_DIFFUSE_SHARE: Expression = constant(1e-3)  # a mix that is entirely specular would give 0 / 0 for D
-_NO_SPECULAR: Expression = constant(
-    1e-6
-)  # without any specular part the mean slope width would be 0 / 0; it becomes 1
+_MIN_DIFFUSE_SHARE: Expression = constant(1e-3)  # D of an entirely specular mix would be 0 / 0
+_NO_SPECULAR: Expression = constant(1e-6)  # the mean slope width of lobes without F0 would be 0 / 0, not 1
 
 
 @dataclass(frozen=True)
 class Channels:
-    """Expressions of the channels; ``opacity`` is None if the surface is opaque, ``emission`` None if it does
-    not emit.
-    """
+    """Expressions of the channels; ``opacity`` is None if 1 everywhere, ``emission`` None if 0 everywhere."""
 
     diffuse_albedo: Expression
     specular_albedo: Expression
@@ -61,8 +58,8 @@ class Channels:
 
 
 def channels_of(closures: Closures) -> Channels:
-    """The channels of a surface. A surface without any lobe is black and rough, as in Blender."""
-    opacity: Expression = clamp_sum(complement(closures.transparency))
+    """Combine closures into channels. A surface without lobes is black with R = 1."""
+    opacity: Expression = clamp(complement(closures.transparency))
     lobes = _normalized(closures.lobes, opacity)
     diffuse: Expression = BLACK
     specular: Expression = BLACK
@@ -82,23 +79,14 @@ def channels_of(closures: Closures) -> Channels:
     )
 
 
-def clamp_sum(expression: Expression) -> Expression:
-    """The clamped expression, unless it is already the plain value of a socket or a constant inside [0,
-    1].
-    """
-    if is_constant(expression, 1):
-        return expression
-    return clamp(expression)
-
-
 def _normalized(lobes: list[Lobe], opacity: Expression) -> list[Lobe]:
-    """Lobes with weights relative to the opaque share, so that a mask does not darken the rest."""
+    """Divide the lobes' weights by the opacity, so that a mask does not darken the opaque part."""
     if is_constant(opacity, 1):
         return lobes
-    bare = _unclamped(opacity)
+    bare = unclamped(opacity)
     return [
         Lobe(
-            ONE if _unclamped(lobe.weight) == bare else divide(lobe.weight, opacity),
+            ONE if unclamped(lobe.weight) == bare else divide(lobe.weight, opacity),
             lobe.diffuse,
             lobe.specular,
             lobe.roughness,
@@ -106,16 +94,6 @@ def _normalized(lobes: list[Lobe], opacity: Expression) -> list[Lobe]:
         )
         for lobe in lobes
     ]
-
-
-def _unclamped(expression: Expression) -> Expression:
-    while (
-        not is_constant(expression)
-        and getattr(expression, "name", "") in ("minimum", "maximum")
-        and is_constant(expression.arguments[1])  # type: ignore[union-attr]
-    ):
-        expression = expression.arguments[0]  # type: ignore[union-attr]
-    return expression
 
 
 def _mixed(lobes: list[Lobe]) -> tuple[Expression, Expression, Expression]:

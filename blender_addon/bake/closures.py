@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A graph of closures as a list of weighted lobes, each with a diffuse reflectance, an F0 and a roughness.
+"""Converts a graph of closures to weighted lobes, each with a diffuse reflectance, an F0 and a roughness.
 
-Mix Shader weights its inputs, Add Shader sums them, groups are entered. Closures without a counterpart in the
-project's BSDF are approximated with a statement of the error, or refused with their name: the policy for each
-closure is in the function that handles it, and described in docs/blender.md.
+Mix Shader weights its inputs, Add Shader sums them, and groups are traversed. A closure without a counterpart
+in the project's BSDF is approximated, with the error stated, or refused; docs/blender.md lists the policies.
 """
 
 from __future__ import annotations
@@ -43,28 +42,30 @@ _SMALL_TRANSMISSION = 0.1
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """An input without a counterpart: its names, what it does, and the error of leaving it out."""
+    """A node input that is left out: its names, its effect, and the resulting error."""
 
     names: tuple[str, ...]
-    what: str
-    off_by: str
+    effect: str
+    error: str
 
 
 _SUBSURFACE = _LeftOut(
     ("Subsurface Weight", "Subsurface"),
     "subsurface scattering",
-    "light leaves where it enters; the albedo is the same, soft shadow edges inside the material go",
+    "light leaves where it enters: the albedo is the same, but shadow edges are not softened",
 )
-_SHEEN = _LeftOut(("Sheen Weight", "Sheen"), "sheen", "the rim of the surface is darker by up to it")
+_SHEEN = _LeftOut(
+    ("Sheen Weight", "Sheen"), "sheen", "the surface is darker at grazing angles by up to this value"
+)
 _ANISOTROPY = _LeftOut(
     ("Anisotropic", "Anisotropy"),
     "anisotropy",
-    "the highlight is round; its area is kept, since the slope widths' geometric mean is roughness^2",
+    "the highlight is round, of the same area: the geometric mean of the slope widths is roughness^2",
 )
 _DIFFUSE_ROUGHNESS = _LeftOut(
     ("Diffuse Roughness", "Roughness"),
     "diffuse roughness (Oren-Nayar)",
-    "the diffuse part is Lambert's, up to 20 % darker at grazing view and light",
+    "the diffuse part is Lambertian, up to 20 % darker at grazing angles of view and light",
 )
 
 
@@ -72,8 +73,8 @@ _DIFFUSE_ROUGHNESS = _LeftOut(
 class Lobe:
     """One weighted closure.
 
-    ``diffuse`` is its diffuse reflectance (already reduced by the specular part), ``specular`` its F0,
-    ``roughness`` perceptual (None: no specular part), all as expressions.
+    ``diffuse`` is the diffuse reflectance, (1 - S) D if ``albedo`` D is given; ``specular`` is F0;
+    ``roughness`` is perceptual, None without a specular part.
     """
 
     weight: Expression
@@ -85,10 +86,10 @@ class Lobe:
 
 @dataclass
 class Closures:
-    """Closures of a surface graph, combined.
+    """The closures of a surface graph, combined.
 
-    ``transparency`` is the weight of straight transmission; ``emission`` is radiance per unit strength;
-    ``normals`` are linked Normal inputs (stack, socket).
+    ``transparency`` is the weight of straight transmission; ``emission`` is the emitted radiance; ``normals``
+    are the linked Normal inputs as pairs of stack and socket.
     """
 
     lobes: list[Lobe] = field(default_factory=list)
@@ -105,7 +106,7 @@ class ClosureWalk:
         self.result = Closures()
 
     def walk(self, graph: Graph) -> Closures:
-        """All closures that reach the surface output."""
+        """Combine all closures that reach the surface output; reports those that are not exported exactly."""
         output = graph.output_node()
         if output is None:
             self._report(
@@ -134,7 +135,7 @@ class ClosureWalk:
             self._report(
                 APPROXIMATION,
                 output,
-                "displacement by the material is dropped: the surface stays where the mesh has it",
+                "displacement by the material is left out: the surface is the mesh itself",
                 "use a Displace modifier, which is exported",
             )
 
@@ -186,12 +187,12 @@ class ClosureWalk:
         )
 
     def _drop(self, stack: Stack, node: bpy.types.Node, *inputs: _LeftOut) -> None:
-        """Note inputs without a counterpart, unless they are off."""
+        """Report each input that is not exported, unless its value is 0."""
         for left_out in inputs:
             value = self._value(stack, node, *left_out.names)
             if not is_constant(value, 0):
                 amount = f" (= {value.value[0]:.3g})" if isinstance(value, Constant) else ""
-                self._report(APPROXIMATION, node, f"{left_out.what}{amount} is left out: {left_out.off_by}")
+                self._report(APPROXIMATION, node, f"{left_out.effect}{amount} is left out: {left_out.error}")
 
     # ---- closures
 
@@ -246,7 +247,7 @@ class ClosureWalk:
         )
 
     def _transmit(self, node: bpy.types.Node, transmission: Expression) -> Expression:
-        """The share that becomes transparency, by the material's policy for transmission."""
+        """The share of ``transmission`` that becomes transparency under the material's policy."""
         if is_constant(transmission, 0):
             return ZERO
         amount = transmission.value[0] if isinstance(transmission, Constant) else 1.0
@@ -323,7 +324,7 @@ class ClosureWalk:
         self._report(
             APPROXIMATION,
             node,
-            "translucency is exported as diffuse reflection: light leaves on the lit side, not on the other",
+            "translucency is exported as diffuse reflection: light leaves on the lit side only",
             "use Diffuse where the surface is seen from its lit side",
         )
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
@@ -355,7 +356,7 @@ class ClosureWalk:
         self._report(
             ERROR,
             node,
-            "the Sheen BSDF cannot be exported: nothing of it at normal incidence fits into D, S and R",
+            "the Sheen BSDF cannot be exported: D, S and R cannot represent it",
             "remove it, or use a Diffuse BSDF with the cloth's colour",
         )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Dependencies of a shader graph's values: none, a UV map, the mesh, the transform of the instance."""
+"""Determines on what a shader graph's values depend: UV maps, the mesh, or the instance's transform."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Dependencies:
     """Dependencies of the values of a shader graph.
 
     ``uv_layers``: names of the UV layers that are read, "" for the active render layer, to which nodes may
-    also refer by the names in ``named``. ``frames``: mappings of UVs by which image textures are read; None
-    stands for any other use of UVs. ``repeats``: whether all images repeat. ``image_px``: largest width and
-    height of the images. ``mesh``, ``world`` and ``object_info``: whether values depend on the mesh, on the
+    also refer by the names in ``named``. ``frames``: UV mappings by which image textures are read, and None
+    if UVs are used otherwise. ``repeats``: whether all images repeat. ``image_px``: largest width and height
+    of the images. ``mesh``, ``world`` and ``object_info``: whether values depend on the mesh, on the
     instance's transform, and on Object Info nodes.
     """
 
@@ -58,7 +58,7 @@ class Dependencies:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether all values repeat with each unit of the single mapping by which images are read."""
+        """Whether all images repeat and UVs are used only to read images."""
         return self.repeats and None not in self.frames
 
     @property
@@ -68,9 +68,9 @@ class Dependencies:
 
     @property
     def detail_px(self) -> tuple[int, int] | None:
-        """Texels per unit of the single mapping, along u and v, that preserve all detail of the images.
+        """Texels per unit of texture coordinates, along u and v, that preserve all detail of the images.
 
-        None if values other than images vary, or if images are read through several mappings.
+        None if values other than images vary, or if images are read by several mappings.
         """
         if self.needs_mesh or None in self.frames or len(self.frames) != 1:
             return None
@@ -78,7 +78,7 @@ class Dependencies:
 
     @property
     def needs_mesh(self) -> bool:
-        """Whether a bake on a plane cannot replace a bake on the mesh."""
+        """Whether the values must be baked on the mesh rather than on a plane."""
         return self.mesh or self.world or len(self.uv_layers) > 1
 
     @property
@@ -86,7 +86,7 @@ class Dependencies:
         return self.world or self.object_info
 
     def merge(self, other: Dependencies) -> None:
-        """Add other dependencies."""
+        """Add the dependencies ``other``."""
         self.uv_layers |= other.uv_layers
         self.named |= other.named
         self.frames |= other.frames
@@ -97,15 +97,15 @@ class Dependencies:
         self.object_info |= other.object_info
 
     def see_image(self, width: int, height: int) -> None:
-        """Include the size of an image."""
+        """Enlarge ``image_px`` to the size of an image."""
         self.image_px = (max(self.image_px[0], width), max(self.image_px[1], height))
 
 
 class DependencyWalk:
     """Traverses a material's tree upstream of expressions.
 
-    ``rendering_layer``: the name of the active UV layer of every mesh with the material, if it is the same on
-    all: nodes that name it and nodes without a name then read the same layer.
+    ``rendering_layer``: name of the active UV layer if all meshes with the material share it, else "". Nodes
+    that name it and nodes that name no layer then read the same layer.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class DependencyWalk:
         self._is_normal = False
 
     def of(self, *expressions: Expression) -> Dependencies:
-        """All dependencies of the expressions."""
+        """All dependencies of the given expressions."""
         self._seen, self._result = set(), Dependencies()
         for expression in expressions:
             for value in sorted(sockets(expression), key=lambda s: (s.path, s.node, s.socket)):
@@ -151,7 +151,7 @@ class DependencyWalk:
                 ERROR,
                 node,
                 f"{node.bl_label}: {_REFUSED[kind]}",
-                "replace it by a node that uses the surface",
+                "replace it by a node whose value depends on the surface only",
             )
             return
         if kind == "TEX_IMAGE":
@@ -189,15 +189,15 @@ class DependencyWalk:
             self._report(
                 NOTE,
                 node,
-                f"{node.bl_label} changes with the view: taken at normal incidence, which for a Fresnel mix "
-                "is the F0 that the exported BSDF starts from",
+                f"{node.bl_label} changes with the view: it is evaluated at normal incidence, which gives "
+                "the F0 of a Fresnel mix",
             )
         elif kind == "VECT_TRANSFORM" and node.convert_from != node.convert_to:
             if "CAMERA" in (node.convert_from, node.convert_to):
                 self._report(ERROR, node, "the value changes with the camera", "use World and Object only")
             self._result.world = True
         elif kind == "LIGHT_PATH":
-            self._report(NOTE, node, "Light Path is taken as for a camera ray")
+            self._report(NOTE, node, "Light Path is evaluated as for a camera ray")
         self._upstream(stack, node)
 
     def _upstream(self, stack: Stack, node: bpy.types.Node) -> None:
@@ -213,7 +213,7 @@ class DependencyWalk:
                 self._result.mesh = True
 
     def _layer(self, layer: str) -> str:
-        """Record a UV layer that is read; returns its name from now on."""
+        """Record that a UV layer is read; returns its name in ``uv_layers``."""
         if layer and layer == self.rendering_layer:
             self._result.named.add(layer)
             layer = ""
@@ -239,7 +239,7 @@ class DependencyWalk:
                 )
                 return
         if node.image.source in ("SEQUENCE", "MOVIE"):
-            self._report(NOTE, node, "of a moving image the current frame is exported")
+            self._report(NOTE, node, "only the current frame of the moving image is exported")
         if node.projection != "FLAT":
             self._result.mesh = True
         frame = image_frame(stack, node)

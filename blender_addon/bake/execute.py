@@ -28,15 +28,16 @@ _VECTOR_MATH = {
 _SCALAR_MATH = {**_VECTOR_MATH, "sqrt": "SQRT"}
 Array = NDArray[np.float32]
 _NOT_BAKED = -1.0
-"""Value of texels that the bake does not write; an EMIT or NORMAL bake never gives it. (A bake that clears
-its image sets alpha to 1 everywhere, so that alpha does not show which texels were hit.)"""
+"""Initial value of texels, which an EMIT or NORMAL bake never writes. (Alpha does not mark covered texels: a
+bake that clears its image sets it to 1 everywhere.)"""
 
 
 @dataclass(frozen=True)
 class WorkingMaterial:
-    """A copy of a material whose channel values are top-level sockets, connected to the output one by one.
+    """A copy of a material with a top-level socket, or a constant, for each channel in ``outputs``.
 
-    ``surface`` is the original surface, for the bake of normals.
+    ``emission`` emits the channel to bake; ``target`` names the image that receives it; ``surface`` is the
+    socket of the original surface, for baking normals.
     """
 
     material: bpy.types.Material
@@ -47,7 +48,7 @@ class WorkingMaterial:
 
 
 class BakeSession:
-    """Owns a temporary scene. Use as a context manager."""
+    """Context manager that owns a temporary scene, and all data created for baking."""
 
     def __init__(self) -> None:
         self._created: list[tuple[Any, Any]] = []
@@ -82,7 +83,7 @@ class BakeSession:
         return self._scene
 
     def own(self, collection: Any, block: Any) -> Any:
-        """Register a datablock for removal when the session closes."""
+        """Register a datablock of ``collection`` for removal when the session closes, and return it."""
         self._created.append((collection, block))
         return block
 
@@ -102,7 +103,7 @@ class BakeSession:
         expressions: dict[str, Expression],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> WorkingMaterial:
-        """Copy a material and build its channels as sockets. ``object_info`` replaces Object Info outputs."""
+        """Copy a material and build ``expressions`` in it; ``object_info`` replaces Object Info nodes."""
         copy = self.own(bpy.data.materials, material.copy())
         copy.name = f"{_PREFIX}{material.name}"
         tree = copy.node_tree
@@ -154,7 +155,7 @@ class BakeSession:
     def make_single(
         self, path: tuple[str, ...], node: bpy.types.Node, single_user: set[tuple[str, ...]]
     ) -> None:
-        """Give a group node a copy of its tree that no other node uses, once."""
+        """Replace a group node's tree by a copy for this node, unless ``path`` is in ``single_user``."""
         if path not in single_user:
             node.node_tree = self.own(bpy.data.node_groups, node.node_tree.copy())
             node.node_tree.name = f"{_PREFIX}group"
@@ -165,7 +166,10 @@ class BakeSession:
     def plane(
         self, material: bpy.types.Material, uv_layers: dict[str, Array], size_m: float, active: str
     ) -> bpy.types.Object:
-        """A square in the XY plane from 0 to ``size_m`` with the given UVs (4, 2) at its corners."""
+        """A square in the XY plane from 0 to ``size_m`` with the given UVs (4, 2) at its corners.
+
+        ``active``: name of the layer that nodes without a layer's name read.
+        """
         mesh = self.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}plane"))
         s = size_m
         mesh.from_pydata([(0, 0, 0), (s, 0, 0), (s, s, 0), (0, s, 0)], [], [(0, 1, 2, 3)])
@@ -180,14 +184,14 @@ class BakeSession:
         return self.object_of(mesh)
 
     def object_of(self, mesh: bpy.types.Mesh) -> bpy.types.Object:
-        """An object in the session's scene that shows ``mesh``."""
+        """Add an object with ``mesh`` to the session's scene."""
         thing = self.own(bpy.data.objects, bpy.data.objects.new(f"{_PREFIX}object", mesh))
         self.scene.collection.objects.link(thing)
         return thing
 
     @contextmanager
     def only(self, thing: bpy.types.Object) -> Iterator[None]:
-        """Make an object the only, selected and active one for operators."""
+        """Context for operators in which ``thing`` is the only rendered object, selected and active."""
         layer = self.scene.view_layers[0]
         for other in self.scene.collection.objects:
             other.hide_render = other != thing
@@ -213,7 +217,7 @@ class BakeSession:
         size: int,
         uv_layer: str = BAKE_UV,
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Bake one channel to (size, size, 3), row 0 at the bottom, and the mask of texels hit."""
+        """Bake a channel; returns pixels (size, size, 3), row 0 at the bottom, and a mask of baked pixels."""
         tree = working.material.node_tree
         colour = working.emission.inputs["Color"]
         for link in list(colour.links):
@@ -228,9 +232,7 @@ class BakeSession:
     def bake_normal(
         self, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str = BAKE_UV
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Bake the tangent-space normal of the original surface like a channel, encoded as (n + 1) / 2, +Y
-        up.
-        """
+        """Bake tangent-space normals of the original surface as (n + 1) / 2, +Y up; see :meth:`bake`."""
         tree = working.material.node_tree
         end = tree.get_output_node("CYCLES").inputs["Surface"]
         assert working.surface is not None
@@ -268,7 +270,7 @@ UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 @dataclass
 class _Builder:
-    """Turns expressions into nodes of a working tree."""
+    """Builds expressions as nodes of a working tree."""
 
     session: BakeSession
     tree: bpy.types.NodeTree
@@ -277,7 +279,7 @@ class _Builder:
     _built: dict[Expression, bpy.types.NodeSocket | Constant] = field(default_factory=dict)
 
     def build(self, expression: Expression) -> bpy.types.NodeSocket | Constant:
-        """The top-level socket with an expression's value; constants stay constants."""
+        """Build the nodes of an expression; returns their top-level socket, or a constant unchanged."""
         if isinstance(expression, Constant):
             return expression
         if expression not in self._built:

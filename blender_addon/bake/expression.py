@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Values of a shader graph as small expressions: constants, sockets of the graph, and arithmetic on them.
+"""Values of a shader graph as expressions: constants, sockets of the graph, and arithmetic on them.
 
-A channel of the project's BSDF is such an expression. Constants are folded during construction, which reveals
+Each channel of the project's BSDF is an expression. Constants are folded during construction, which reveals
 expressions that are constant or a single socket; all other expressions are built from math nodes and baked.
-Widths: 1 is a scalar, 3 a linear Rec.709 colour or a vector. A scalar combined with a colour is repeated.
+``width``: 1 for a scalar, 3 for a linear Rec.709 colour or a vector. A scalar combined with a colour is
+repeated.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from dataclasses import dataclass
 from functools import reduce
 
 LUMINANCE = (0.2126729, 0.7151522, 0.0721750)
-"""Blender's conversion of a colour to a value in the Rec.709 scene-linear space."""
+"""Weights of the linear Rec.709 components in Blender's conversion of a colour to a value."""
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A known value, of 1 or 3 components."""
+    """A constant with 1 or 3 components."""
 
     value: tuple[float, ...]
 
@@ -30,7 +31,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class SocketValue:
-    """The value of an output socket; ``path`` names the group nodes from the material's tree down to it."""
+    """The value of an output socket; ``path`` names the group nodes from the material's tree to ``node``."""
 
     path: tuple[str, ...]
     node: str
@@ -89,7 +90,7 @@ def _is_complement(expression: Expression) -> bool:
 
 
 def operate(name: str, *arguments: Expression) -> Expression:
-    """Apply an operation, folding constants and dropping neutral elements."""
+    """Apply an operation of :data:`OPERATIONS`, folding constants and dropping neutral elements."""
     width = max(argument.width for argument in arguments)
     if all(isinstance(argument, Constant) for argument in arguments):
         function = OPERATIONS[name]
@@ -147,8 +148,19 @@ def clamp(expression: Expression) -> Expression:
     return operate("minimum", operate("maximum", expression, ZERO), ONE)
 
 
+def unclamped(expression: Expression) -> Expression:
+    """Strip the outer minima and maxima with constants from an expression."""
+    while (
+        isinstance(expression, Operation)
+        and expression.name in ("minimum", "maximum")
+        and isinstance(expression.arguments[1], Constant)
+    ):
+        expression = expression.arguments[0]
+    return expression
+
+
 def complement(expression: Expression) -> Expression:
-    """1 - x."""
+    """1 - expression."""
     return subtract(ONE, expression)
 
 
@@ -160,9 +172,7 @@ def lerp(a: Expression, b: Expression, factor: Expression) -> Expression:
 
 
 def reduce_to_scalar(expression: Expression, name: str = "luminance") -> Expression:
-    """Colour to value as Blender converts it: the ``luminance`` of a colour, or the ``average`` of a
-    vector.
-    """
+    """Reduce to a scalar as Blender does: to the ``luminance`` of a colour, the ``average`` of a vector."""
     if expression.width == 1:
         return expression
     if isinstance(expression, Constant):
@@ -176,7 +186,7 @@ def reduce_to_scalar(expression: Expression, name: str = "luminance") -> Express
 
 
 def widen(expression: Expression) -> Expression:
-    """A scalar constant repeated to three components; anything else unchanged."""
+    """Repeat a scalar constant to three components; other expressions are unchanged."""
     if isinstance(expression, Constant) and expression.width == 1:
         return Constant(expression.value * 3)
     return expression
@@ -189,7 +199,7 @@ def fresnel_f0(ior: Expression) -> Expression:
 
 
 def sockets(expression: Expression) -> set[SocketValue]:
-    """All graph sockets read by the expression."""
+    """All sockets of the graph on which the expression depends."""
     if isinstance(expression, SocketValue):
         return {expression}
     if isinstance(expression, Operation):

@@ -25,7 +25,7 @@ class UvFrame:
     matrix: tuple[tuple[float, float, float], tuple[float, float, float]]
 
     def apply(self, uv: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Map coordinates (N, 2)."""
+        """Map UVs (N, 2) to texture coordinates (N, 2)."""
         if self.is_identity:
             return uv
         rows = np.array(self.matrix)
@@ -45,7 +45,7 @@ IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 
 def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] | None:
-    """3x3 homogeneous map of a Mapping node in the UV plane, None if it is not constant or not planar."""
+    """Homogeneous map (3, 3) of a Mapping node in the UV plane, None if it is not constant or not planar."""
     if node.vector_type not in ("POINT", "TEXTURE"):
         return None
     values: list[tuple[float, ...]] = []
@@ -72,9 +72,7 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
 
 
 def image_frame(stack: Stack, node: bpy.types.Node) -> UvFrame | None:
-    """The frame in which an Image Texture reads its image; None if that is not an affine map of a UV
-    layer.
-    """
+    """The map from a UV layer to the coordinates of an Image Texture node; None if it is not affine."""
     legacy = node.texture_mapping
     if (
         tuple(legacy.translation) != (0, 0, 0)

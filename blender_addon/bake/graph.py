@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Follows links of a shader graph to the origin of a value. Reads the graph, never changes it.
+"""Traces values of a shader graph to their sources, without changing the graph.
 
-A *stack* is the tuple of group nodes from the material's tree down to the current tree; reroutes, muted
-nodes, muted links and group boundaries are passed through.
+A *stack* is the tuple of group nodes from the material's tree to the current tree. Reroutes, muted nodes and
+group boundaries are passed through; muted links are ignored.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .expression import (
 
 Stack = tuple[bpy.types.Node, ...]
 _WIDTH = {"VALUE": 1, "INT": 1, "BOOLEAN": 1, "RGBA": 3, "VECTOR": 3, "ROTATION": 3}
-_MAX_HOPS = 10_000  # a cycle of reroutes would otherwise never end
+_MAX_HOPS = 10_000  # a cycle of reroutes would otherwise be followed forever
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Graph:
 
 @dataclass(frozen=True)
 class Source:
-    """Source of an input's value: an output ``socket`` of ``node``, or an unlinked input ``socket`` (``node``
-    is None), or neither (both None: a muted node without an internal link).
+    """Source of an input's value: an output ``socket`` of ``node`` or, if ``node`` is None, an unlinked input
+    ``socket``. Both are None for a muted node without an internal link.
     """
 
     stack: Stack
@@ -68,7 +68,7 @@ def _by_identifier(sockets: bpy.types.bpy_prop_collection, identifier: str) -> b
 
 
 def source_of(stack: Stack, socket: bpy.types.NodeSocket) -> Source:
-    """Source of an input socket."""
+    """Trace an input socket to its source. Raises ``RuntimeError`` if links form a cycle."""
     for _ in range(_MAX_HOPS):
         link = _incoming(socket)
         if link is None:
@@ -94,7 +94,7 @@ def source_of(stack: Stack, socket: bpy.types.NodeSocket) -> Source:
             stack, socket = (*stack, node), inner_socket
         else:
             return Source(stack, node, output)
-    raise RuntimeError(f"links around node {socket.node.name!r} form a ring")
+    raise RuntimeError(f"links around node {socket.node.name!r} form a cycle")
 
 
 def path_of(stack: Stack) -> tuple[str, ...]:
@@ -103,7 +103,7 @@ def path_of(stack: Stack) -> tuple[str, ...]:
 
 
 def input_of(node: bpy.types.Node, *names: str) -> bpy.types.NodeSocket | None:
-    """The first input whose identifier or name is one of ``names``."""
+    """The first input whose identifier or name is one of ``names``, or None."""
     for name in names:
         socket = _by_identifier(node.inputs, name) or node.inputs.get(name)
         if socket is not None:
@@ -117,18 +117,17 @@ def socket_width(socket: bpy.types.NodeSocket) -> int:
 
 
 def default_of(socket: bpy.types.NodeSocket) -> Constant:
-    """An unlinked input's own value; alpha of a colour is dropped."""
+    """The default value of an input socket, without the alpha of a colour."""
     value = socket.default_value
     return constant(*tuple(value)[:3]) if hasattr(value, "__len__") else constant(float(value))
 
 
 _OF_IMAGES = ("TEX_IMAGE", "SEPARATE_COLOR", "SEPRGB")
-# Values with the same meaning for every export: those for a camera ray that hits the front.
-LIGHT_PATH_VALUES = {"Is Camera Ray": 1.0}
+LIGHT_PATH_VALUES = {"Is Camera Ray": 1.0}  # of a camera ray; all other outputs are 0
 
 
 def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
-    """The value of an input socket as an expression of the input's own width."""
+    """The value of an input socket as an expression, reduced to a scalar if the socket is one."""
     source = source_of(stack, socket)
     if source.socket is None:
         value: Expression = constant(0.0)
@@ -154,9 +153,9 @@ def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
 
 
 def _known_product(source: Source) -> Constant | None:
-    """0 if a Math node multiplies a component of an image by 0, which importers write to switch textures off.
+    """0 if a Math node multiplies an image's component by 0, as importers do to disable a texture; else None.
 
-    Other constants are detected by the bake, but an image could not be passed through unchanged for them.
+    A bake would detect this constant too, but then all images of the material would be baked.
     """
     node = source.node
     if node is None or node.type != "MATH" or node.operation != "MULTIPLY":
@@ -168,7 +167,7 @@ def _known_product(source: Source) -> Constant | None:
 
 
 def node_at(tree: bpy.types.NodeTree, path: tuple[str, ...], name: str) -> tuple[Stack, bpy.types.Node]:
-    """The node of an expression's socket, with the stack that leads to it."""
+    """Find the node ``name`` inside the nested groups ``path``; returns its stack and the node."""
     stack: Stack = ()
     for group in path:
         stack = (*stack, tree.nodes[group])

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Chooses for each channel of a material how it becomes a constant or a texture. Changes no data.
 
-- ``constant``: nothing upstream varies; evaluated once.
-- ``image``: the channel is an image file read through the UV map; the file is used unchanged.
-- ``plane``: depends on UVs only; baked once per material on a plane.
-- ``mesh``: depends on object coordinates, attributes or transform; baked per mesh (or per instance).
+- constant: nothing upstream varies; the channel is evaluated once.
+- image: the channel is an image file read by a UV map; the file is used unchanged.
+- plane: the channel depends on UVs only; it is baked once per material on a plane.
+- mesh: the channel depends on object coordinates, attributes or transform; it is baked per mesh or instance.
 """
 
 from __future__ import annotations
@@ -12,12 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..problems import APPROXIMATION, ERROR, NOTE, Problem, ProblemList
 from .channels import Channels, channels_of
 from .closures import TRANSMISSION_POLICIES, Closures, ClosureWalk
 from .dependencies import Dependencies, DependencyWalk
-from .expression import Constant, Expression, Operation, SocketValue, is_constant, sockets
+from .expression import Constant, Expression, Operation, SocketValue, is_constant, sockets, unclamped
 from .frames import IDENTITY, UvFrame, image_frame
 from .graph import Graph, Stack, input_of, node_at, source_of
 
@@ -29,7 +31,10 @@ NORMAL = "normal"
 
 @dataclass(frozen=True)
 class PlainImage:
-    """A channel that is an unchanged image: ``channel`` is rgb, r, g, b or a, ``encoding`` srgb or linear."""
+    """A channel that is an unchanged image: ``channel`` is rgb, r, g, b or a, ``encoding`` srgb or linear.
+
+    ``needs_unit_uv``: the image does not repeat, so it cannot be used beyond the unit square.
+    """
 
     image: bpy.types.Image
     channel: str
@@ -42,9 +47,10 @@ class PlainImage:
 class MaterialPlan:
     """Export plan of one material.
 
-    ``constants`` need a bake of one value at most; ``images`` are used unchanged, including a normal map if
-    normals are exported and ``bakes_normal`` is not needed for them; ``varying`` are baked on a plane, or on
-    the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
+    Channels by name: ``constants`` have one value; ``images``, with the normal map if exported unchanged, are
+    used as files; ``varying`` are baked on a plane, or on the mesh if ``needs_mesh``. ``frame`` maps the
+    mesh's UVs to texture coordinates (None: a new layout, or no texture). ``bakes_normal``: the linked Normal
+    inputs ``normals`` are baked.
     """
 
     name: str
@@ -76,9 +82,10 @@ class MaterialPlan:
 def plan_material(
     material: bpy.types.Material, bakes_normal: bool = False, rendering_layer: str = ""
 ) -> MaterialPlan:
-    """Plan one material; problems are in the plan. ``bakes_normal``: Normal inputs become a texture.
+    """Plan the export of one material; the plan lists the problems found.
 
-    ``rendering_layer``: the active UV layer of all meshes with the material, "" if they differ.
+    ``bakes_normal``: linked Normal inputs become a texture. ``rendering_layer``: name of the active UV layer
+    of all meshes with the material, "" if they differ.
     """
     problems = ProblemList()
     policy = str(material.get("sm_transmission", "refuse"))
@@ -134,7 +141,7 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         if (image := plain_image(tree, expression, name in SCALAR_CHANNELS)) is not None
     }
     for name, image in list(plain.items()):
-        # for example a JPEG, which has no such component
+        # a JPEG, for example, has no alpha
         if image.channel == "a" and _is_opaque(image.image):
             plan.constants[name] = Constant((1.0,))
             del plain[name], varying[name]
@@ -157,7 +164,7 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         return
     read_frames = plan.dependencies.frames
     if plan.dependencies.needs_mesh or not plan.dependencies.uv_layers:
-        plan.frame = None  # with a new layout, or without texture
+        plan.frame = None  # a new layout, or no textures
     elif len(read_frames) == 1 and None not in read_frames:
         (plan.frame,) = read_frames
     else:
@@ -183,8 +190,8 @@ def _note_interpolation(
             )
 
 
-def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
-    """The same plan with all images baked, because their coordinates cannot be kept."""
+def force_bake(plan: MaterialPlan) -> MaterialPlan:
+    """A copy of ``plan`` that bakes its images, which do not repeat, for UVs beyond the unit square."""
     varying = {
         name: expression
         for name, expression in plan.channels.baked().items()
@@ -192,7 +199,6 @@ def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
     }
     dependencies = Dependencies()
     dependencies.merge(plan.dependencies)
-    dependencies.mesh |= on_mesh
     dependencies.repeats = False
     return MaterialPlan(
         plan.name, plan.channels, plan.constants, {}, varying, dependencies, plan.frame, plan.normals,
@@ -200,20 +206,9 @@ def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
     )  # fmt: skip
 
 
-def _strip_clamp(expression: Expression) -> tuple[Expression, bool]:
-    stripped = False
-    while (
-        isinstance(expression, Operation)
-        and expression.name in ("minimum", "maximum")
-        and isinstance(expression.arguments[1], Constant)
-    ):
-        expression, stripped = expression.arguments[0], True
-    return expression, stripped
-
-
 def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
-    """The image of an expression that only reads an image through an affine UV map, else None."""
-    bare, _ = _strip_clamp(expression)
+    """The image file that alone determines ``expression`` through an affine UV map, or None."""
+    bare = unclamped(expression)
     is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
     if is_luminance:
         bare = bare.arguments[0]  # type: ignore[union-attr]
@@ -256,9 +251,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The tangent-space normal map shared by all linked Normal inputs, without scale and rotation, else
-    None.
-    """
+    """The tangent-space normal map, neither rotated nor mirrored, of all linked Normal inputs, or None."""
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):
@@ -287,27 +280,21 @@ def plain_normal(
     return PlainImage(image, "rgb", "linear", frame, texture.extension != "REPEAT")
 
 
-def _pixels(image: bpy.types.Image) -> object:
-    import numpy as np
-
+def _pixels(image: bpy.types.Image) -> NDArray[np.float32]:
     values = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
     image.pixels.foreach_get(values)
     return values.reshape(-1, image.channels)
 
 
 def _is_grey(image: bpy.types.Image) -> bool:
-    import numpy as np
-
     if image.channels < 3:
         return True
-    values: np.ndarray = _pixels(image)  # type: ignore[assignment]
+    values = _pixels(image)
     return bool(len(values) and np.abs(values[:, :3] - values[:, :1]).max() <= 0.5 / 255)
 
 
 def _is_opaque(image: bpy.types.Image) -> bool:
-    import numpy as np
-
     if image.channels < 4 or image.alpha_mode == "NONE":
         return True
-    values: np.ndarray = _pixels(image)  # type: ignore[assignment]
+    values = _pixels(image)
     return bool(len(values) and values[:, 3].min() >= 1 - 0.5 / 255)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Resolution of a baked channel: box-filtered levels of a fine bake, and the error of each. No bpy.
+"""Chooses the resolution of a baked channel among box-filtered levels of a fine bake. Uses no bpy.
 
 Images are (H, W, C) float32, row 0 at the bottom (v = 0); H and W are powers of two. A mask (H, W) marks the
 texels covered by the surface; the others are filled from their neighbours and excluded from errors.
@@ -23,8 +23,8 @@ _BLOCK_ROWS = 64
 class Level:
     """An image that replaces a finer one.
 
-    ``error`` is the mean absolute difference over covered texels between the finer image and this one,
-    interpolated linearly.
+    ``error`` is the mean absolute difference over covered texels, in the worst component, between the finer
+    image and this one, interpolated linearly.
     """
 
     image: Image
@@ -32,7 +32,7 @@ class Level:
 
 
 def halve(image: Image, weight: Image, axis: int) -> tuple[Image, Image]:
-    """Box-filter pairs along an axis, weighted by coverage; returns image and weight."""
+    """Average pairs of texels along an axis, weighted by coverage (H, W, 1); returns image and weight."""
     first, second = (slice(None, None, 2), slice(1, None, 2))
     a, b = (image[first], image[second]) if axis == 0 else (image[:, first], image[:, second])
     p, q = (weight[first], weight[second]) if axis == 0 else (weight[:, first], weight[:, second])
@@ -50,14 +50,12 @@ def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArr
 
 
 def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> Image:
-    """Bilinear lookup at the texel centres of a finer grid, with repetition at the borders as in
-    renderers.
-    """
+    """Interpolate bilinearly at the texel centres of a finer grid; ``repeats``: wrap at the borders."""
     return _interpolate_rows(image, slice(0, height), height, width, repeats)
 
 
 def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeats: bool = True) -> Image:
-    """Rows ``rows`` of :func:`interpolate`. An axis of unchanged size is not interpolated."""
+    """A range of rows of the result of :func:`interpolate`; axes of unchanged size are not interpolated."""
     if image.shape[0] == height:
         result = image[rows]
     else:
@@ -70,7 +68,7 @@ def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeat
 
 
 def _shifted(values: NDArray, rows: int, columns: int) -> NDArray:
-    """``values`` moved by whole texels, with zeros moving in."""
+    """Shift ``values`` (H, W, ...) by whole texels, filling with zeros."""
     result = np.zeros_like(values)
     height, width = values.shape[:2]
     if abs(rows) < height and abs(columns) < width:
@@ -81,7 +79,7 @@ def _shifted(values: NDArray, rows: int, columns: int) -> NDArray:
 
 
 def dilate(image: Image, mask: Mask) -> tuple[Image, Mask]:
-    """Grow the mask by a ring of texels, each with the mean of its covered neighbours."""
+    """Grow the mask by a ring of texels, each the mean of its covered neighbours; returns image and mask."""
     covered = np.where(mask[..., None], image, 0)
     total = np.zeros_like(image)
     count = np.zeros((*mask.shape, 1), np.float32)
@@ -98,7 +96,7 @@ def dilate(image: Image, mask: Mask) -> tuple[Image, Mask]:
 def fill(image: Image, mask: Mask) -> Image:
     """Fill the texels outside the mask: two rings from their neighbours, the rest by push-pull.
 
-    The rings are read by lookups at the border of a chart; coarser levels would mix in other charts.
+    Interpolation at the border of a chart reads the rings; push-pull alone would mix in other charts there.
     """
     if mask.all():
         return image
@@ -125,8 +123,9 @@ def smallest_level(
 ) -> Level:
     """The coarsest level within ``tolerance`` of ``image``; each axis is halved separately.
 
-    A channel that varies along one axis only keeps a single row or column. Returns the image itself (error 0)
-    if no level is good enough. ``counted`` restricts the texels over which the error is computed.
+    A channel that varies along one axis only is reduced to a single row or column. Returns the filled image
+    (error 0) if no level is good enough. ``least``: minimum side in texels. ``counted``: mask of the texels
+    over which the error is computed, by default ``mask``.
     """
     counted = mask if counted is None else counted
     best = Level(fill(image, mask), 0.0)
@@ -151,10 +150,9 @@ def smallest_level(
 
 
 def level_error(level: Image, image: Image, mask: Mask, enough: float = math.inf) -> float:
-    """Mean absolute difference over covered texels, in the worst component.
+    """Mean absolute difference of the interpolated level from ``image`` over ``mask``, worst component.
 
-    Rows are added in cache-sized blocks until the sum alone brings the mean above ``enough``; the result is
-    then a lower bound.
+    The sum stops once the mean exceeds ``enough``; the result is then a lower bound.
     """
     height, width = image.shape[:2]
     count = np.count_nonzero(mask)

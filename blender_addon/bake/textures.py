@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs a material's plan: constants, textures of sufficient size, and the UV map that reads them."""
+"""Bakes a material by its plan: constants, textures of sufficient size, and the UV map that reads them."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ from .plan import NORMAL, SCALAR_CHANNELS, MaterialPlan, PlainImage
 from .pyramid import fill, halve, interpolate, smallest_level
 
 _FIRST_PX = 256
-_ODD_PX = (
-    181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
-)
-BORDER = 1 / 32  # of the texture's side, as margin around a window or a layout
+_ODD_PX = 181  # a prime, so that a regular pattern does not alias as at a power of two
+BORDER = 1 / 32  # margin around a window or layout, relative to the texture's side
 _FLAT = 1e-4  # a texture with less variation is a constant
 
 Window = tuple[float, float, float, float]
@@ -34,7 +32,7 @@ UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
 class BakedTexture:
     """A baked texture: linear ``pixels`` (H, W, C), float32, row 0 at v = 0.
 
-    ``error``: mean absolute difference from the bake at twice the resolution (or from the finest bake).
+    ``error``: mean absolute difference from the finest bake; at the size limit, change by the last doubling.
     """
 
     pixels: Array
@@ -42,9 +40,9 @@ class BakedTexture:
 
 
 def padded_window(low: NDArray, high: NDArray) -> Window:
-    """A window around a box of texture coordinates, with a margin of half a texel of a 16-texel texture.
+    """A window around the box of texture coordinates from ``low`` to ``high`` (2,).
 
-    Repeating lookups thus never read the opposite border.
+    Its margin is half a texel of a 16-texel texture: repeating lookups never read the opposite border.
     """
     size = np.maximum(high - low, 1e-3)
     middle = (low + high) / 2
@@ -62,8 +60,8 @@ def padded_mask(size: int) -> NDArray[np.bool_]:
 def _enough_px(plan: MaterialPlan, window: Window) -> int | None:
     """Side of a square texture over the window that preserves all detail of the material's images.
 
-    If its texels are the images' own, they are read at their centres; else twice the resolution is used. None
-    if anything but images varies.
+    The side is twice that of the images unless the texture's texels coincide with theirs. None if values
+    other than images vary.
     """
     detail = plan.dependencies.detail_px
     if detail is None or plan.frame is None:
@@ -81,8 +79,8 @@ Channel = tuple[float, ...] | BakedTexture | PlainImage
 class BakedMaterial:
     """Baked ``channels`` of a material by name.
 
-    The mesh's UVs become texture coordinates by ``frame``; then the window (u0, v0, u1, v1) is mapped to the
-    unit square. ``uv`` (C, 2) replaces the UVs if the mesh has a new layout.
+    ``frame`` maps the mesh's UVs to texture coordinates; then the window (u0, v0, u1, v1) is mapped to the
+    unit square. ``uv`` (C, 2), by face corner, replaces the UVs if the mesh has a new layout.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -117,9 +115,7 @@ class MaterialBaker:
         size_m: float = 1.0,
         layer_names: tuple[str, ...] = (),
     ) -> BakedMaterial:
-        """Bake the channels of a material that need no mesh. ``layer_names``: UV layers named by its
-        nodes.
-        """
+        """Bake a material on a plane with side ``size_m``; ``layer_names``: UV layers that its nodes name."""
         result = BakedMaterial(frame=plan.frame, window=window)
         result.channels.update(plan.images)
         pending = {**plan.constants, **plan.varying}
@@ -159,7 +155,7 @@ class MaterialBaker:
         uv: NDArray[np.float32],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> BakedMaterial:
-        """Bake a slot of a mesh (an object of the session) in its bake layout ``uv``."""
+        """Bake a slot of the session's object ``thing`` in the layout ``uv`` (C, 2) of its face corners."""
         result = BakedMaterial(uv=uv)
         mesh = thing.data
         pending = {**plan.constants, **plan.varying}
@@ -182,7 +178,7 @@ class MaterialBaker:
         return self._finish(result, plan)
 
     def _idle_material(self) -> bpy.types.Material:
-        """A material for slots that are not being baked; every slot needs an image as target."""
+        """A material for slots that are not baked; Blender requires a target image in every slot."""
         material = self.session.own(bpy.data.materials, bpy.data.materials.new(".sm_idle"))
         material.use_nodes = True
         node = material.node_tree.nodes.new("ShaderNodeTexImage")
@@ -208,8 +204,8 @@ class MaterialBaker:
     ) -> Channel:
         """Bake at increasing sizes until a level of half the size or less reproduces the bake.
 
-        ``covered`` returns, for a size, the texels that count if the bake itself hits more. ``enough`` is a
-        size that preserves all detail, if one is known.
+        ``covered`` returns, for a size, the mask of texels over which errors are computed (default: all that
+        are baked). ``enough``: a size known to preserve all detail, or None.
         """
         limit, tolerance = self.settings.max_texture_px, self.settings.tolerance
         is_cut = enough is None or enough > limit
@@ -271,7 +267,7 @@ class MaterialBaker:
         pixels: Array,
         mask: NDArray[np.bool_],
     ) -> bool:
-        """Whether a bake at an unrelated size has the same statistics; if not, the first one aliases."""
+        """Whether a bake at another size has the same mean and deviation; if not, ``pixels`` are aliased."""
         other, other_mask = self._bake(thing, working, name, _ODD_PX)
         if not other_mask.any():
             return False
@@ -305,7 +301,7 @@ class MaterialBaker:
 
 
 def _tidy(name: str, pixels: Array) -> Array:
-    """Pixels with one component for scalars, clipped to the channel's range (emission has no upper limit)."""
+    """Clip pixels to the channel's range, [0, 1] except for emission; scalars keep one component."""
     if name in SCALAR_CHANNELS:
         pixels = pixels[..., :1]
     if name == "emission":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A UV layout without overlaps for the faces of one material slot, on a mesh of the session."""
+"""Finds a UV layout without overlaps for the faces of one material slot."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .textures import BORDER
 
 _ISLAND_MARGIN = 0.004  # of the unit square: two texels at 512
 _DOMAINS = {"vert": "POINT", "edge": "EDGE", "poly": "FACE"}
-_LARGEST_CHECKED = 200_000  # triangles; above, testing the mesh's own layout costs more than a new one
+_LARGEST_CHECKED = 200_000  # triangles; testing the layout of a larger mesh costs more than a new one
 
 
 def bake_layout(
     session: BakeSession, thing: bpy.types.Object, arrays: MeshArrays, slot: int
 ) -> NDArray[np.float32]:
-    """UVs of corners (C, 2) for baking the slot's faces; adds the layer ``BAKE_UV`` to the mesh.
+    """UVs (C, 2) of face corners for baking the slot's faces; adds the layer ``BAKE_UV`` to the mesh.
 
-    A border of the unit square stays free, since texture lookups repeat. The mesh's own UVs are used if they
-    are a valid unwrap; otherwise Smart UV Project makes new ones.
+    A border of the unit square stays free, since texture lookups repeat. The mesh's active UVs are used if
+    they are a valid unwrap; otherwise Smart UV Project creates new ones.
     """
     mesh = thing.data
     if BAKE_UV not in mesh.uv_layers:

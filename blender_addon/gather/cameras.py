@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's cameras as pinhole intrinsics and a pose (x right, y down, z forward)."""
+"""Converts Blender's cameras to pinhole intrinsics and a pose (x right, y down, z forward)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def gather_camera(
     metres_per_unit: float,
     problems: ProblemList,
 ) -> CameraData | None:
-    """One perspective camera; other cameras are refused. Pixels may be non-square."""
+    """Convert a perspective camera, also with non-square pixels; None, with an error added, for any other."""
     camera = thing.data
     if camera.type != "PERSP":
         problems.add(
@@ -51,14 +51,14 @@ def gather_camera(
     if not camera.clip_start < camera.clip_end:
         problems.add(
             ERROR,
-            f"clips from {camera.clip_start:g} to {camera.clip_end:g}: it sees nothing",
+            f"clips from {camera.clip_start:g} to {camera.clip_end:g}, an empty range",
             "set Clip End above Clip Start",
             object=thing.name,
         )
         return None
     scale = render.resolution_percentage / 100
     width, height = max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))
-    # In units of a pixel's width; a pixel is aspect_y / aspect_x as high as it is wide.
+    # Lengths are in units of a pixel's width; aspect is a pixel's height divided by its width.
     aspect = render.pixel_aspect_y / render.pixel_aspect_x
     tall = height * aspect
     fits_width = camera.sensor_fit == "HORIZONTAL" or (camera.sensor_fit == "AUTO" and width >= tall)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Visible content of the dependency graph: meshes by identity, instances with their matrices."""
+"""Gathers visible surfaces from the dependency graph: each mesh once, and its instances."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _MATRIX_EPSILON = 1e-12
 class Instance:
     """One instance of a mesh.
 
-    ``matrix`` (4, 4) world_from_object in Blender units; ``owner`` is the object in the scene that creates
-    it; ``materials`` are listed by slot; ``object_info`` holds the Object Info node's outputs.
+    ``matrix`` (4, 4) is world_from_object in Blender units; ``owner`` is the object in the scene that creates
+    the instance; ``materials`` are names by slot; ``object_info`` contains the outputs of Object Info nodes.
     """
 
     name: str
@@ -47,14 +47,14 @@ class Instance:
 
 @dataclass
 class Gathered:
-    """Gathered ``meshes`` by key, and their instances."""
+    """The gathered meshes by key (``Instance.mesh_key``), and their instances."""
 
     meshes: dict[int, MeshArrays] = field(default_factory=dict)
     instances: list[Instance] = field(default_factory=list)
 
 
 def hash_name(name: str) -> int:
-    """Cycles' random id of an object that is not an instance, from its name (util/hash.h)."""
+    """Cycles' 32-bit random id of an object that is not an instance, from its name (util/hash.h)."""
     mask = 0xFFFFFFFF
     value = 0
     for byte in name.encode():
@@ -87,10 +87,10 @@ def gather_instances(
     keep: Callable[[int, bpy.types.Mesh, tuple[str | None, ...]], None],
     problems: ProblemList,
 ) -> Gathered:
-    """Read all visible surfaces whose owner ``is_wanted``, within one iteration of the dependency graph.
+    """Read all visible surfaces whose owner's name satisfies ``is_wanted``.
 
     ``keep`` is called with the key, the evaluated mesh and the materials of each instance, and may copy the
-    mesh, which is freed when the iteration continues.
+    mesh, which is freed when the iteration over the dependency graph continues.
     """
     result = Gathered()
     for shown in depsgraph.object_instances:
@@ -108,7 +108,7 @@ def gather_instances(
         _check_modifiers(thing.original, problems)
         matrix = np.array(shown.matrix_world, dtype=np.float64)
         if abs(np.linalg.det(matrix[:3, :3])) < _MATRIX_EPSILON:
-            problems.add(NOTE, "has no volume (a scale of 0) and is left out", object=owner.name)
+            problems.add(NOTE, "has a scale of 0 and is left out", object=owner.name)
             continue
         key, materials = _mesh_of(thing, result, keep)
         if len(result.meshes[key].triangles) == 0:
@@ -177,7 +177,7 @@ def _check_modifiers(thing: bpy.types.Object, problems: ProblemList) -> None:
         if differs:
             problems.add(
                 APPROXIMATION,
-                f"modifier {modifier.name!r} is exported as the viewport shows it, not as it renders",
+                f"modifier {modifier.name!r} is exported as in the viewport, not as rendered",
                 "give it the same levels and visibility for viewport and render",
                 object=thing.name,
             )

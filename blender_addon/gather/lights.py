@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's lights in radiometric units, as dictionaries of the asset format.
+"""Converts Blender's lights to dictionaries of the asset format, in radiometric units.
 
-With P = energy * colour * 2^exposure (the light's own exposure): point of radius 0, I = P / 4 pi; sphere, L =
-P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi; without Normalize L
-= P / pi for spheres and areas. Lengths are converted to metres by ``m`` (metres per unit), which leaves
-radiance unchanged and multiplies intensity by m^2. Tests compare every case with Cycles.
+With the power P = energy * colour * 2^exposure of the light: radiant intensity I = P / (4 pi) of a point with
+radius 0 and of a spot; radiance L = P / (4 pi^2 r^2) of a sphere with radius r, and L = P / (pi A) of an area
+A, which emits along -Z; irradiance E = P of a sun. Without Normalize, L = P / pi for spheres and areas.
+Conversion to metres leaves radiance unchanged and multiplies intensity by (metres per unit)^2.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Light = dict[str, Any]
 def gather_light(
     thing: bpy.types.Object, matrix: NDArray[np.float64], metres_per_unit: float, problems: ProblemList
 ) -> Light | None:
-    """One light object at ``matrix`` (4, 4) world_from_object, or None with a problem recorded."""
+    """Convert a light object at ``matrix`` (4, 4) world_from_object; None if it is black or refused."""
     data = thing.data
     power = _power(data, thing.name, problems)
     if power is None or not power.any():
@@ -87,7 +87,7 @@ def _point(
             APPROXIMATION,
             "Soft Falloff makes the light a disc that faces each point; the exported sphere is brighter by "
             f"(radius / distance)^2, {(radius / 2) ** 2:.2%} at a distance of 2 units",
-            "turn Soft Falloff off to have the same sphere in both",
+            "turn Soft Falloff off",
             object=thing.name,
         )
     is_normalized = getattr(thing.data, "normalize", True)
@@ -101,7 +101,7 @@ def _note_visibility(thing: bpy.types.Object, problems: ProblemList) -> None:
 
 
 def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
-    """Cycles' fall-off of a spot: smoothstep of (cos - cos(half)) / ((1 - cos(half)) blend)."""
+    """Cycles' spot fall-off in [0, 1]: smoothstep of (cos - cos(half)) / ((1 - cos(half)) blend)."""
     edge = math.cos(half_angle)
     if blend <= 0:
         return (cosine >= edge).astype(float)
@@ -110,9 +110,7 @@ def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
 
 
 def fitted_beam_width(half_angle: float, blend: float) -> float:
-    """Half angle of full intensity at which a linear fall-off (in angle) to ``half_angle`` emits the same
-    flux.
-    """
+    """Half angle [rad] from which a fall-off that is linear to 0 at ``half_angle`` has Cycles' flux."""
     angle = (np.arange(4096) + 0.5) / 4096 * half_angle
     weight = np.sin(angle)
     wanted = float((spot_profile(np.cos(angle), half_angle, blend) * weight).sum())
@@ -132,7 +130,7 @@ def _spot(
     if data.spot_blend > 0:
         problems.add(
             APPROXIMATION,
-            "the spot's soft edge becomes a linear one of the same flux; on the axis it is exact",
+            "the spot's soft edge becomes a linear one of the same flux; the intensity on its axis is exact",
             object=thing.name,
         )
     if data.shadow_soft_size > 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Marker objects: support surfaces, light slots, openings, camera regions."""
+"""Converts marker objects: support surfaces, light slots, openings, camera regions."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def _matrix(thing: bpy.types.Object, metres_per_unit: float) -> NDArray[np.float
 
 
 def rectangle_of(thing: bpy.types.Object, metres_per_unit: float) -> Rectangle:
-    """Origin and edges, in metres, of the rectangle spanned by a marker in its own XY plane (at its top).
+    """Origin and edges (3,) [m] of the rectangle that a marker spans in its local XY plane, at its top.
 
-    edge_u x edge_v points along the marker's +Z; for an area light along -Z, its direction of emission.
+    edge_u x edge_v points along the marker's +Z, or, for an area light, along -Z, in which it emits.
     """
     matrix = _matrix(thing, metres_per_unit)
     if thing.type == "LIGHT" and thing.data.type == "AREA":
@@ -54,7 +54,7 @@ def _listed(values: NDArray[np.float64]) -> list[float]:
 def gather_markers(
     things: list[bpy.types.Object], metres_per_unit: float, problems: ProblemList
 ) -> dict[str, list[dict[str, Any]]]:
-    """The environment's markers, keyed as in the asset format."""
+    """Convert the markers among ``things`` to lists of entries, by their keys in ``asset.json``."""
     found: dict[str, list[dict[str, Any]]] = {
         "support_surfaces": [],
         "light_slots": [],

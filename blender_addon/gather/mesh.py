@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Evaluated meshes as arrays, and their split into triangles of one material with shared vertices.
+"""Reads evaluated meshes as arrays, and splits them into triangles of one material with shared vertices.
 
-Letters: V vertices, C corners, T triangles. Corners index vertices; triangles index corners. All coordinates
-are in the object's own frame, in Blender units.
+Sizes: V vertices, C face corners, T triangles. Corners index vertices; triangles index corners. Coordinates
+are in the object's frame, in Blender units.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class MeshArrays:
 
     ``positions`` (V, 3). ``corner_vertices`` (C,): the vertex of each corner. ``normals``: unit normals, (V,
     3) if the whole mesh is smooth, else (C, 3). ``triangles`` (T, 3): corners of each triangle.
-    ``triangle_polygons`` (T,): its face. ``triangle_slots`` (T,): its material slot. ``uv_layers``: UVs (C,
-    2) by layer name, v upwards. ``active_uv``: name of the active render layer, or "".
+    ``triangle_polygons`` (T,): polygon of each triangle. ``triangle_slots`` (T,): its material slot.
+    ``uv_layers``: UVs (C, 2) by layer name, v upwards. ``active_uv``: name of the active render layer, or "".
     """
 
     positions: FloatArray
@@ -44,10 +44,7 @@ class MeshArrays:
 
 @dataclass(frozen=True)
 class Submesh:
-    """Triangles of one material, ready for a file.
-
-    ``positions``, ``normals`` (N, 3), ``uv`` (N, 2) or None, ``faces`` (T, 3) int32.
-    """
+    """Triangles ``faces`` (T, 3) of one material with ``positions``, ``normals`` (N, 3) and ``uv`` (N, 2)."""
 
     positions: FloatArray
     normals: FloatArray
@@ -87,7 +84,7 @@ def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
 
 
 def _hash_rows(*columns: NDArray) -> NDArray[np.uint64]:
-    """A 64-bit hash of each row of float32 or int32 columns (N, k), read as bits."""
+    """A 64-bit hash (N,) of each row of float32 or int32 columns (N, k), by their bits."""
     result = np.zeros(len(columns[0]), np.uint64)
     multiplier = np.uint64(0x9E3779B97F4A7C15)
     for column in columns:
@@ -102,10 +99,10 @@ def _hash_rows(*columns: NDArray) -> NDArray[np.uint64]:
 def submesh(
     mesh: MeshArrays, slot: int | None = None, uv: FloatArray | None = None, is_mirrored: bool = False
 ) -> Submesh:
-    """The triangles of one slot (None: all), with corners that agree in everything merged to one vertex.
+    """The triangles of one slot (None: all), with equal corners merged to one vertex.
 
     ``uv`` (C, 2) are the texture coordinates to write. ``is_mirrored`` reflects x and reverses the winding,
-    for instances with a mirroring matrix. Triangles that refer to one vertex twice are dropped.
+    for instances with a mirroring matrix. Triangles that refer to a vertex twice are omitted.
     """
     triangles = mesh.triangles if slot is None else mesh.triangles[mesh.triangle_slots == slot]
     vertices = mesh.corner_vertices[triangles]
@@ -141,7 +138,7 @@ def submesh(
 
 
 def _compact(indices: IntArray, size: int) -> tuple[IntArray, IntArray]:
-    """Used entries in increasing order, and ``indices`` renumbered to them."""
+    """The distinct ``indices`` (< ``size``) in increasing order, and each index's position among them."""
     is_used = np.zeros(size, bool)
     is_used[indices] = True
     number = np.cumsum(is_used, dtype=np.int32) - 1
@@ -149,7 +146,7 @@ def _compact(indices: IntArray, size: int) -> tuple[IntArray, IntArray]:
 
 
 def _merge(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
-    """First row of each distinct row in order of appearance, and each row's number among them."""
+    """Indices of the first row of each group of equal rows, in order, and the group (N,) of each row."""
     hashes = _hash_rows(*columns)
     _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
@@ -157,14 +154,14 @@ def _merge(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     first, inverse = first[order], rank[inverse]
-    for column in columns:  # a hash collision would silently weld two vertices: nothing is merged then
+    for column in columns:  # a hash collision would weld unequal vertices: nothing is merged then
         if not np.array_equal(column[first][inverse], column):
             return np.arange(len(hashes)), np.arange(len(hashes))
     return first, inverse
 
 
 def is_unit_unwrap(mesh: MeshArrays, uv: FloatArray, slot: int | None = None) -> bool:
-    """Whether the layer's triangles lie in [0, 1]^2 and cover about as much as the sum of their areas."""
+    """Whether the UVs (C, 2) are in [0, 1]^2, with few degenerate triangles and little overlap."""
     triangles = mesh.triangles if slot is None else mesh.triangles[mesh.triangle_slots == slot]
     corners = uv[triangles]
     if not np.isfinite(corners).all() or corners.min() < -1e-5 or corners.max() > 1 + 1e-5:
@@ -173,15 +170,11 @@ def is_unit_unwrap(mesh: MeshArrays, uv: FloatArray, slot: int | None = None) ->
     area = 0.5 * np.abs(edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0])
     if (area < 1e-12).mean() > 0.01:
         return False
-    return _num_overlapping_samples(corners, area) < 0.005
+    return _overlapping_share(corners, area) < 0.005
 
 
-def _num_overlapping_samples(corners: FloatArray, area: FloatArray, size: int = 256) -> float:
-    """Share of samples, distributed over the triangles by area, whose grid cell's centre lies in another
-    triangle.
-
-    Deterministic: cell centres are tested against the triangles whose bounding box contains them.
-    """
+def _overlapping_share(corners: FloatArray, area: FloatArray, size: int = 256) -> float:
+    """Share of the covered cells of a grid whose centre is inside several triangles (T, 3, 2)."""
     covered = np.zeros((size, size), np.int32)
     low = np.clip(np.ceil(corners.min(axis=1) * size - 0.5).astype(int), 0, size - 1)
     high = np.clip(np.floor(corners.max(axis=1) * size - 0.5).astype(int), -1, size - 1)

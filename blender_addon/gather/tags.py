@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Custom properties that tag the objects, collections and materials of a file; docs/blender.md lists them for
-artists.
-"""
+"""Reads the custom properties that tag objects, collections and materials; docs/blender.md lists them."""
 
 from __future__ import annotations
 
@@ -44,7 +42,10 @@ def words(value: Any) -> tuple[str, ...]:
 
 
 def numbers(value: Any) -> tuple[float, ...]:
-    """The numbers of a tag: an array property, a number, or a string such as ``"0.9, 1.1"``."""
+    """The numbers of a tag: an array property, a number, or a string such as ``"0.9, 1.1"``.
+
+    Other text raises ``ValueError``.
+    """
     if isinstance(value, str):
         return tuple(float(part) for part in value.split(","))
     if hasattr(value, "__len__"):
@@ -53,7 +54,7 @@ def numbers(value: Any) -> tuple[float, ...]:
 
 
 def slug(name: str) -> str:
-    """A name as an identifier: lower case, digits, ``_ - .``; other alphabets are transliterated."""
+    """Convert a name to an identifier of a-z, 0-9, ``_``, ``-``, ``.``; other letters are transliterated."""
     text = re.sub(r"[^a-z0-9_.-]+", "_", transliterated(name).lower()).strip("._-")
     return re.sub(r"\.{2,}", ".", text) or "unnamed"
 
@@ -61,7 +62,7 @@ def slug(name: str) -> str:
 def check_words(
     values: tuple[str, ...], allowed: tuple[str, ...], tag: str, problems: ProblemList, **place: str
 ) -> tuple[str, ...]:
-    """The allowed values; every other value is an error."""
+    """Return the values that are allowed, and add an error for each other value of the tag."""
     for value in values:
         if value not in allowed:
             problems.add(ERROR, f"{tag} = {value!r}", f"use one of {', '.join(allowed)}", **place)
@@ -69,7 +70,7 @@ def check_words(
 
 
 def material_classes(material: bpy.types.Material, problems: ProblemList) -> tuple[str, ...]:
-    """The tag ``sm_class`` of a material: its classes, the main class first."""
+    """The tag ``sm_class`` of a material: its classes, the main class first; by default ``other``."""
     found = check_words(
         words(material.get("sm_class")), MATERIAL_CLASSES, "sm_class", problems, material=material.name
     )
@@ -93,7 +94,7 @@ def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> t
 
 
 def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemList) -> dict[str, str]:
-    """Licence, author, source and usage from the tags ``sm_license`` etc.; a licence is required."""
+    """Licence, author, source and usage from the tags ``sm_license`` etc.; a missing licence is an error."""
     result = {}
     for key in ("license", "author", "source", "usage"):
         value = str(block.get(f"sm_{key}", "") or fallback.get(key, ""))

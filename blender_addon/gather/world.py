@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world as an environment light: a constant radiance, or an equirectangular image."""
+"""Converts the world to an environment light: a constant radiance, or an equirectangular image."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..bake.graph import Graph, Stack, source_of, value_of
 from ..cycles import render_linear
 from ..problems import ERROR, ProblemList
 
-# The format's image has +Y of its frame in the middle column, Blender's panorama +X of the world.
+# The middle column of the format's image is +Y of its frame; that of Blender's panorama is +X of the world.
 WORLD_FROM_ENVIRONMENT = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], float)
 
 
@@ -58,7 +58,7 @@ def gather_world(
 
 
 def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None:
-    """Radiance of a graph of backgrounds as an expression; None if only a render can determine it."""
+    """Radiance of a graph of background shaders as an expression; None if only a render determines it."""
     source = source_of(stack, socket)
     node = source.node
     if node is None:
@@ -78,7 +78,7 @@ def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None
 
 
 def _plain_panorama(world: bpy.types.World) -> tuple[NDArray[np.float32], float, float] | None:
-    """Pixels, angle about Z and strength of a world that is one equirectangular image; else None."""
+    """Pixels (H, W, 3), angle about Z [rad] and strength of an equirectangular world; None for others."""
     output = Graph(world.node_tree).output_node()
     if output is None:
         return None
@@ -105,7 +105,7 @@ def _plain_panorama(world: bpy.types.World) -> tuple[NDArray[np.float32], float,
 
 
 def _turn_about_z(stack: Stack, socket: bpy.types.NodeSocket) -> float | None:
-    """The angle by which the image is rotated in the world, None for any other coordinates."""
+    """The angle about Z [rad] by which the image is rotated; None if its coordinates change otherwise."""
     source = source_of(stack, socket)
     if source.node is None:
         return 0.0
@@ -125,7 +125,7 @@ def _turn_about_z(stack: Stack, socket: bpy.types.NodeSocket) -> float | None:
     before = _turn_about_z(source.stack, source.node.inputs["Vector"])
     if before is None or not source_of(source.stack, source.node.inputs["Vector"]).is_linked:
         return None
-    return before - rotation[2]  # rotating the coordinates one way rotates the picture the other way
+    return before - rotation[2]  # the image rotates by the inverse of its coordinates' rotation
 
 
 def _panorama(world: bpy.types.World, session: BakeSession, size_px: int) -> NDArray[np.float32]:

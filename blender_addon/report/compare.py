@@ -39,10 +39,10 @@ def report_steps(
     things: Sequence[str],
     problems: Sequence[Problem],
 ) -> Generator[Progress, None, None]:
-    """Write the page to ``path``.
+    """Write the fidelity report to ``path``; yields the progress.
 
-    ``materials``: for each material's name, the UV maps that its nodes name. ``things``: names of the
-    exported objects, including lights and cameras.
+    ``materials``: by material's name, the UV maps that its nodes name. ``things``: names of the exported
+    objects, including lights and cameras.
     """
     scene = bpy.context.scene
     objects = [scene.objects[name] for name in sorted(things) if name in scene.objects]
@@ -72,13 +72,13 @@ def report_steps(
                 material,
                 _textures(folder, material),
                 image,
-                _second(folder, "report_materials", index),
+                _mitsuba_image(folder, "report_materials", index),
                 _MATERIAL_LIMIT,
             )
             for index, (material, image) in enumerate(zip(names, material_images, strict=True))
         ]
         page_lights = [
-            Comparison(name, kind, image, _second(folder, f"light_{index:03d}", 0), _LIGHT_LIMIT)
+            Comparison(name, kind, image, _mitsuba_image(folder, f"light_{index:03d}", 0), _LIGHT_LIMIT)
             for index, (name, kind, image) in enumerate(light_images)
         ]
         checks = [_check_camera(camera, scene) for camera in cameras]
@@ -112,7 +112,7 @@ def _render_materials(
         blocks = [bpy.data.materials[name] for name in names]
         cameras = material_stage(stage, blocks, [materials[name] for name in names])
         _export_stage(stage, "report_materials", settings, folder)
-        # the exporter sorts cameras by name; Blender numbered them in the order of creation
+        # the exporter sorts cameras by name, which is the order of creation: Blender numbers them
         for index, camera in enumerate(cameras):
             yield Progress(0.5 * index / len(cameras), f"report: {names[index]} in Cycles")
             stage.scene.camera = camera
@@ -138,12 +138,12 @@ def _render_light(
 
 
 def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
-    """Run the project's renderer over the packages; returns its entry on the page."""
+    """Render the packages with Mitsuba; returns the remark on it for the page."""
     executable = python or _own_python()
     if not executable:
         return (
-            "Rendered by Cycles only: name a Python executable that has this project installed to compare "
-            "with Mitsuba."
+            "Rendered by Cycles only: to compare with Mitsuba, name a Python executable that has this "
+            "project installed."
         )
     command = [executable, "-m", _RENDER_MODULE, *map(str, packages), "--out", str(folder / "mitsuba")]
     command += ["--samples", str(_MITSUBA_SAMPLES)]
@@ -164,17 +164,17 @@ def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) ->
 
 
 def _own_python() -> str:
-    """This interpreter if Blender is its module (pip's bpy); none inside Blender's own program."""
+    """Path of this interpreter if bpy is installed as a module, "" inside Blender's program."""
     return sys.executable if not bpy.app.binary_path else ""
 
 
-def _second(folder: Path, package: str, index: int) -> np.ndarray | None:
+def _mitsuba_image(folder: Path, package: str, index: int) -> np.ndarray | None:
     path = folder / "mitsuba" / package / f"view_{index:03d}.exr"
     return read_linear(path) if path.is_file() else None
 
 
 def _textures(folder: Path, material: str) -> str:
-    """Description of the export of a material's channels."""
+    """Text that states for each channel of a material whether it is a constant or a texture."""
     import json
 
     entries = json.loads((folder / "packages" / "report_materials" / "asset.json").read_text())["materials"]

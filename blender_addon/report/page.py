@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report as one HTML page with its pictures inside. No bpy."""
+"""Formats the fidelity report as one HTML page with embedded images. Uses no bpy."""
 
 from __future__ import annotations
 
@@ -29,10 +29,9 @@ img { display: block; image-rendering: auto; }
 
 @dataclass(frozen=True)
 class Comparison:
-    """A material or light as rendered by Cycles and by Mitsuba: linear images (H, W, 3), or None if Mitsuba
-    is not available.
+    """A material or light as rendered by Cycles and, if available, by Mitsuba: linear images (H, W, 3).
 
-    ``limit``: acceptable relative error.
+    ``detail``: description under the name; ``limit``: acceptable relative error.
     """
 
     name: str
@@ -43,27 +42,27 @@ class Comparison:
 
     @property
     def relative_error(self) -> float:
-        """Mean absolute difference over the mean radiance of the original."""
+        """Mean absolute difference divided by the mean radiance of Cycles' image."""
         assert self.mitsuba is not None
         return float(np.abs(self.mitsuba - self.cycles).mean() / max(float(self.cycles.mean()), 1e-9))
 
     @property
     def mean_ratio(self) -> float:
-        """Mean radiance of the exported image, relative to the original image."""
+        """Mean radiance of Mitsuba's image divided by that of Cycles' image."""
         assert self.mitsuba is not None
         return float(self.mitsuba.mean() / max(float(self.cycles.mean()), 1e-9))
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Largest distance in pixels between a point's projection by Blender and by the exported camera."""
+    """Largest distance [px] between the projections of points by Blender and by the exported camera."""
 
     name: str
     error_px: float
 
 
 def picture(comparison: Comparison) -> bytes:
-    """PNG: original, exported, and the difference amplified four times, side by side at one exposure."""
+    """PNG of Cycles' image and, if rendered, Mitsuba's and 4 times the difference, at one exposure."""
     exposure = 0.8 / max(float(np.percentile(comparison.cycles, 95)), 1e-9)
     images = [comparison.cycles * exposure]
     if comparison.mitsuba is not None:
@@ -113,7 +112,7 @@ def page(
     problems: Sequence[Problem],
     remark: str,
 ) -> str:
-    """The whole page; ``remark`` describes the rendering, or why there is none."""
+    """The page as HTML; ``remark`` describes Mitsuba's rendering, or why there is none."""
     listed = "".join(
         f"<tr><td>{problem.severity}</td><td>{html.escape(problem.place)}</td>"
         f"<td>{html.escape(problem.message)}</td><td>{html.escape(problem.remedy)}</td></tr>"
@@ -133,10 +132,10 @@ def page(
             "Materials",
             materials,
             "The original graph in Cycles and the exported channels in Mitsuba, on a sphere"
-            " and a plane under a sun and a uniform sky. Noise alone makes about 3 %.",
+            " and a plane under a sun and a uniform sky. Noise alone causes an error of about 3 %.",
         )
     }
-{_table("Lights", lights, "A grey square under each light alone; a grey sphere in the world.")}
+{_table("Lights", lights, "A grey square lit by each light alone; a grey sphere lit by the world.")}
 {
         "<h2>Cameras</h2><table><tr><th>Name</th><th>Largest reprojection error</th></tr>"
         + camera_rows
@@ -144,7 +143,7 @@ def page(
         if cameras
         else ""
     }
-<h2>Everything approximated or noted</h2>
+<h2>Approximations and notes</h2>
 {
         "<table><tr><th>Kind</th><th>Where</th><th>What</th><th>Remedy</th></tr>" + listed + "</table>"
         if problems

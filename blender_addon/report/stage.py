@@ -15,7 +15,7 @@ from ..bake.execute import BakeSession
 
 PICTURE_PX = 112
 SAMPLES = 48
-_SPACING = 40.0  # distance between samples, at which their planes shade each other by less than a thousandth
+_SPACING = 40.0  # between samples: their planes then change each other's light by less than a thousandth
 _PREFIX = ".sm_report"
 _SPHERE_ROWS, _SPHERE_COLUMNS = 48, 96
 
@@ -33,7 +33,7 @@ def _prepare(session: BakeSession, identity: str) -> bpy.types.Scene:
 
 
 def sphere_mesh(session: BakeSession, radius: float) -> bpy.types.Mesh:
-    """A smooth sphere around (0, 0, radius) with UVs: u around, v from pole to pole."""
+    """A smooth sphere about (0, 0, radius); u is the longitude, v the latitude, both in [0, 1]."""
     rows, columns = _SPHERE_ROWS, _SPHERE_COLUMNS
     theta, phi = np.meshgrid(
         np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, columns + 1), indexing="ij"
@@ -53,7 +53,7 @@ def sphere_mesh(session: BakeSession, radius: float) -> bpy.types.Mesh:
 
 
 def plane_mesh(session: BakeSession, side: float) -> bpy.types.Mesh:
-    """A square around the origin with UVs from 0 to 1."""
+    """A square in the XY plane about the origin with UVs from 0 to 1."""
     mesh = session.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}_plane"))
     h = side / 2
     mesh.from_pydata([(-h, -h, 0), (h, -h, 0), (h, h, 0), (-h, h, 0)], [], [(0, 1, 2, 3)])
@@ -81,7 +81,7 @@ def material_stage(
 ) -> list[bpy.types.Object]:
     """Build the scene of all materials under a sun and a uniform sky; returns a camera for each, in order.
 
-    ``layers``: for each material the UV maps named by its nodes; all are the shape's own map.
+    ``layers``: for each material, names of the UV maps that its nodes read; all get the shape's UVs.
     """
     scene = _prepare(session, "report_materials")
     sun = session.own(bpy.data.lights, bpy.data.lights.new(f"{_PREFIX}_sun", "SUN"))
@@ -108,7 +108,7 @@ def material_stage(
 
 
 def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy.types.World | None) -> None:
-    """A grey floor square under one light, or a grey sphere in a world, with a camera."""
+    """Build the scene of a grey square that faces a light, or of a grey sphere in a world, and a camera."""
     scene = _prepare(session, "report_light")
     grey = session.own(bpy.data.materials, bpy.data.materials.new(f"{_PREFIX}_grey"))
     grey.use_nodes = True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``python -m scenes.sources build --out scenes/library`` and ``preview``."""
+"""``python -m scenes.sources``: builds, previews and lists the assets of the bundled library."""
 
 import sys
 

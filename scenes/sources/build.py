@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds one asset in an empty file: its source makes tagged Blender data, which the add-on exports."""
+"""Builds one asset in an empty file: its source creates tagged Blender data, which the add-on exports."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SLOT_TEXTURE_PX = {"environment": 512, "object": 256}
 
 
 def sources() -> dict[str, str]:
-    """Kind of every asset by its id, in the order in which they are built."""
+    """The kind of every asset by its id, in the order of building."""
     kinds = {name: "material" for name in MATERIALS}
     kinds |= {name: "object" for name in OBJECTS}
     kinds |= {name: "environment" for name in ENVIRONMENTS}
@@ -32,7 +32,7 @@ def sources() -> dict[str, str]:
 
 
 def make(name: str) -> str:
-    """Put one asset into an empty file, tagged for the export; returns its kind."""
+    """Create one asset in an empty file, tagged for the export; returns its kind."""
     modelling.new_file()
     kind = sources()[name]
     if kind == "material":
@@ -56,9 +56,9 @@ def make(name: str) -> str:
 
 
 def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
-    """Export one asset below ``out``; ``quality`` multiplies the side of the textures.
+    """Export one asset below ``out``; returns the package's folder and the export's problems as text.
 
-    Returns the package's folder and the export's remarks.
+    ``quality``: factor of the textures' maximum side and, inverted, of the tolerance.
     """
     kind = make(name)
     side = MATERIALS[name].max_px if kind == "material" else SLOT_TEXTURE_PX[kind]
@@ -70,6 +70,6 @@ def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
 
 
 def description(package: Path) -> dict[str, Any]:
-    """The package's ``asset.json``."""
+    """Read the ``asset.json`` of a package."""
     data: dict[str, Any] = json.loads((package / "asset.json").read_text(encoding="utf-8"))
     return data

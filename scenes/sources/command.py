@@ -14,18 +14,18 @@ from pathlib import Path
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m scenes.sources",
-        description="Build the bundled library from its sources, and look at them.",
+        description="Build the bundled library from its sources, and preview them.",
         epilog="Example: python -m scenes.sources build --out scenes/library --only teapot",
     )
     verbs = parser.add_subparsers(dest="verb", required=True)
     build = verbs.add_parser("build", help="model and export packages")
     build.add_argument("--out", type=Path, required=True, help="the library's folder")
     build.add_argument(
-        "--only", action="append", default=[], metavar="ID", help="this asset only (repeatable)"
+        "--only", action="append", default=[], metavar="ID", help="build only this asset (repeatable)"
     )
     build.add_argument("--kind", action="append", default=[], choices=("material", "object", "environment"))
     build.add_argument(
-        "--quality", type=int, default=1, choices=(1, 2, 4, 8), help="textures this many times finer"
+        "--quality", type=int, default=1, choices=(1, 2, 4, 8), help="factor of the textures' resolution"
     )
     build.add_argument("--verbose", action="store_true", help="print the approximations of the export")
     preview = verbs.add_parser("preview", help="render a source with Cycles")
@@ -34,7 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     preview.add_argument("--samples", type=int, default=24)
     preview.add_argument("--width", type=int, default=480)
     preview.add_argument("--camera", type=float, nargs=6, metavar=("X", "Y", "Z", "TX", "TY", "TZ"))
-    gallery = verbs.add_parser("gallery", help="render one picture a kind with every asset")
+    gallery = verbs.add_parser("gallery", help="render one picture per kind, with every asset")
     gallery.add_argument("--out", type=Path, required=True, help="folder for the pictures")
     gallery.add_argument("--kind", action="append", default=[], choices=("material", "object", "environment"))
     panoramas = verbs.add_parser("panoramas", help="reduce environment maps to the bundled panoramas")
@@ -132,14 +132,14 @@ def _build(arguments: argparse.Namespace, known: dict[str, str]) -> int:
             for problem in problems:
                 print("   ", problem)
     if not arguments.only and not arguments.kind:
-        _remove_strangers(arguments.out, known, FOLDERS)
+        _remove_orphans(arguments.out, known, FOLDERS)
     return 1 if failed else 0
 
 
-def _remove_strangers(out: Path, known: dict[str, str], folders: dict[str, str]) -> None:
-    """Packages whose source is gone."""
+def _remove_orphans(out: Path, known: dict[str, str], folders: dict[str, str]) -> None:
+    """Remove packages without a source."""
     for kind, folder in folders.items():
         for package in sorted((out / folder).glob("*/asset.json")):
             if known.get(package.parent.name) != kind:
-                print(f"removing {package.parent}: it has no source any more")
+                print(f"removing {package.parent}: it has no source")
                 shutil.rmtree(package.parent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One picture per kind of asset, with previews of all assets: the pictures of docs/library.md."""
+"""Renders one picture per kind of asset, with previews of all assets, for docs/library.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CAPTION = 14
 
 
 def write_gallery(out: Path, kinds: tuple[str, ...]) -> list[Path]:
-    """Render every source of the kinds with Cycles and write ``<kind>s.jpg`` into ``out``."""
+    """Render every source of the kinds with Cycles into ``out``/``<kind>s.jpg``; returns the paths."""
     from PIL import Image, ImageDraw
 
     from blender_addon.command import quiet_stdout

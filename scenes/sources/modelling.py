@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From shapes to Blender: material slots with tags, meshes with UVs and normals, markers, a clean file."""
+"""Converts shapes to Blender's data: materials with tags, meshes with UVs and normals, and markers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scenes.sources.materials.graph import Color, Graph
 from scenes.sources.materials.surfaces import SURFACES
 from scenes.sources.shapes import Point, Shape
 
-SMOOTH_DEGREES = 42.0  # edges that turn more stay sharp: a two-step bevel (30 degrees a step) is smooth
+SMOOTH_DEGREES = 42.0  # larger angles between faces stay sharp; a two-step bevel has 30 degrees a step
 AUTHOR = "the scene-materials authors"
 LICENSE = "CC0-1.0"
 
@@ -29,10 +29,11 @@ def new_file() -> None:
 
 @dataclass(frozen=True)
 class Slot:
-    """Default material of a slot and the classes that may replace it.
+    """Default material of a slot, its classes, and the classes that may replace it.
 
-    ``source`` names a library material; without it the slot is constant: ``color`` (linear Rec.709),
-    ``roughness``, ``metallic``, ``ior``; or ``graph`` builds it over a unique UV layout.
+    ``source`` names a library material. Without it, ``graph``, a function of a :class:`Graph`, builds the
+    material over a unique UV layout, or it is constant: ``color`` (linear Rec.709), ``roughness`` (R),
+    ``metallic``, ``ior``.
     """
 
     classes: tuple[str, ...]
@@ -47,7 +48,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The shapes of a part, as pairs of slot and shape, to which shapes of one slot can be added."""
+    """A part's pairs of slot and shape, ``shapes``, to which ``+=`` adds shapes of one ``slot``."""
 
     shapes: list[tuple[str, Shape]]
     slot: str
@@ -59,9 +60,9 @@ class Pieces:
 
 @dataclass
 class Workshop:
-    """Collects shapes by part and slot and turns them into tagged Blender objects.
+    """Collects shapes by part and slot and converts them to tagged Blender objects.
 
-    A part becomes one object; parts of the same name share a mesh at several places (``place``).
+    A part becomes one object at the origin, or one object per transform in ``places``, with a common mesh.
     """
 
     slots: dict[str, Slot]
@@ -71,17 +72,20 @@ class Workshop:
     _count: int = 0
 
     def __getitem__(self, place: tuple[str, str]) -> Pieces:
-        """What takes the shapes of a part's slot: ``workshop["radio", "knob"] += shape``, or several shapes."""
+        """The shapes of a part's slot, for ``workshop["radio", "knob"] += shape``, or several shapes.
+
+        A slot that does not exist raises ``KeyError``.
+        """
         part, slot = place
         if slot not in self.slots:
             raise KeyError(f"no slot {slot!r}")
         return Pieces(self.parts.setdefault(part, []), slot)
 
     def __setitem__(self, place: tuple[str, str], pieces: Pieces) -> None:
-        """The second half of ``+=``, which has added the shapes already."""
+        """Do nothing: ``+=`` calls this after it has added the shapes."""
 
     def place(self, part: str, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> None:
-        """Place a part, rotated about z; a part that is never placed appears once at the origin."""
+        """Place a part at (x, y, z) [m], rotated about z; a part that is never placed is at the origin."""
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         matrix = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
         self.places.setdefault(part, []).append(matrix)
@@ -109,14 +113,14 @@ class Workshop:
         return 1.0 / MATERIALS[source].tile_size_m if source else 1.0
 
     def mesh(self, part: str) -> bpy.types.Mesh:
-        """One mesh of a part's shapes, with a material slot for each material."""
+        """Create the mesh of a part's shapes, with a material slot for each slot."""
         pieces = self.parts[part]
         names = list(dict.fromkeys(slot for slot, _ in pieces))
         points, faces, uvs, indices, offset = [], [], [], [], 0
         for slot, shape in pieces:
             uv = shape.uvs
             if not shape.unit_uv:
-                # every board and cushion reads its own piece of the pattern
+                # shapes read different parts of the pattern
                 self._count += 1
                 shift = np.array([0.6180339887, 0.7548776662]) * self._count % 1.0
                 uv = uv * self._uv_factor(slot) + shift
@@ -139,7 +143,7 @@ class Workshop:
         return mesh
 
     def build(self, collection: bpy.types.Collection) -> list[bpy.types.Object]:
-        """All parts as objects linked into ``collection``."""
+        """Create the objects of all parts in ``collection``."""
         made = []
         for part in self.parts:
             mesh = self.mesh(part)
@@ -162,7 +166,7 @@ def rectangle_marker(
     edge_v: Point,
     **tags: object,
 ) -> bpy.types.Object:
-    """Add a marker mesh whose +Z is edge_u x edge_v (the edges must be perpendicular)."""
+    """Add a rectangular marker whose local +Z is edge_u x edge_v; the edges [m] must be perpendicular."""
     u, v = np.array(edge_u, dtype=float), np.array(edge_v, dtype=float)
     lu, lv = np.linalg.norm(u), np.linalg.norm(v)
     mesh = bpy.data.meshes.new(name)
@@ -177,7 +181,7 @@ def rectangle_marker(
 
 
 def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Point) -> bpy.types.Object:
-    """Add a marker of a camera region."""
+    """Add the marker of a camera region, the box from ``low`` to ``high`` [m]."""
     corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(
@@ -187,7 +191,7 @@ def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Po
 
 
 def point_marker(collection: bpy.types.Collection, name: str, at: Point) -> bpy.types.Object:
-    """Add a marker for a point light."""
+    """Add the marker of a light slot for a point light."""
     x, y, z = at
     return rectangle_marker(
         collection, "light_slot", name, (x - 0.01, y - 0.01, z), (0.02, 0, 0), (0, 0.02, 0), sm_kind="point"
@@ -206,7 +210,7 @@ def _tagged(
 
 
 def tagged_collection(role: str, identity: str, title: str, **tags: object) -> bpy.types.Collection:
-    """A collection that the add-on exports as one package."""
+    """Create a collection that the add-on exports as one package."""
     collection = bpy.data.collections.new(identity)
     bpy.context.scene.collection.children.link(collection)
     values = {

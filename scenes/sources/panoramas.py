@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bundled panoramas from their CC0 sources: reduced to 768 x 384 texels of half floats.
+"""Makes the bundled panoramas from CC0 environment maps, reduced to 768 x 384 texels of half floats.
 
-Sources are Poly Haven's environment maps as Radiance files of 1024 x 512 (``FOLDER``), and the maps that come
-with Blender (``datafiles/studiolights/world``). Radiances keep their values: the sun's disc is not clipped.
-EXR's lossy DWAB compression changes radiances by 3 % on average and makes a file of 0.2 to 0.5 MB.
+The maps are Poly Haven's Radiance files of 1024 x 512, and those of Blender (``datafiles/studiolights/world``).
+Radiances are not rescaled, and the sun's disc is not clipped. EXR's lossy DWAB compression changes radiances
+by 3 % on average and gives files of 0.2 to 0.5 MB.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import read_image
 
 SIZE_PX = (768, 384)
-_LEVEL = 100.0  # of DWAB
-_LARGEST = 60000.0  # below the largest half float
-_FLOOR = 1e-5  # of radiances, and doubled as long as a negative one is read back
+_LEVEL = 100.0  # of DWAB compression
+_MAX_RADIANCE = 60000.0  # below the largest half float
+_FLOOR = 1e-5  # initial minimum of radiances, doubled until none is negative after compression
 _IMAGE = "panorama.exr"
 
 
@@ -66,7 +66,7 @@ PANORAMAS: Sequence[Source] = (
 
 
 def write_panoramas(folder: Path, blender: Path, out: Path) -> list[Path]:
-    """Write the packages below ``out``; raises :class:`InputError` where a source is missing."""
+    """Write the packages below ``out``; returns their folders. A missing map raises :class:`InputError`."""
     written = []
     for source in PANORAMAS:
         path = (blender if source.is_blender else folder) / source.file
@@ -88,25 +88,25 @@ def write_panoramas(folder: Path, blender: Path, out: Path) -> list[Path]:
 
 
 def radiance_of(path: Path) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) of a Radiance or EXR file; infinite texels become the largest half float."""
+    """Radiance (H, W, 3) of a Radiance or EXR file, clipped to [0, 60000]."""
     if path.suffix == ".exr":
         pixels = read_image(path)[..., :3]
     else:
         import cv2
 
         pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1]
-    return np.clip(np.nan_to_num(pixels, posinf=_LARGEST), 0.0, _LARGEST).astype(np.float32)
+    return np.clip(np.nan_to_num(pixels, posinf=_MAX_RADIANCE), 0.0, _MAX_RADIANCE).astype(np.float32)
 
 
 def reduced(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The image (H, W, 3) reduced to :data:`SIZE_PX` by averaging over areas."""
+    """Reduce an image (H, W, 3) to :data:`SIZE_PX` by averaging over areas."""
     import cv2
 
     return np.asarray(cv2.resize(pixels, SIZE_PX, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def encoded(pixels: NDArray[np.float32]) -> bytes:
-    """EXR of half floats without negative values, which lossy compression produces near black."""
+    """Encode an image (H, W, 3) as EXR of half floats, without the negative values that DWAB causes near 0."""
     floor = _FLOOR
     while True:
         data, least = _encoded(np.maximum(pixels, floor))
@@ -116,7 +116,7 @@ def encoded(pixels: NDArray[np.float32]) -> bytes:
 
 
 def _encoded(pixels: NDArray[np.float32]) -> tuple[bytes, float]:
-    """The EXR and the least value that is read from it."""
+    """The bytes of the EXR, and the minimum value read back from it."""
     import OpenEXR
 
     header = {

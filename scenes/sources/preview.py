@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Quick Cycles pictures of sources, to look at while modelling."""
+"""Renders quick previews of sources with Cycles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scenes.sources.build import make
 def render_preview(
     name: str, out: Path, samples: int = 24, width: int = 480, camera: Sequence[float] | None = None
 ) -> None:
-    """Render one source. ``camera``: eye and target; by default an object is seen from above its front."""
+    """Render one source to the PNG ``out``. ``camera``: eye and target (6,) [m] in an environment."""
     kind = make(name)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Modelling with plain arrays: every function returns a :class:`Shape` in metres, Z up, with UVs at real scale.
+"""Modelling with arrays: functions return a :class:`Shape` in metres, Z up, with UVs in metres.
 
-Letters: n points, f faces, c face corners (sum of face sizes). UVs are metres along the surface; where a
-material has a grain, it runs along u. ``unit_uv`` marks a unique layout in [0, 1] (prints, dials, covers).
+Sizes: n points, f faces, c face corners (sum of face sizes). UVs are lengths along the surface, and a
+material's grain runs along u. ``unit_uv`` marks a unique UV layout in [0, 1] (prints, dials, covers).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Face = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Shape:
-    """Polygons: ``points`` (n, 3) in metres, ``faces`` f index tuples (counter-clockwise from outside),
-    ``uvs`` (c, 2).
+    """Polygons: ``points`` (n, 3) [m], ``faces`` f tuples of indices, counter-clockwise seen from outside,
+    ``uvs`` (c, 2) by face corner.
     """
 
     points: NDArray
@@ -46,7 +46,7 @@ class Shape:
         return shape.flipped() if np.prod(factors) < 0 else shape
 
     def flipped(self) -> Shape:
-        """The same surface seen from its other side."""
+        """The shape with reversed faces."""
         corners, start = [], 0
         for face in self.faces:
             corners.append(self.uvs[start : start + len(face)][::-1])
@@ -58,7 +58,7 @@ class Shape:
         return replace(self, points=mapping(self.points))
 
     def uv_turned(self) -> Shape:
-        """The shape with u and v exchanged, for a grain across it."""
+        """The shape with its UVs, and so its grain, rotated by 90 degrees."""
         return replace(self, uvs=self.uvs[:, ::-1] * np.array([1.0, -1.0]))
 
     def __add__(self, other: Shape) -> Shape:
@@ -102,7 +102,7 @@ def face_normals(points: NDArray, faces: Sequence[Face]) -> NDArray:
 
 
 def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) -> NDArray:
-    """Metric box projection (c, 2); u runs along axis ``grain`` (default: the longest) where a face has it."""
+    """UVs (c, 2) [m] of a box projection; u runs along axis ``grain`` (default: the longest) if a face can."""
     if grain is None:
         grain = int(np.argmax(np.ptp(points, axis=0)))
     uvs = []
@@ -111,14 +111,14 @@ def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) ->
         first, second = [i for i in (0, 1, 2) if i != axis]
         if grain == second:
             first, second = second, first
-        # a face's layer is moved by its axis, so that the two ends of a board do not repeat each other
+        # UVs are moved by the face's direction, so that the two ends of a board differ
         offset = np.array([0.0, 0.37 * axis + (0.19 if normal[axis] > 0 else 0.0)])
         uvs.append(points[list(face)][:, [first, second]] + offset)
     return np.concatenate(uvs)
 
 
 def from_bmesh(mesh: bmesh.types.BMesh, grain: int | None = None) -> Shape:
-    """A shape with box-projected UVs from a bmesh, which is freed."""
+    """Convert a bmesh, which is freed, to a shape with box-projected UVs."""
     mesh.verts.index_update()
     points = np.array([v.co[:] for v in mesh.verts])
     faces = [tuple(v.index for v in face.verts) for face in mesh.faces]
@@ -133,7 +133,7 @@ def box(
     segments: int = 1,
     grain: int | None = None,
 ) -> Shape:
-    """A block of ``size`` whose bottom centre stands at ``at``, its edges bevelled."""
+    """A block of ``size`` with its bottom centre at ``at`` and bevelled edges."""
     mesh = bmesh.new()
     bmesh.ops.create_cube(mesh, size=1.0)
     bmesh.ops.scale(mesh, vec=Vector(size), verts=mesh.verts)
@@ -146,7 +146,7 @@ def box(
 
 
 def smooth_curve(points: ArrayLike, per_span: int = 6, closed: bool = False) -> NDArray:
-    """A uniform Catmull-Rom spline through ``points`` (k, d), ``per_span`` steps between neighbours."""
+    """Points (m, d) of a uniform Catmull-Rom spline through ``points`` (k, d), ``per_span`` steps a span."""
     p = np.asarray(points, dtype=float)
     if closed:
         p = np.concatenate([p[-1:], p, p[:2]])
@@ -163,7 +163,7 @@ def smooth_curve(points: ArrayLike, per_span: int = 6, closed: bool = False) -> 
 
 
 def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shape:
-    """Quads over a (rows, columns, 3) lattice; u runs along columns. UVs are arc lengths (or [0, 1]).
+    """Quads over a lattice (rows, columns, 3). UVs are mean arc lengths (or in [0, 1]); u varies by column.
 
     Seen from outside, columns run to the right and rows upwards. ``closed_u`` joins the last column to
     the first.
@@ -187,7 +187,7 @@ def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shap
 
 
 def without_degenerate(shape: Shape) -> Shape:
-    """The shape with coincident corners merged, without faces of fewer than three distinct corners."""
+    """The shape with coincident points merged, without faces of fewer than three distinct points."""
     keys = np.round(shape.points, 7) + 0.0
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces, uvs, start = [], [], 0
@@ -206,9 +206,9 @@ def without_degenerate(shape: Shape) -> Shape:
 
 
 def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
-    """A body of revolution about z: ``profile`` rows (radius, z) run up the outside, then down the inside.
+    """A body of revolution about z: ``profile`` (k, 2) is (radius, z), up the outside, then down the inside.
 
-    Points on the axis close the shape. ``smooth`` > 0 puts a curve through the profile's points.
+    Points on the axis close the shape. ``smooth`` > 0: spline steps between the profile's points.
     """
     p = smooth_curve(profile, smooth) if smooth else np.asarray(profile, dtype=float)
     p = np.column_stack([np.maximum(p[:, 0], 0.0), p[:, 1]])
@@ -223,8 +223,9 @@ def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
 def vessel(
     outside: list[tuple[float, float]], wall: float, *, foot: float = 0.0, smooth: int = 3, segments: int = 34
 ) -> Shape:
-    """A hollow body of revolution: ``outside`` runs from base to rim; the inside follows at a distance of
-    ``wall``.
+    """A hollow body of revolution: ``outside`` is (radius, z) from base to rim, ``wall`` the thickness.
+
+    ``foot``: height of a foot ring; ``smooth``: as in :func:`lathe`.
     """
     curve = smooth_curve(outside, smooth) if smooth else np.array(outside, dtype=float)
     tangent = np.gradient(curve, axis=0)
@@ -249,7 +250,7 @@ def vessel(
 
 
 def outward(shape: Shape) -> Shape:
-    """The shape, flipped if necessary so that it encloses a positive volume."""
+    """The shape, flipped if its faces enclose a negative volume."""
     points = shape.points - shape.points.mean(axis=0)
     volume = 0.0
     for face in shape.faces:
@@ -260,7 +261,7 @@ def outward(shape: Shape) -> Shape:
 
 
 def sphere(radius: float, at: Point = (0.0, 0.0, 0.0), segments: int = 24, squash: float = 1.0) -> Shape:
-    """A ball about ``at``, its height multiplied by ``squash``."""
+    """A sphere about ``at``, its height multiplied by ``squash``."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
     profile = np.stack([radius * np.cos(latitude), radius * squash * np.sin(latitude)], axis=-1)
     profile[[0, -1], 0] = 0.0
@@ -270,7 +271,7 @@ def sphere(radius: float, at: Point = (0.0, 0.0, 0.0), segments: int = 24, squas
 def cylinder(
     radius: float, height: float, at: Point = (0.0, 0.0, 0.0), bevel: float = 0.002, segments: int = 24
 ) -> Shape:
-    """A cylinder standing at ``at``, with bevelled rims."""
+    """A cylinder with its bottom centre at ``at`` and bevelled rims."""
     b = min(bevel, 0.45 * radius, 0.45 * height)
     profile = [(0, 0), (radius - b, 0), (radius, b), (radius, height - b), (radius - b, height), (0, height)]
     return lathe(profile, segments).moved(*at)
@@ -283,7 +284,7 @@ def tube(
     smooth: int = 0,
     closed: bool = False,
 ) -> Shape:
-    """A round bar along ``path`` (k, 3) with rounded ends; ``radius`` may vary from point to point."""
+    """A round bar along ``path`` (k, 3) with rounded ends; ``radius`` is a number or (k,)."""
     if smooth:
         k = len(np.asarray(path))
         radii = np.full(k, radius) if np.ndim(radius) == 0 else np.asarray(radius, dtype=float)
@@ -309,14 +310,14 @@ def tube(
     lattice = np.array(rings)
     if closed:
         lattice = np.concatenate([lattice, lattice[:1]])
-        return without_degenerate(_along_u(grid(lattice, closed_u=True)))
+        return without_degenerate(grid(lattice, closed_u=True).uv_turned())
     start, end = _cap(lattice[0], -tangents[0], r[0]), _cap(lattice[-1], tangents[-1], r[-1])
     lattice = np.concatenate([start[::-1], lattice, end])
-    return without_degenerate(_along_u(grid(lattice, closed_u=True)))
+    return without_degenerate(grid(lattice, closed_u=True).uv_turned())
 
 
 def hoop(radius: float, thickness: float, z: float, count: int, segments: int) -> Shape:
-    """A round bar of half ``thickness`` bent to a circle of ``count`` points about the z axis."""
+    """A torus about z at height ``z``, ``count`` points long; ``thickness`` is the radius of the bar."""
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
     path = [(radius * np.cos(a), radius * np.sin(a), z) for a in angles]
     return tube(path, thickness, segments, closed=True)
@@ -329,13 +330,8 @@ def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
     return np.stack([inner, np.broadcast_to(centre + outward * bulge, ring.shape)])
 
 
-def _along_u(shape: Shape) -> Shape:
-    """Grain along the bar instead of around it."""
-    return shape.uv_turned()
-
-
 def loft(sections: ArrayLike, capped: bool = True) -> Shape:
-    """A skin over closed rings (k, m, 3), each counter-clockwise seen from the last towards the first."""
+    """A surface over closed rings (k, m, 3), each counter-clockwise seen from the last one; ends are capped."""
     rings = np.asarray(sections, dtype=float)
     if capped:
         ends = []
@@ -347,7 +343,7 @@ def loft(sections: ArrayLike, capped: bool = True) -> Shape:
 
 
 def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
-    """A plate with bevelled edges: ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``."""
+    """A plate with bevelled edges over ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``."""
     mesh = bmesh.new()
     bottom = mesh.faces.new([mesh.verts.new((x, y, 0.0)) for x, y in np.asarray(outline)])
     top = bmesh.ops.extrude_face_region(mesh, geom=[bottom])
@@ -362,9 +358,9 @@ def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: i
 
 
 def _in_fixed_order(shape: Shape) -> Shape:
-    """The same box-projected shape, its points and faces sorted.
+    """The box-projected shape with sorted points and faces.
 
-    Extruding a face leaves them in an order that changes from run to run (it hashes addresses).
+    After extruding, Blender's order of both depends on addresses, so it differs between runs.
     """
     points = np.round(shape.points, 6) + 0.0
     order = np.lexsort(points.T[::-1])
@@ -395,7 +391,7 @@ def rounded_rectangle(width: float, depth: float, radius: float, steps: int = 4)
 
 
 def sheet(points: NDArray, thickness: float, unit_uv: bool = False) -> Shape:
-    """A closed skin of ``thickness`` around a (rows, columns, 3) lattice: curtains, leaves, cloth, rugs."""
+    """A closed sheet of ``thickness`` around a lattice (rows, columns, 3): curtains, leaves, cloth, rugs."""
     du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
     normal = np.cross(du, dv)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
@@ -435,10 +431,9 @@ def soft_box(
     wrinkle: float = 0.0,
     seed: int = 0,
 ) -> Shape:
-    """An upholstered block whose bottom centre stands at ``at``: round edges, faces swollen by ``puff``.
+    """An upholstered block with its bottom centre at ``at``, edges rounded to ``radius``, and swollen faces.
 
-    ``puff`` gives the swelling of the x, y and z faces at their centres; ``wrinkle`` adds folds of that
-    height.
+    ``puff``: swelling of the x, y and z faces at their centres [m]; ``wrinkle``: height of folds [m].
     """
     mesh = bmesh.new()
     bmesh.ops.create_cube(mesh, size=2.0)
@@ -448,7 +443,7 @@ def soft_box(
     faces = [tuple(v.index for v in face.verts) for face in mesh.faces]
     mesh.free()
     half = np.asarray(size) / 2
-    # more lattice lines near the edges, where the surface turns
+    # more lattice lines near the edges, where the surface curves
     unit = np.sign(unit) * np.sin(np.abs(unit) * np.pi / 2) ** 0.8
     p = unit * half
     core = np.clip(p, -(half - radius), half - radius)
@@ -471,7 +466,7 @@ def soft_box(
 
 
 def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0.003, seed: int = 0) -> Shape:
-    """A stuffed square lying at z = 0, with a thin seam, pulled-in sides and pointed corners."""
+    """A pillow on z = 0, with a thin seam, sides drawn in by ``pinch`` of half the width, and pointed corners."""
     t = np.linspace(-1, 1, 2 * steps + 1)
     t = np.sign(t) * np.sin(np.abs(t) * np.pi / 2)
     u, v = np.meshgrid(t, t)
@@ -482,13 +477,13 @@ def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0
     fold = np.sin(7 * u + 3 * np.sin(2 * v + phase[0]) + phase[1]) * np.sin(6 * v + phase[2])
     z = size[2] / 2 * height + wrinkle * fold * height
     top = grid(np.stack([x, y, z], axis=-1))
-    # the underside is flatter: a cushion lies on it
+    # the underside is flatter
     bottom = grid(np.stack([x, y, -0.8 * size[2] / 2 * height], axis=-1)).flipped()
     return without_degenerate(top + bottom).moved(z=0.8 * size[2] / 2)
 
 
 def panel(width: float, height: float, at: Point = (0.0, 0.0, 0.0)) -> Shape:
-    """A flat picture facing -Y, bottom centre at ``at``, with unique UVs that fill [0, 1]."""
+    """A rectangle that faces -Y, with its bottom centre at ``at`` and UVs from 0 to 1."""
     x, z = width / 2, height
     points = np.array([[-x, 0, 0], [x, 0, 0], [x, 0, z], [-x, 0, z]]) + np.asarray(at)
     return Shape(points, [(0, 1, 2, 3)], np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float), True)

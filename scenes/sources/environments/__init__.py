@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Environment sources; importing this package fills :data:`ENVIRONMENTS`."""
+"""Sources of environments; importing this package fills :data:`ENVIRONMENTS`."""
 
 from scenes.sources.environments import (  # noqa: F401
     bathroom,

@@ -61,7 +61,7 @@ def bathroom(collection: bpy.types.Collection) -> None:
     room.place("north", "bathtub", -0.607, gap=0.014)
     kitchen_furniture.tap(w, "bath_tap", "chrome", height=0.2, reach=0.14)
     w.place("bath_tap", 0.31, 0.9, 0.56, -90)
-    # a low wall with a shelf closes the bath's foot
+    # a low wall with a shelf at the foot of the bath
     w["pier", "tiles"] += box((0.2, 0.78, 0.75), (0, 0, 0), 0.002, grain=1)
     w["pier", "shelves"] += box((0.24, 0.82, 0.025), (0, 0, 0.75), 0.004, 2, grain=1)
     w.place("pier", 0.375, 0.895)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bathroom furniture: back at y = 0, front towards -y, on z = 0."""
+"""Bathroom furniture, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bathtub(
     width: float = 0.75,
     height: float = 0.56,
 ) -> None:
-    """A built-in bath along x with a tiled apron, its rear side at y = 0."""
+    """Add a built-in bath along x with a tiled apron."""
 
     def ring(sx: float, sy: float, z: float, corner: float) -> np.ndarray:
         outline = np.array(rounded_rectangle(sx, sy, corner, 6))
@@ -70,7 +70,7 @@ def _apron(length: float, width: float, height: float) -> Shape:
 
 
 def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> None:
-    """A close-coupled toilet with its lid down."""
+    """Add a close-coupled toilet with its lid down."""
 
     def ring(sx: float, sy: float, z: float, y: float) -> np.ndarray:
         angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
@@ -114,7 +114,7 @@ def towel(
     back: float = 0.4,
     thick: float = 0.007,
 ) -> None:
-    """A towel folded over a bar along x at the origin."""
+    """Add a towel that hangs over a bar along x at the origin."""
     turn = np.linspace(0, np.pi, 9)
     y = np.concatenate([np.full(10, -0.016), -0.016 * np.cos(turn[1:-1]), np.full(10, 0.016)])
     z = np.concatenate([np.linspace(-front, 0, 10), 0.016 * np.sin(turn[1:-1]), np.linspace(0, -back, 10)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps, rugs, pictures, radiators and plants."""
+"""Lamps, rugs, pictures, radiators and plants, added to a workshop's part; metres."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def rug(
     border: str = "",
     seed: int = 0,
 ) -> None:
-    """A thick rug with rolled edges, lying a little unevenly."""
+    """Add a slightly uneven rug, in a ``border`` slot if given, about ``at`` on the floor."""
     rng = np.random.default_rng(seed)
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 33), np.linspace(-0.5, 0.5, 25))
     wave = 0.0012 * np.sin(9 * u + rng.uniform(0, 6)) * np.sin(7 * v + rng.uniform(0, 6))
@@ -43,7 +43,7 @@ def rug(
 def floor_lamp(
     w: Workshop, part: str, *, metal: str = "hardware", shade: str = "lamp_shade", height: float = 1.55
 ) -> float:
-    """A standing lamp on a round foot with a drum shade; returns the height for its light."""
+    """Add a floor lamp with a round foot and a drum shade; returns the height of its light."""
     w[part, metal] += lathe(
         [
             (0, 0),
@@ -64,7 +64,7 @@ def floor_lamp(
 
 
 def drum_shade(top: float, bottom: float, height: float, segments: int = 36) -> Shape:
-    """An open conical shade with thickness."""
+    """An open conical shade of ``top`` and ``bottom`` radius, 3 mm thick."""
     t = 0.003
     return lathe(
         [
@@ -97,7 +97,7 @@ def pendant(
     shade: str = "lamp_shade",
     radius: float = 0.22,
 ) -> float:
-    """A pendant with a dome shade about the origin; returns the height of its open underside."""
+    """Add a pendant lamp with a dome shade about the z axis; returns the height of the shade's lower rim."""
     z = ceiling - drop
     w[part, metal] += lathe(
         [
@@ -141,7 +141,7 @@ def ceiling_light(
     metal: str = "hardware",
     shade: str = "lamp_shade",
 ) -> float:
-    """A flat round ceiling light; returns the height of its underside."""
+    """Add a flat round ceiling light about the z axis; returns the height of its underside."""
     w[part, metal] += (lathe([(0, ceiling + 0.002), (radius, ceiling + 0.002), (radius + 0.006, ceiling - 0.004), (radius + 0.006, ceiling - 0.05), (radius, ceiling - 0.056), (radius - 0.012, ceiling - 0.05),
                               (radius - 0.012, ceiling - 0.03), (0, ceiling - 0.03)][::-1], 40))  # fmt: skip
     w[part, shade] += lathe(
@@ -166,7 +166,7 @@ def picture(
     frame: str = "picture_frames",
     mount: str = "mounts",
 ) -> None:
-    """A framed picture hanging on y = 0, its middle at the origin."""
+    """Add a framed picture on y = 0 with its centre at the origin."""
     sx, sy = size
     b = 0.03
     w[part, frame] += [*[box((sx + 2 * b, 0.024, b), (0, -0.012, s * (sy / 2 + b / 2) - b / 2), 0.004, 2, grain=0) for s in (-1, 1)], *[box((b, 0.024, sy), (s * (sx / 2 + b / 2), -0.012, -sy / 2), 0.004, 2, grain=2) for s in (-1, 1)]]  # fmt: skip
@@ -177,7 +177,7 @@ def picture(
 def radiator(
     w: Workshop, part: str, *, width: float = 0.9, height: float = 0.55, slot: str = "radiator"
 ) -> None:
-    """A column radiator, back at y = 0, hung 10 cm above the floor."""
+    """Add a column radiator with its back at y = 0, 10 cm above the floor."""
     count = int(width / 0.05)
     for k in range(count):
         x = -width / 2 + width * (k + 0.5) / count
@@ -206,7 +206,7 @@ def plant(
     stem: str = "stems",
     soil: str = "soil",
 ) -> None:
-    """A broad-leaved plant in a pot, centred on the origin."""
+    """Add a broad-leaved plant in a pot about the z axis."""
     rng = np.random.default_rng(seed)
     r, h = pot_radius, 1.8 * pot_radius
     w[part, pot] += lathe(
@@ -251,7 +251,7 @@ def plant(
 
 
 def leaf_blade(length: float, width: float, droop: float, rows: int = 7) -> Shape:
-    """A pointed leaf from the origin along +x with a folded midrib."""
+    """A pointed leaf from the origin along +x, folded along its midrib."""
     t = np.linspace(0, 1, rows)
     half = 0.5 * width * np.sin(np.pi * t**0.75) ** 0.8 * (1 - 0.25 * t) + 0.001
     across = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A dining room of 4.6 x 3.8 m: table for six, sideboard, glazed-looking cabinet, tall windows to the south."""
+"""A dining room of 4.6 x 3.8 m: table for six, sideboard, dresser, tall windows to the south."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def dining_room(collection: bpy.types.Collection) -> None:
 
 
 def _panelling(room: Room) -> None:
-    """A dado rail on every wall, interrupted by the door and the windows."""
+    """Add a dado rail to every wall, except at the door and the windows."""
     w, z = room.workshop, 0.92
     for wall in ("north", "east", "west", "south"):
         for low, high in room.clear_runs(wall, 0.09, 0.07):
@@ -139,7 +139,7 @@ def _dresser(room: Room) -> None:
 
 
 def _sconce(room: Room, number: int, s: float) -> None:
-    """Wall lamp beside the mirror."""
+    """Add a wall lamp at ``s`` along the wall, next to the mirror."""
     w = room.workshop
     part = f"sconce_{number}"
     w[part, "brass"] += lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28).turned(

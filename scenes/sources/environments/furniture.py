@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Seating and tables: every function adds one piece to a workshop part, back at y = 0, front towards -y, on z = 0."""
+"""Seating and tables, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def sofa(
     w: Workshop, part: str, *, width: float = 2.1, seats: int = 3, depth: float = 0.92, cover: str = "sofa", legs: str = "sofa_legs",
     cushions: tuple[str, ...] = (), seat_height: float = 0.43, seed: int = 0,
 ) -> None:  # fmt: skip
-    """An upholstered sofa or armchair: base, arms, back, loose seat and back cushions, scatter cushions."""
+    """Add an upholstered sofa or armchair: base, arms, back, loose seat and back cushions, scatter cushions."""
     arm, back = 0.19, 0.22
     inner = width - 2 * arm
     w[part, cover] += soft_box(
@@ -78,7 +78,7 @@ def table(
     w: Workshop, part: str, *, size: tuple[float, float], height: float, top: str = "table", legs: str = "table",
     thick: float = 0.032, leg: float = 0.06, shelf: float = 0.0, taper: bool = True, round_corner: float = 0.0,
 ) -> None:  # fmt: skip
-    """A table centred on the origin: bevelled top, apron, tapered legs, optional lower shelf."""
+    """Add a table about the z axis: bevelled top, apron, tapered legs, optional lower shelf."""
     sx, sy = size
     if round_corner:
         w[part, top] += extrude(rounded_rectangle(sx, sy, round_corner, 6), thick, 0.006, 2).moved(
@@ -117,9 +117,7 @@ def _leg(side: float, height: float, taper: bool) -> Shape:
 
 
 def chair(w: Workshop, part: str, *, frame: str = "chairs", seat: str = "chair_seats") -> None:
-    """A dining chair, origin under the middle of its seat: turned legs, curved back with three slats, seat
-    pad.
-    """
+    """Add a dining chair about the z axis: turned legs, curved back with three slats, seat pad."""
     d, wd, h = 0.43, 0.44, 0.45
     for side in (-1, 1):
         x = side * (wd / 2 - 0.02)

@@ -76,7 +76,7 @@ def kitchen(collection: bpy.types.Collection) -> None:
 
 def _units(room: Room) -> None:
     w = room.workshop
-    # from the left: drawers, sink unit, oven, cupboard; the fridge stands by itself on the right
+    # from the left: drawers, sink unit, oven, cupboard; the fridge is free-standing on the right
     layout = (
         ("drawers", -1.75, 0.7, 1, (0.3, 0.33, 0.37)),
         ("sink_unit", -0.95, 0.9, 2, (1.0,)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kitchen furniture: back at y = 0, front towards -y, on z = 0."""
+"""Kitchen furniture, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from scenes.sources.shapes import (
 def basin_shape(
     width: float, depth: float, deep: float, wall: float = 0.004, corner: float = 0.05, taper: float = 0.88
 ) -> Shape:
-    """An open rectangular bowl hanging from z = 0 with a rolled rim, about the origin."""
+    """An open rectangular basin about the z axis, ``deep`` below z = 0, with a rolled rim."""
     rings = []
     for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (taper + 0.02, -0.85 * deep, 0.0),
                             (taper - 0.03, -0.97 * deep, 0.0), (0.55, -deep, 0.0), (0.1, -deep - 0.002, 0.0)):  # fmt: skip
@@ -44,7 +44,7 @@ def basin_shape(
         for ring in rings[3:]
     ]
     outside = loft(np.array([rings[0], *outer])[::-1], capped=False)
-    # seen from above the inside must face up, the outside down
+    # the inside must face up, the outside down
     inside = inside if faces_up(inside) else inside.flipped()
     outside = outside.flipped() if faces_up(outside) else outside
     plug = lathe(
@@ -76,7 +76,7 @@ def worktop(
     holes: tuple[tuple[float, float, float, float], ...] = (),
     thick: float = 0.038,
 ) -> None:
-    """A worktop with its upper side at ``height``; ``holes`` are (x, y, width, depth) cut through."""
+    """Add a worktop with its upper side at ``height`` and ``holes`` (x, y, width, depth)."""
     xs = sorted({-width / 2, width / 2, *(v for x, _, hw, _ in holes for v in (x - hw / 2, x + hw / 2))})
     for left, right in pairwise(xs):
         middle = (left + right) / 2
@@ -97,7 +97,7 @@ def worktop(
 
 
 def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float = 0.2) -> None:
-    """A swan-neck mixer tap standing on z = 0, spout towards -y."""
+    """Add a swan-neck mixer tap with its spout towards -y."""
     w[part, slot] += lathe(
         [(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24
     )
@@ -120,7 +120,7 @@ def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float 
 
 
 def hob(w: Workshop, part: str, *, glass: str, mark: str, width: float = 0.58, depth: float = 0.5) -> None:
-    """A glass-ceramic hob on z = 0 about the origin, zones drawn as fine rings."""
+    """Add a glass-ceramic hob about the z axis, with its zones marked by thin rings."""
     w[part, glass] += extrude(rounded_rectangle(width, depth, 0.012, 3), 0.006, 0.0015)
     for x, y, r in ((-0.15, -0.11, 0.09), (-0.15, 0.12, 0.075), (0.14, -0.11, 0.075), (0.14, 0.12, 0.1)):
         w[part, mark] += lathe(
@@ -146,9 +146,7 @@ def oven(
     height: float = 0.595,
     depth: float = 0.56,
 ) -> None:
-    """The front of a built-in oven: control panel with knobs, dark window, bar handle. Bottom at z = 0, front
-    at -depth.
-    """
+    """Add the front of a built-in oven, at y = -``depth``: control panel with knobs, window, bar handle."""
     y = -depth
     w[part, steel] += [
         box((width, 0.03, 0.105), (0, y + 0.005, height - 0.105), 0.003, 2, grain=0),
@@ -192,7 +190,7 @@ def fridge(
     height: float = 1.86,
     depth: float = 0.64,
 ) -> None:
-    """A fridge with a freezer drawer below."""
+    """Add a fridge with a freezer drawer below."""
     w[part, body] += box((width, depth - 0.07, height), (0, -(depth - 0.07) / 2, 0.01), 0.006, 2)
     for low, high in ((0.04, 0.62), (0.63, height)):
         w[part, body] += soft_box((width, 0.062, high - low), (0, -depth + 0.031, low), 0.014, (0, 0, 0), 7)
@@ -210,7 +208,7 @@ def fridge(
 def wall_cupboard(
     w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, slot: str, handle: str
 ) -> None:
-    """A wall cupboard with its underside at z = 0."""
+    """Add a wall cupboard with its underside at z = 0."""
     w[part, slot] += box((width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0)
     each = width / columns
     for k in range(columns):

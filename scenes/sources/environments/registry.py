@@ -13,7 +13,7 @@ Builder = Callable[[bpy.types.Collection], None]
 
 @dataclass(frozen=True)
 class EnvironmentSource:
-    """A room's source: ``build`` fills a collection that is tagged as an environment."""
+    """The source of a room: ``build`` adds it to a collection that is tagged as an environment."""
 
     title: str
     build: Builder
@@ -23,7 +23,7 @@ ENVIRONMENTS: dict[str, EnvironmentSource] = {}
 
 
 def environment(name: str, title: str) -> Callable[[Builder], Builder]:
-    """Register a builder."""
+    """Decorate a builder to register it as ``name``."""
 
     def register(build: Builder) -> Builder:
         ENVIRONMENTS[name] = EnvironmentSource(title, build)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shell of a room: thick walls with openings, floor, ceiling, skirting, windows, doors.
 
-The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height]. A *wall frame* looks at a
-wall from inside: s runs to the right, the wall's face is y = 0, the room is y < 0. Furniture made to stand
-against a wall uses the same frame: its back at y = 0, its front towards -y.
+The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height] [m]. In the *frame of a
+wall*, seen from inside, s = x is to the right from the wall's centre, the wall's face is y = 0, and the room is
+y < 0. Furniture is modelled in such a frame: its back at y = 0, its front towards -y.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ _WALLS = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
 
 @dataclass(frozen=True)
 class Window:
-    """An opening in a wall: centre ``s``, ``width``, from ``sill`` to ``sill + height``; numbers of panes
-    across and up.
-    """
+    """A window in a wall, centred at ``s``, from z = ``sill`` to ``sill + height``; ``panes``: columns and rows."""
 
     wall: str
     s: float
@@ -38,7 +36,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Door:
-    """A closed door: centre ``s``, leaf ``width`` x ``height``."""
+    """A closed door, centred at ``s``, with a leaf of ``width`` x ``height``."""
 
     wall: str
     s: float
@@ -48,7 +46,7 @@ class Door:
 
 @dataclass
 class Room:
-    """Builds the shell into a workshop, and collects the markers of an environment."""
+    """Builds the shell of a room in a workshop, and adds the environment's markers to a collection."""
 
     workshop: Workshop
     collection: bpy.types.Collection
@@ -60,7 +58,7 @@ class Room:
     surfaces: list[tuple[str, str, Point, float, float, float]] = field(default_factory=list)
 
     def frame(self, wall: str) -> tuple[float, float, float]:
-        """(x, y, rotation in degrees) of a wall's frame in the room."""
+        """Origin (x, y) and rotation [degrees] of a wall's frame in the room."""
         x = {"east": self.width / 2, "west": -self.width / 2}.get(wall, 0.0)
         y = {"north": self.depth / 2, "south": -self.depth / 2}.get(wall, 0.0)
         return x, y, _WALLS[wall]
@@ -69,15 +67,14 @@ class Room:
         return self.width if wall in ("north", "south") else self.depth
 
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
-        """A shape from the wall's frame to the room's, ``s`` along the wall, ``gap`` in front of it, ``z``
-        above the floor."""
+        """Move a shape from a wall's frame to the room: ``s`` along the wall, ``gap`` away from it, up by ``z``."""
         x, y, degrees = self.frame(wall)
         return shape.moved(s, -gap, z).turned("z", degrees).moved(x, y)
 
     def place(
         self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0
     ) -> tuple[float, float, float]:
-        """Place a part, whose back is y = 0, against a wall; returns its x, y and rotation in degrees."""
+        """Place a part against a wall, as :meth:`on_wall`; returns its x, y and rotation [degrees]."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         px, py = x + c * s + sine * gap, y + sine * s - c * gap
@@ -87,9 +84,9 @@ class Room:
     def clear_runs(
         self, wall: str, door_gap: float, window_gap: float | None = None, least: float = 0.03
     ) -> Iterator[tuple[float, float]]:
-        """Bounds (low, high) of a wall's stretches longer than ``least``, ``door_gap`` clear of its doors.
+        """Yield the bounds in s of a wall's free stretches longer than ``least``.
 
-        ``window_gap``, if given, is the distance kept from its windows.
+        ``door_gap`` is their distance from doors, ``window_gap`` that from windows (None: windows are ignored).
         """
         gaps = [
             (d.s - d.width / 2 - door_gap, d.s + d.width / 2 + door_gap) for d in self.doors if d.wall == wall
@@ -129,7 +126,7 @@ class Room:
         self._outside()
 
     def _outside(self) -> None:
-        """A lawn and a hedge all around, so that windows do not look into the void below the horizon."""
+        """Add a lawn and a hedge around the room, since the sky is black below the horizon."""
         reach, level = 20.0, -0.35
         self.workshop["outside", "lawn"] += box(
             (2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), bevel=0, grain=0
@@ -141,11 +138,11 @@ class Room:
             belly = -reach + rng.uniform(-0.2, 0.2, (5, len(s)))
             heights = level + np.linspace(-0.05, 1, 5)[:, None] * (top - level)
             points = np.stack([np.broadcast_to(s, belly.shape), belly, heights], axis=-1)
-            # seen from inside: columns to the right are -s
+            # seen from inside, columns to the right have decreasing s
             self.workshop["outside", "hedge"] += sheet(points[:, ::-1], 0.6).turned("z", degrees)
 
     def _wall(self, wall: str, holes: list[tuple[float, float, float, float]]) -> Shape:
-        # north and south walls also fill the corners; all reach into floor and ceiling, so that nothing leaks
+        # north and south walls also fill the corners; all walls enter floor and ceiling, so no light leaks in
         half = self.length(wall) / 2 + (THICKNESS if wall in ("north", "south") else 0.0)
         xs = sorted({-half, half, *(v for hole in holes for v in hole[:2])})
         zs = sorted({-0.05, self.height + 0.05, *(v for hole in holes for v in hole[2:])})
@@ -194,7 +191,7 @@ class Room:
         columns, rows = window.panes
         inner_w, inner_h = w - 2 * frame, h - 2 * frame
         for k in range(columns):
-            # each casement has a frame of its own
+            # a frame for each casement
             left = -inner_w / 2 + k * inner_w / columns
             cw = inner_w / columns
             x = left + cw / 2
@@ -271,7 +268,7 @@ class Room:
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         right, out = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
         origin = np.array([x, y, 0]) + right * (window.s - w / 2) + out * (THICKNESS + 0.005) + [0, 0, z]
-        # right x up points into the room
+        # right x up is the direction into the room
         modelling.rectangle_marker(
             self.collection, "opening", f"window {number}", tuple(origin), tuple(right * w), (0, 0, h)
         )
@@ -305,7 +302,7 @@ class Room:
     def surface(
         self, name: str, kind: str, wall: str, s: float, width: float, near: float, far: float, z: float, clearance: float
     ) -> None:  # fmt: skip
-        """Add a support surface in a wall's frame: centre ``s``, from ``near`` to ``far`` away from the wall."""
+        """Add a support surface along a wall, centred at ``s``, at distances ``near`` to ``far`` from the wall."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         low, high = min(near, far), max(near, far)
@@ -316,7 +313,7 @@ class Room:
     def surface_at(
         self, name: str, kind: str, centre: tuple[float, float], size: tuple[float, float], z: float, clearance: float, degrees: float = 0.0
     ) -> None:  # fmt: skip
-        """Add a support surface anywhere: a rectangle about ``centre``, turned by ``degrees``."""
+        """Add a support surface: a rectangle about ``centre``, rotated about z by ``degrees``."""
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         right, back = np.array([c, s, 0]), np.array([-s, c, 0])
         origin = np.array([*centre, z]) - right * size[0] / 2 - back * size[1] / 2
@@ -337,7 +334,7 @@ class Room:
         )
 
     def area_slot(self, name: str, centre: Point, size: tuple[float, float]) -> None:
-        """Add a light slot: a rectangle about ``centre`` from which a lamp would shine down."""
+        """Add a light slot: a rectangle about ``centre`` for a lamp that emits downwards."""
         x, y, z = centre
         # u = +x, v = -y: their cross product points down
         modelling.rectangle_marker(
@@ -356,11 +353,14 @@ class Room:
     def camera_region(self, name: str, low: Point, high: Point) -> None:
         modelling.box_marker(self.collection, name, low, high)
 
-    # soft furnishing that belongs to the shell -----------------------------------------------------------
+    # soft furnishings ------------------------------------------------------------------------------------
     def curtains(
         self, window: Window, slot: str, *, drop: float | None = None, open_share: float = 0.62, seed: int = 0
     ) -> None:
-        """Add a pair of curtains on a rail above a window, drawn back so that ``open_share`` stays clear."""
+        """Add a pair of curtains on a rail above a window; ``open_share``: share of the rail left uncovered.
+
+        ``drop``: height of their lower edge [m], None for 0.02.
+        """
         rng = np.random.default_rng(seed)
         top = window.sill + window.height + 0.16
         bottom = 0.02 if drop is None else drop

@@ -34,7 +34,7 @@ def shell(
 
 
 def books() -> dict[str, Slot]:
-    """Slots of books: covers and page blocks."""
+    """Slots of books: covers and pages."""
     tones = ("7a2a24", "2c4562", "3d5a43", "c8bda2", "26262a", "b5863c")
     slots = {
         name: Slot(("paper",), ("paper", "leather", "fabric"), color=srgb(tone), roughness=0.5)

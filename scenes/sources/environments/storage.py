@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shelves, books and cabinets: back at y = 0, front towards -y, on z = 0."""
+"""Shelves, books and cabinets, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def shelf_unit(
     w: Workshop, part: str, *, width: float, height: float, depth: float = 0.3, levels: tuple[float, ...], columns: int = 1,
     slot: str = "shelves", back: bool = True, board: float = 0.022,
 ) -> None:  # fmt: skip
-    """An open bookcase; ``levels`` are the upper sides of its boards."""
+    """Add an open bookcase; ``levels``: heights of the upper sides of its boards."""
     for k in range(columns + 1):
         x = -width / 2 + board / 2 + k * (width - board) / columns
         w[part, slot] += box((board, depth, height), (x, -depth / 2, 0), 0.002, grain=2)
@@ -39,8 +39,7 @@ def shelf_unit(
 
 
 def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
-    """(cover, pages) of a book that stands with its spine to the front, its lower left back corner near the
-    origin."""
+    """The cover and pages of a standing book with its spine to the front, its lower back edge at the origin."""
     t = 0.0025
     cover = box((t, depth, height), (-width / 2 + t / 2, -depth / 2, 0), 0) + box(
         (t, depth, height), (width / 2 - t / 2, -depth / 2, 0), 0
@@ -57,7 +56,7 @@ def book_row(
     w: Workshop, part: str, covers: tuple[str, ...], pages: str, *, x: float, width: float, y: float, z: float, height: float, seed: int,
     depth: float = 0.19,
 ) -> None:  # fmt: skip
-    """Books side by side from ``x`` over ``width``, backs at ``y``; the last one leans."""
+    """Add books from ``x`` over ``width``, in front of ``y``; the last one leans."""
     rng = np.random.default_rng(seed)
     at = x
     while True:
@@ -89,8 +88,8 @@ def cabinet(
     slot: str = "cabinet", front: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
     panel: bool = False, knobs: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
-    """A chest, sideboard or kitchen base unit: carcass, plinth and fronts. ``rows``: share of the height of
-    each row of fronts, top first.
+    """Add a chest, sideboard or kitchen base unit: carcass, plinth and fronts. ``rows``: relative heights of the
+    rows of fronts, from the top.
     """
     front, top = front or slot, top or slot
     body = height - (top_thick if top_thick else 0.0)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Material sources: a few parametric families of node graphs give many materials."""
+"""Sources of materials: functions that build node graphs, and the list of their arguments."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures over a unique UV layout: for frames, book covers and clock dials."""
+"""Materials that show a picture over the UV unit square, for frames, book covers and clock dials."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.
 
 
 def dial(g: Graph, ground: Color, ink: Color, seed: float = 0.0) -> Material:
-    """A clock's face: twelve long and sixty short marks on a disc that fills the square."""
+    """A clock's face: twelve long and sixty short marks about the centre of the square."""
     u, v = g.uv()
     x, y = g.math("SUBTRACT", u, 0.5), g.math("SUBTRACT", v, 0.5)
     radius = g.length((x, y))

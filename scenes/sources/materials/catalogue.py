@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every material of the library: a family, its parameters, its classes and the size of its tile."""
+"""Lists every material of the library: title, classes, function, its arguments, and size of a tile."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import bpy
 
@@ -17,9 +16,7 @@ Builder = Callable[[Graph], bpy.types.Material]
 
 @dataclass(frozen=True)
 class MaterialSource:
-    """A material. ``tile_size_m``: side of the square that one UV unit covers; ``max_px``: maximum side of a
-    texture.
-    """
+    """A material. ``tile_size_m``: length of a UV unit; ``max_px``: maximum side of a texture."""
 
     title: str
     classes: tuple[str, ...]
@@ -35,14 +32,9 @@ def _add(
     name: str, title: str, classes: str, family: Callable[..., bpy.types.Material], *arguments: object,
     tile: float = 1.0, px: int = 256, **options: object,
 ) -> None:  # fmt: skip
-    build = partial(_call, family, arguments, options)
-    MATERIALS[name] = MaterialSource(title, tuple(classes.split()), tile, px, build)
-
-
-def _call(
-    family: Callable[..., bpy.types.Material], arguments: tuple, options: dict, graph: Graph
-) -> bpy.types.Material:
-    return family(graph, *arguments, **options)
+    MATERIALS[name] = MaterialSource(
+        title, tuple(classes.split()), tile, px, lambda graph: family(graph, *arguments, **options)
+    )
 
 
 c = srgb

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Concise construction of node graphs that are periodic over the unit UV square, so that baked textures tile.
+"""Builds node graphs that are periodic over the UV unit square, the tile, so that baked textures repeat.
 
-Periodicity: a UV square is rolled into a torus in four dimensions, (cos 2πu, sin 2πu, cos 2πv, sin 2πv), and
-4D noise is evaluated on it; lattices (planks, tiles, threads) count a whole number of cells per tile and
-wrap. Scales are in cells per tile. A ``Socket`` is a node's output; plain numbers and RGB tuples stand for
-constants everywhere.
+The tile is mapped to a torus in four dimensions, (cos 2πu, sin 2πu, cos 2πv, sin 2πv), on which 4D noise is
+evaluated; lattices (planks, tiles, threads) have a whole number of cells per tile and wrap. Scales are in
+cells per tile. A value is a ``Socket``, the output of a node, or a constant: a number or a linear RGB tuple.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ ColorValue: TypeAlias = Socket | Color
 
 
 def srgb(code: str) -> Color:
-    """Linear Rec.709 of an ``rrggbb`` code."""
+    """Linear Rec.709 colour of the sRGB code ``rrggbb``."""
     parts = [int(code[i : i + 2], 16) / 255 for i in (0, 2, 4)]
     r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
     return (r, g, b)
@@ -32,10 +31,8 @@ def srgb(code: str) -> Color:
 
 @dataclass(frozen=True)
 class Cells:
-    """A lattice: ``number`` identifies a cell, ``x``, ``y`` in [0, 1) are inside it, ``edge`` is the distance
-    to its border.
-
-    ``edge`` is in units of the tile's side.
+    """A lattice: ``number`` of the cell, ``x`` and ``y`` in [0, 1) inside it, and ``edge``, the distance to its
+    border as a share of the tile's side.
     """
 
     number: Socket
@@ -45,7 +42,7 @@ class Cells:
 
 
 class Graph:
-    """Builder of one material's node tree."""
+    """Builds the node tree of one material."""
 
     def __init__(self, name: str) -> None:
         self.material = bpy.data.materials.new(name)
@@ -57,14 +54,14 @@ class Graph:
 
     # nodes and links -------------------------------------------------------------------------------------
     def node(self, kind: str, **settings: object) -> bpy.types.Node:
-        """A new node; keyword arguments are its properties."""
+        """Add a node; keyword arguments are its properties."""
         node = self.tree.nodes.new(kind)
         for key, value in settings.items():
             setattr(node, key, value)
         return node
 
     def feed(self, target: bpy.types.NodeSocket, value: Value | ColorValue) -> None:
-        """Link a socket, or set the constant."""
+        """Link a socket to the input ``target``, or set its constant."""
         if isinstance(value, bpy.types.NodeSocket):
             self.tree.links.new(value, target)
         elif isinstance(value, tuple) and len(target.default_value) == 4:
@@ -86,7 +83,7 @@ class Graph:
         return self.math("MULTIPLY", a, b)
 
     def length(self, parts: Iterable[Value]) -> Socket:
-        """Square root of the sum of the squares of two parts."""
+        """Length of the vector of two ``parts``."""
         return self.math("SQRT", self.add(*[self.math("POWER", part, 2.0) for part in parts]))
 
     def fit(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
@@ -113,7 +110,7 @@ class Graph:
         return node.outputs[2]
 
     def shade(self, color: ColorValue, factor: Value) -> Socket:
-        """Colour times a factor."""
+        """Multiply a colour by a factor."""
         node = self.node("ShaderNodeVectorMath", operation="SCALE")
         self.feed(node.inputs[0], color)
         self.feed(node.inputs["Scale"], factor)
@@ -132,7 +129,7 @@ class Graph:
 
     # patterns --------------------------------------------------------------------------------------------
     def uv(self) -> tuple[Socket, Socket]:
-        """The two texture coordinates."""
+        """The sockets of u and v."""
         if self._uv is None:
             split = self.node("ShaderNodeSeparateXYZ")
             self.tree.links.new(self.node("ShaderNodeTexCoord").outputs["UV"], split.inputs[0])
@@ -140,9 +137,7 @@ class Graph:
         return self._uv
 
     def torus(self, cells_u: float, cells_v: float, seed: Value = 0.0) -> tuple[Socket, Socket]:
-        """Coordinates (3-vector, w) on the torus for noise with the given numbers of cells per tile in u and
-        v.
-        """
+        """4D noise coordinates, (vector, w), on the torus for the given numbers of cells along u and v."""
         u, v = self.uv()
         join = self.node("ShaderNodeCombineXYZ")
         ru, rv = cells_u / (2 * math.pi), cells_v / (2 * math.pi)
@@ -156,7 +151,7 @@ class Graph:
         self, cells_u: float, cells_v: float | None = None, detail: float = 3.0, seed: Value = 0.0,
         roughness: float = 0.5, spread: float = 0.22,
     ) -> Socket:  # fmt: skip
-        """Periodic fractal noise, its contrast scaled so that [0.5 - spread, 0.5 + spread] fills [0, 1]."""
+        """Periodic fractal noise, with [0.5 - spread, 0.5 + spread] mapped to [0, 1] and clamped."""
         vector, w = self.torus(cells_u, cells_u if cells_v is None else cells_v, seed)
         node = self.node("ShaderNodeTexNoise", noise_dimensions="4D")
         self.feed(node.inputs["Vector"], vector)
@@ -170,7 +165,7 @@ class Graph:
         self, cells_u: float, cells_v: float | None = None, feature: str = "F1", seed: Value = 0.0,
         warp: Value | None = None,
     ) -> bpy.types.Node:  # fmt: skip
-        """Periodic cellular noise; use the node's Distance and Color."""
+        """The node of periodic cellular noise, with the outputs Distance and Color."""
         vector, w = self.torus(cells_u, cells_u if cells_v is None else cells_v, seed)
         node = self.node("ShaderNodeTexVoronoi", voronoi_dimensions="4D", feature=feature)
         self.feed(node.inputs["Vector"], vector)
@@ -179,7 +174,7 @@ class Graph:
         return node
 
     def random(self, number: Value, seed: float = 0.0) -> Socket:
-        """A random value in [0, 1) for each number."""
+        """A random value in [0, 1) that depends on ``number`` and ``seed``."""
         node = self.node("ShaderNodeTexWhiteNoise", noise_dimensions="2D")
         join = self.node("ShaderNodeCombineXYZ")
         self.feed(join.inputs[0], number)
@@ -188,10 +183,10 @@ class Graph:
         return node.outputs["Value"]
 
     def cells(self, columns: int, rows: int, shift: str = "none", jitter_seed: float = 0.0) -> Cells:
-        """A lattice of ``columns`` x ``rows``; ``shift`` of rows: none, half a cell, or random."""
+        """A lattice of ``columns`` x ``rows``; ``shift`` of rows: ``none``, ``half`` a cell, or ``random``."""
         u, v = self.uv()
         y = self.mul(v, rows)
-        # the sum keeps 0.99999 and 1.00001 in one row after wrapping, so that tiles meet
+        # wrapping the row's number makes the pattern continue across the tile's border
         row = self.math("WRAP", self.math("FLOOR", y), rows, 0.0)
         x = self.mul(u, columns)
         if shift == "half":
@@ -213,7 +208,7 @@ class Graph:
         return self.math("MULTIPLY_ADD", self.math("SINE", angle), 0.5, 0.5)
 
     def periodic_distance(self, centre: tuple[float, float], stretch: float = 1.0) -> Socket:
-        """Distance to a point of the tile, across its borders; ``stretch`` shortens v."""
+        """Distance to a point of the tile, also across its borders; ``stretch`` scales distances along v."""
 
         def along(coordinate: Socket, c: float, factor: float) -> Socket:
             away = self.math("ABSOLUTE", self.math("WRAP", self.add(coordinate, 0.5 - c), 1.0, 0.0))
@@ -222,7 +217,7 @@ class Graph:
         return self.length(map(along, self.uv(), centre, (1.0, stretch)))
 
     def fingerprints(self, count: int = 7, size: float = 0.05, seed: int = 0) -> Socket:
-        """Mask of smudges with papillary lines; ``size`` in tiles."""
+        """Mask of ``count`` fingerprints; ``size``: their radius as a share of the tile's side."""
         rng = random.Random(seed)
         warp = self.noise(9, detail=1.0, seed=seed + 3.1)
         mask: Value = 0.0
@@ -238,7 +233,7 @@ class Graph:
         return mask
 
     def scratches(self, seed: float = 0.0, density: float = 0.5) -> Socket:
-        """Mask of fine curved scratches in several directions."""
+        """Mask in [0, 1] of fine curved scratches in two directions."""
         first = self.noise(3, 160, detail=1.0, seed=seed, spread=0.3)
         second = self.noise(140, 4, detail=1.0, seed=seed + 5, spread=0.3)
         where = self.noise(5, detail=2.0, seed=seed + 9)
@@ -249,7 +244,7 @@ class Graph:
     def finish(
         self, base: ColorValue, roughness: Value, metallic: Value = 0.0, ior: float = 1.5, level: Value = 0.5
     ) -> bpy.types.Material:
-        """Connect a Principled closure and return the material."""
+        """Link a Principled BSDF to the output; returns the material."""
         node = self.node("ShaderNodeBsdfPrincipled")
         for name, value in (
             ("Base Color", base), ("Roughness", roughness), ("Metallic", metallic), ("IOR", ior),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Families of man-made materials: metal, plastic, rubber, ceramic, tiles, paint, plaster."""
+"""Functions that build man-made materials: metal, plastic, rubber, ceramic, tiles, paint, plaster."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from scenes.sources.materials.graph import Color, Graph, Value
 
 
 def plain(g: Graph, color: Color, rough: float, *, metal: float = 0.0, ior: float = 1.5) -> Material:
-    """A material of constant channels."""
+    """A material with constant channels."""
     return g.finish(color, rough, metal, ior)
 
 
 def brushed_metal(
     g: Graph, color: Color, *, rough: float = 0.28, spread: float = 0.14, prints: bool = False, seed: float = 1.0
 ) -> Material:  # fmt: skip
-    """Metal brushed along u: strokes in the roughness, and fingerprints with ``prints``."""
+    """Metal brushed along u: strokes and, with ``prints``, fingerprints in the roughness."""
     stroke = g.noise(3, 210, detail=2, seed=seed, spread=0.3)
     value: Value = g.line(stroke, 0, 1, rough - spread / 2, rough + spread / 2)
     value = g.add(value, g.mul(g.scratches(seed + 3, 0.35), 0.15))
@@ -49,7 +49,7 @@ def worn_metal(
 
 
 def galvanised(g: Graph, color: Color, *, seed: float = 1.0) -> Material:
-    """Zinc spangle: each crystal has its own brightness and roughness."""
+    """Galvanised zinc: brightness and roughness vary by crystal."""
     node = g.voronoi(9, seed=seed, warp=g.mul(g.noise(6, detail=3, seed=seed), 0.8))
     pick = g.node("ShaderNodeSeparateColor")
     g.feed(pick.inputs[0], node.outputs["Color"])
@@ -67,7 +67,7 @@ def moulded(
     """Plastic, rubber, enamel or glaze of one colour, with grain, scratches and fingerprints in the
     roughness.
 
-    ``tint`` > 0 lets the colour vary too.
+    ``tint`` > 0 also varies the colour.
     """
     value: Value = g.line(
         g.noise(cells, detail=2, seed=seed, spread=0.3), 0, 1, rough - grain / 2, rough + grain / 2
@@ -101,7 +101,7 @@ def speckled(
     g: Graph, color: Color, speck: Color, *, rough: float = 0.14, amount: float = 0.5, ior: float = 1.55,
     bare: Color | None = None, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Glaze with iron specks and uneven tone, and with ``bare`` patches of unglazed clay."""
+    """Glaze with specks and uneven tone; ``bare``: colour of unglazed patches, None for none."""
     dots = g.fit(g.voronoi(36, seed=seed).outputs["Distance"], 0.10, 0.22 + 0.1 * amount, 1.0, 0.0)
     some = g.math("GREATER_THAN", g.noise(30, detail=0, seed=seed + 6), 0.75 - 0.35 * amount)
     pool = g.noise(3, detail=4, seed=seed + 2)
@@ -134,8 +134,8 @@ def tiles(
     rough: float = 0.1, vary: float = 0.08, second: Color | None = None, checker: bool = False, seed: float = 1.0,
     cloud: float = 0.05, ior: float = 1.55,
 ) -> Material:  # fmt: skip
-    """Glazed or stone tiles with matt grout. ``joint`` is the joint's width in units of the texture tile;
-    ``second``: a second glaze, at random or as a checkerboard; each tile has its own tone and gloss.
+    """Glazed or stone tiles with matt grout; tone and gloss vary by tile. ``joint``: width of the joints as a
+    share of the texture's side; ``second``: a second glaze, mixed at random or, with ``checker``, alternating.
     """
     cell = g.cells(*grid, shift=shift, jitter_seed=seed)
     tone = g.random(cell.number, seed)
@@ -165,8 +165,8 @@ def paint(
     g: Graph, color: Color, *, rough: float = 0.5, stipple: float = 0.1, chips: float = 0.0, under: Color = (0.3, 0.3, 0.3),
     under_metal: float = 0.0, prints: bool = False, cells: float = 50.0, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Paint with roller stipple in its roughness, ``chips`` that expose ``under``, and fingerprints with
-    ``prints``.
+    """Paint with roller stipple and, with ``prints``, fingerprints in its roughness; ``chips``: amount of chips,
+    which expose the colour ``under``.
     """
     value: Value = g.line(
         g.noise(cells, detail=3, seed=seed, spread=0.28), 0, 1, rough - stipple / 2, rough + stipple / 2
@@ -196,7 +196,7 @@ def plaster(
     polish: float = 0.0,
     seed: float = 1.0,
 ) -> Material:
-    """Plaster and stucco: trowel clouds; ``polish`` > 0 gives Venetian stucco its shine."""
+    """Plaster and stucco with clouds of relative amplitude ``trowel``; ``polish`` lowers the roughness."""
     arc = g.noise(3, detail=5, seed=seed, roughness=0.6)
     sweep = g.noise(4, 11, detail=4, seed=seed + 4)
     body = g.add(g.mul(arc, 0.6), g.mul(sweep, 0.4))

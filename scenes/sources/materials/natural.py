@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Families of natural materials: wood, stone, leather, woven fabric, paper, cork etc."""
+"""Functions that build natural materials: wood, stone, leather, woven fabric, paper, cork etc."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def wood(
     contrast: float = 1.0, gloss: float = 0.42, prints: bool = False, seed: float = 1.0, wear: float = 0.0,
     gap: float = 0.0012,
 ) -> Material:  # fmt: skip
-    """Sawn wood with its grain along u. ``planks`` = (columns, rows) of boards; ``prints``: fingerprints in
-    the lacquer; ``wear`` rubs the varnish off in patches."""
+    """Sawn wood with its grain along u. ``planks``: columns and rows of boards; ``prints``: whether the lacquer
+    has fingerprints; ``wear``: amount of patches without varnish."""
     shift: Value = seed
     tone: Value = 0.5
     if planks:
@@ -72,7 +72,7 @@ def marble(
 def granite(
     g: Graph, *colors: Color, gloss: float = 0.15, cells: float = 22.0, seed: float = 1.0
 ) -> Material:
-    """Polished granite: three grains of feldspar, quartz and mica; mica shines more."""
+    """Polished granite with grains of feldspar, quartz and mica; mica is glossier."""
     grain = g.voronoi(cells, seed=seed, warp=g.mul(g.noise(9, detail=3, seed=seed), 0.6)).outputs["Color"]
     pick = g.node("ShaderNodeSeparateColor")
     g.feed(pick.inputs[0], grain)
@@ -85,7 +85,7 @@ def granite(
 def terrazzo(
     g: Graph, binder: Color, *chips: Color, gloss: float = 0.22, cells: float = 9.0, seed: float = 1.0
 ) -> Material:
-    """Stone chips in cement, ground flat."""
+    """Terrazzo: stone chips in cement, ground flat."""
     node = g.voronoi(cells, seed=seed)
     pick = g.node("ShaderNodeSeparateColor")
     g.feed(pick.inputs[0], node.outputs["Color"])
@@ -100,7 +100,7 @@ def rock(
     g: Graph, dark: Color, light: Color, *, rough: float = 0.75, bands: int = 0, pits: float = 0.3,
     scale: float = 4.0, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Unpolished stone: slate, sandstone, travertine (with ``bands``), concrete."""
+    """Unpolished stone: slate, sandstone, concrete, or travertine with ``bands`` per tile."""
     body = g.noise(scale, detail=6, seed=seed, roughness=0.6)
     if bands:
         body = g.add(g.mul(body, 0.4), g.mul(g.wave(0, bands, g.noise(2, 6, 4, seed=seed + 1), 7.0), 0.6))
@@ -112,7 +112,7 @@ def rock(
 def leather(
     g: Graph, color: Color, *, gloss: float = 0.42, pebble: float = 40.0, wear: float = 0.25, seed: float = 1.0
 ) -> Material:  # fmt: skip
-    """Grained leather: creases between pebbles are darker and duller, rubbed places lighter and smoother."""
+    """Grained leather: creases are darker and rougher, rubbed parts lighter and smoother."""
     warp = g.mul(g.noise(pebble / 3, detail=2, seed=seed), 0.7)
     crease = g.fit(
         g.voronoi(pebble, feature="DISTANCE_TO_EDGE", seed=seed, warp=warp).outputs["Distance"],
@@ -144,15 +144,17 @@ def weave(
     fuzz: float = 0.3, seed: float = 1.0, warp_stripe: tuple[int, Color] | None = None,
     weft_stripe: tuple[int, Color] | None = None,
 ) -> Material:  # fmt: skip
-    """Woven cloth: ``threads`` each way in a tile, plain (``twill`` 1) or with floats over ``twill`` threads;
-    stripes recolour every other group of threads (in both directions: a check)."""
+    """Woven cloth of ``threads`` along each side of a tile; the warp passes over ``twill`` threads (1: plain).
+
+    A stripe (count, colour) recolours every other group of ``count`` threads; two stripes make a check.
+    """
     u, v = g.uv()
     x, y = g.mul(u, threads), g.mul(v, threads)
     column, row = g.math("FLOOR", x), g.math("FLOOR", y)
     period = twill + 1
     turn = g.math("WRAP", g.add(column, row), float(period), 0.0)
     is_warp = g.math("GREATER_THAN", turn, 0.5)
-    across = g.mix(is_warp, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))  # 1 where the warp lies on top
+    across = g.mix(is_warp, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))  # 1 where the warp is on top
     warp_round = g.math("SINE", g.mul(g.math("FRACT", x), 3.14159265))
     weft_round = g.math("SINE", g.mul(g.math("FRACT", y), 3.14159265))
     height = g.mix(across, _grey(g, weft_round), _grey(g, warp_round))
@@ -186,7 +188,7 @@ def _grey(g: Graph, value: Value) -> Value:
 def pile(
     g: Graph, color: Color, second: Color, *, tufts: float = 60.0, seed: float = 1.0, rows: int = 0
 ) -> Material:
-    """Velvet, felt, wool and carpet pile; ``rows`` > 0: corduroy ribs."""
+    """Pile of velvet, felt, wool or carpet, or corduroy with ``rows`` of ribs per tile."""
     clump = g.noise(6, detail=4, seed=seed)
     tuft = g.noise(tufts, detail=2, seed=seed + 3, spread=0.3)
     tone: Value = g.mul(g.line(clump, 0, 1, 0.86, 1.12), g.line(tuft, 0, 1, 0.68, 1.25))
@@ -214,7 +216,7 @@ def knit(g: Graph, color: Color, *, loops: int = 14, seed: float = 1.0) -> Mater
 def paper(
     g: Graph, color: Color, *, fibre: float = 0.06, rough: float = 0.88, seed: float = 1.0, flute: int = 0
 ) -> Material:
-    """Uncoated paper and board; ``flute`` > 0: corrugations that show through."""
+    """Uncoated paper, or board with ``flute`` visible corrugations per tile."""
     flock = g.noise(14, detail=5, seed=seed)
     strand = g.noise(40, 90, detail=2, seed=seed + 2)
     tone: Value = g.add(g.line(flock, 0, 1, 1 - fibre, 1 + fibre), g.line(strand, 0, 1, -fibre, fibre))
@@ -226,7 +228,7 @@ def paper(
 def print_lines(
     g: Graph, ground: Color, ink: Color, *, rows: int = 26, gloss: float = 0.6, seed: float = 1.0
 ) -> Material:
-    """Printed text seen from reading distance: words of random length in two columns; ink is glossier."""
+    """Printed text: ``rows`` of words of random length in two columns; the ink is glossier than the paper."""
     column = g.cells(2, 1)
     margin = g.math("GREATER_THAN", g.math("MINIMUM", column.x, g.math("SUBTRACT", 1.0, column.x)), 0.07)
     letters = g.cells(150, rows)
@@ -249,7 +251,7 @@ def wallpaper(
     g: Graph, ground: Color, figure: Color, *, repeats: int = 4, kind: str = "leaf", gloss: float = 0.55,
     seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Printed wallpaper: ``leaf`` (staggered ovals with a midrib), ``stripe`` or ``dot``."""
+    """Printed wallpaper of a ``kind``: ``leaf`` (staggered ovals with a midrib), ``stripe`` or ``dot``."""
     cell = g.cells(repeats, repeats, shift="none" if kind == "stripe" else "half")
     x, y = g.math("SUBTRACT", cell.x, 0.5), g.math("SUBTRACT", cell.y, 0.5)
     if kind == "stripe":

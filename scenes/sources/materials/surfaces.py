@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Usual surfaces of the library's materials; a material that is not listed may be used wherever its class
-fits.
-"""
+"""Kinds of surface to which each library material is assigned; others are assigned by class only."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ SURFACES: dict[str, str] = {
     "steel_worn": "utensil small", "brass_worn": "vessel small", "copper_hammered": "utensil vessel small",
     "copper_patina": "small", "iron_cast": "utensil fitting radiator vessel small", "iron_rusty": "small",
     "zinc_galvanised": "furniture vessel utensil small",
-    # what is painted, and plaster
+    # paint and plaster
     "paint_white": "wall ceiling joinery furniture radiator frame small", "paint_sage": "wall furniture small",
     "paint_blue_grey": "wall furniture small", "paint_ochre": "wall small", "paint_terracotta": "wall small",
     "paint_satin_green": "furniture joinery utensil vessel small", "paint_chipped_blue": "small",
@@ -44,7 +42,7 @@ SURFACES: dict[str, str] = {
     "marble_white": "worktop tabletop floor tiles joinery utensil small", "sandstone": "floor small",
     "slate": "worktop tabletop joinery utensil small", "slate_tiles": "floor tiles", "terrazzo": "floor worktop small",
     "travertine": "floor tiles tabletop joinery small",
-    # what is fired
+    # ceramic
     "bisque_white": _POTTERY + " sanitary", "clay_dark": _POTTERY, "stoneware_grey": _POTTERY, "terracotta": _POTTERY,
     "glaze_celadon": _POTTERY, "glaze_cobalt": _POTTERY, "glaze_dipped": _POTTERY, "glaze_speckled": _POTTERY,
     "glaze_tenmoku": _POTTERY, "porcelain": "sanitary vessel utensil small", "tiles_checker": "floor",
@@ -61,7 +59,7 @@ SURFACES: dict[str, str] = {
     "bakelite": "gadget utensil small", "plastic_black": _PLASTIC, "plastic_blue_scratched": "utensil small",
     "plastic_green": _PLASTIC, "plastic_grey": _PLASTIC, "plastic_piano_black": "gadget small",
     "plastic_red": _PLASTIC, "plastic_white": _PLASTIC, "plastic_yellow": _PLASTIC, "rubber_studs": "floor small",
-    # paper and what has grown
+    # paper and organic materials
     "cardboard": "small", "paper_kraft": "cover small", "paper_newsprint": "small", "paper_printed": "small",
     "paper_white": "shade curtain cover small", "wallpaper_dot": "wall", "wallpaper_leaf": "wall",
     "wallpaper_stripe": "wall", "cork": "furniture small", "rattan_white": "towel small", "seagrass": "rug curtain towel small",

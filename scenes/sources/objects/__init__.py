@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Object sources by category; importing this package fills :data:`OBJECTS`."""
+"""Sources of objects; importing this package fills :data:`OBJECTS`."""
 
 from scenes.sources.objects import (  # noqa: F401
     books_and_paper,

@@ -27,7 +27,7 @@ def _page(g: Graph) -> bpy.types.Material:
 
 
 def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
-    """(cover, pages) of a book on its side at z = 0, about the origin, spine towards -y."""
+    """The cover and pages of a book that lies on z = 0, about the z axis, with its spine towards -y."""
     cover, pages = storage.book(thick, length, deep)
     place = [shape.turned("y", 90).moved(-length / 2, deep / 2, thick / 2) for shape in (cover, pages)]
     return place[0], place[1]
@@ -168,7 +168,7 @@ def box_cardboard(w: Workshop) -> None:
     flat = [box((x - 0.004, y / 2 - 0.001, t), (0, s * y / 4, h), 0.0012, grain=0) for s in (-1, 1)]
 
     def ajar(p: np.ndarray) -> np.ndarray:
-        """The rear flap stands a little open at the middle."""
+        """Raise the inner edge of a flap."""
         q = p.copy()
         q[:, 2] += 0.012 * np.clip(1 - np.abs(p[:, 1]) / (y / 2), 0, 1)
         return q

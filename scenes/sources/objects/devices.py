@@ -99,7 +99,7 @@ def radio(w: Workshop) -> None:
     steel=metal(rough=0.2),
 )
 def headphones(w: Workshop) -> None:
-    # lying on the cups, as they are put down
+    # modelled as they lie on the cups
     arch = [(0.083 * np.cos(a), 0.02 + 0.1 * np.sin(a), 0.0) for a in np.linspace(0.06, np.pi - 0.06, 15)]
     band = tube(arch, 0.006, 10).scaled(1, 1, 2.2)
     pad = tube(
@@ -110,7 +110,7 @@ def headphones(w: Workshop) -> None:
     lowest = 0.034
 
     def leaning(p: np.ndarray) -> np.ndarray:
-        """The band's crown lies on the table like the cups."""
+        """Tilt the band so that its crown touches the table, as the cups do."""
         q = p.copy()
         q[:, 2] -= (0.034 - 0.006 * 2.2 - lowest) * np.clip((p[:, 1] - 0.02) / 0.1, 0, None)
         return q

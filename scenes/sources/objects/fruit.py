@@ -50,13 +50,13 @@ ORANGE = Slot(("organic",), (), graph=_orange_skin)
 
 
 def unit(shape: Shape) -> Shape:
-    """The same shape with its UVs fitted into [0, 1], since a skin's texture covers the fruit once."""
+    """The shape with its UVs scaled to [0, 1], for a texture that covers the fruit once."""
     low, high = shape.uvs.min(axis=0), shape.uvs.max(axis=0)
     return Shape(shape.points, shape.faces, (shape.uvs - low) / (high - low), True)
 
 
 def apple_shapes(size: float = 0.037) -> tuple[Shape, Shape]:
-    """(fruit, stalk) standing on z = 0."""
+    """The fruit and stalk of an apple on z = 0."""
     profile = [
         (0, 0.22),
         (0.2, 0.06),
@@ -97,7 +97,7 @@ def apple(w: Workshop) -> None:
 
 
 def pear_shape(segments: int) -> Shape:
-    """A straight pear standing on z = 0, about the z axis."""
+    """A straight pear on z = 0, about the z axis."""
     return lathe(
         [
             (0, 0.004),
@@ -152,7 +152,7 @@ def lemons(w: Workshop) -> None:
 
 
 def _banana_skin(g: Graph) -> bpy.types.Material:
-    """v runs from the stalk (0) to the blossom end (1), u once around; the ridges lie at multiples of 1/5."""
+    """Banana skin: v is 0 at the stalk and 1 at the blossom end; ridges are at multiples of 1/5 in u."""
     _, v = g.uv()
     along = g.add(v, g.mul(g.noise(5, 4, detail=2, seed=3.0), 0.03))
     ripe = g.ramp(
@@ -174,7 +174,7 @@ def _banana_skin(g: Graph) -> bpy.types.Material:
 
 
 def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
-    """A banana with five soft ridges, from the origin along +x and bent towards -z."""
+    """A banana with five soft ridges that starts at the origin along +x and bends towards -z."""
     stations = np.array([0, 0.03, 0.1, 0.17, 0.26, 0.38, 0.52, 0.68, 0.8, 0.89, 0.945, 0.965, 0.985, 1.0])
     radii = np.array([8.0, 6.6, 6.2, 7.2, 11.2, 16.2, 17.8, 17.4, 15.2, 11.0, 6.4, 4.6, 4.4, 3.2]) * 1e-3
     curve = smooth_curve(np.column_stack([stations, radii]), 3)
@@ -204,13 +204,13 @@ def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
     crown=organic("54431f", 0.75),
 )
 def bananas(w: Workshop) -> None:
-    """A hand of four bananas that stands on its blossom ends and its crown."""
+    """A hand of four bananas that rests on its blossom ends and its crown."""
     height = 0.0115  # of the stalks above the table at the crown
     for k, (yaw, bend, length) in enumerate(
         ((-29, 84, 0.178), (-10, 77, 0.19), (9, 76, 0.192), (28, 83, 0.181))
     ):
         fruit = banana(length, bend).turned("x", (-9, -3, 3, 9)[k])
-        low, high = -20.0, 60.0  # pitch that lets the blossom end touch the table
+        low, high = -20.0, 60.0  # bounds of the pitch at which the blossom end touches the table
         for _ in range(40):
             pitch = 0.5 * (low + high)
             lowest = fruit.turned("y", -pitch).points[:, 2].min() + height

@@ -106,7 +106,7 @@ def knife_block(w: Workshop) -> None:
     side = [(-0.075, 0.0), (0.075, 0.0), (0.075, 0.13), (-0.02, 0.215), (-0.075, 0.155)]
     block = extrude(side, 0.1, 0.004, 2).turned("x", 90).moved(0, 0.05, 0).turned("z", 90)
     w["block", "wood"] += block
-    # the slanted face runs from (-0.02, 0.215) to (0.075, 0.13) in the side view; after the turn that is along y
+    # the slanted face goes from (y, z) = (-0.02, 0.215) to (0.075, 0.13)
     normal, along = np.array([0.0, 0.667, 0.745]), np.array([0.0, 0.745, -0.667])
     start = np.array([0.0, -0.02, 0.215])
     for x, d, length, thick in (

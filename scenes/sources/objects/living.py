@@ -110,7 +110,7 @@ def cushion_bolster(w: Workshop) -> None:
     roll = roll.turned("y", 90).moved(-0.23, 0, 0.088)
 
     def resting(p: np.ndarray) -> np.ndarray:
-        """Flattened where it lies."""
+        """Flatten the underside."""
         return np.column_stack([p[:, :2], np.maximum(p[:, 2], 0.006)])
 
     w["cushion", "cover"] += roll.bent(resting)

@@ -67,8 +67,8 @@ def toy_bear(w: Workshop) -> None:
 
 
 def _hull(stations: np.ndarray, tumblehome: float, sharpness: float, segments: int = 28) -> Shape:
-    """A coachwork: ``stations`` rows (x, half width, bottom, top); the sections are soft rectangles whose upper
-    half leans inwards by the share ``tumblehome``."""
+    """A car's body through ``stations`` (k, 4) of x, half width, bottom and top; its sections are superellipses,
+    narrowed by the share ``tumblehome`` at the top."""
     rows = smooth_curve(stations, 3)
     angle = 2 * np.pi * (np.arange(segments) + 0.5) / segments
     c, s = np.cos(angle), np.sin(angle)
@@ -161,7 +161,7 @@ def toy_car(w: Workshop) -> None:
 
 
 def _side_of_body(z: float) -> float:
-    """Half width of the car's coachwork at its middle, at the height ``z``."""
+    """Half width of the car's body at mid-length and height ``z`` [m]."""
     upward = np.clip((z - 0.03075) / 0.01825, -0.999, 0.999)
     s = abs(upward) ** (4.2 / 2)
     across = (1 - s**2) ** (1 / 4.2)
@@ -169,7 +169,7 @@ def _side_of_body(z: float) -> float:
 
 
 def _wheel(w: Workshop, x: float, side: int) -> None:
-    """Tyre with a shoulder and a groove, hub with a rim, and a cap; its outer face is 36 mm off the middle."""
+    """Add a wheel: a tyre with a groove, a hub and a cap; the outer face is 36 mm from the car's mid-plane."""
     tyre = [(0, 0), (0.0135, 0), (0.0166, 0.0012), (0.0175, 0.0034), (0.0175, 0.0056), (0.0169, 0.006),
             (0.0169, 0.0066), (0.0175, 0.007), (0.0175, 0.0092), (0.0166, 0.0114), (0.0135, 0.0124),
             (0.0118, 0.0116), (0, 0.0116)]  # fmt: skip

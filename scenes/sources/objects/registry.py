@@ -16,8 +16,8 @@ TABLETOP = "table, shelf, counter, sill"
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """An object's source. ``supports``: kinds of surface for the object; ``scale``: range of its size;
-    ``yaw_degrees``: largest turn from facing -Y, None for any.
+    """An object's source. ``supports``: kinds of support surface, separated by commas; ``scale``: range of its
+    scale factor; ``yaw_degrees``: maximum rotation from facing -Y, None for any.
     """
 
     title: str
@@ -36,9 +36,9 @@ def thing(
     title: str, category: str, *, supports: str = TABLETOP, scale: tuple[float, float] = (0.92, 1.1),
     yaw: float | None = None, **slots: Slot,
 ) -> Callable[[Builder], Builder]:  # fmt: skip
-    """Register a builder under its own name; keyword arguments are its slots.
+    """Decorate a builder to register it by its name; keyword arguments are its slots.
 
-    ``yaw``: largest turn from facing -Y, in degrees.
+    ``yaw``: maximum rotation from facing -Y, in degrees, None for any.
     """
 
     def register(build: Builder) -> Builder:
@@ -49,7 +49,7 @@ def thing(
 
 
 def yaw_range(source: ObjectSource) -> tuple[float, float]:
-    """The range of yaw in radians."""
+    """The range of an object's yaw in radians."""
     limit = math.pi if source.yaw_degrees is None else math.radians(source.yaw_degrees)
     return (-limit, limit)
 
@@ -116,10 +116,10 @@ def stone(source: str = "marble_white") -> Slot:
 
 
 def organic(code: str, rough: float = 0.5) -> Slot:
-    """Fruit skin, leaves or wax, never replaced."""
+    """An organic material, such as fruit skin, leaves or wax, that is never replaced."""
     return Slot(("organic",), (), color=srgb(code), roughness=rough, ior=1.45)
 
 
 def fixed(code: str, rough: float = 0.4, kind: str = "other") -> Slot:
-    """A small part with a fixed material, such as a screen or the hand of a dial."""
+    """A material, such as that of a screen or a clock's hands, that is never replaced."""
     return Slot((kind,), (), color=srgb(code), roughness=rough)

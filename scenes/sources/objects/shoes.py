@@ -19,7 +19,7 @@ from scenes.sources.shapes import Shape, join, loft, tube
 
 
 def _sole(length: float, width: float, scale: float = 1.0, count: int = 36) -> np.ndarray:
-    """Outline of a right foot's sole about its middle, toe towards -y."""
+    """Outline (count, 2) of a right shoe's sole about its centre, toe towards -y."""
     angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
     y = -length / 2 * np.sin(angle)
     t = (y + length / 2) / length  # 0 at the toe
@@ -39,7 +39,7 @@ def _sole(length: float, width: float, scale: float = 1.0, count: int = 36) -> n
 def _upper(
     length: float, width: float, base: float, heights: tuple[float, float, float], opening: float
 ) -> list[np.ndarray]:
-    """Rings from the sole to the collar; ``heights`` at toe, instep and heel."""
+    """Rings (36, 3) from the sole to the collar; ``heights`` of the toe, instep and heel [m]."""
     rings = []
     outline = _sole(length, width)
     t = (outline[:, 1] + length / 2) / length
@@ -55,7 +55,7 @@ def _upper(
 
 @dataclass(frozen=True)
 class _Shoe:
-    """A right shoe: ``heights`` at toe, instep and heel, ``thick`` its sole; metres."""
+    """A right shoe: ``heights`` of toe, instep and heel, ``thick``: thickness of the sole; in metres."""
 
     length: float = 0.285
     width: float = 0.102
@@ -64,12 +64,12 @@ class _Shoe:
     is_laced: bool = True
 
     def rings(self) -> list[np.ndarray]:
-        """Of its upper, from the sole to the collar."""
+        """Rings (36, 3) of the upper, from the sole to the collar."""
         collar = self.length * 0.2
         return _upper(self.length * 0.985, self.width * 0.97, self.thick - 0.002, self.heights, collar)
 
     def pieces(self) -> list[tuple[str, Shape]]:
-        """Slots and shapes: sole, upper, lining."""
+        """Pairs of slot and shape of the sole, upper and lining."""
         base, thick, rings = _sole(self.length, self.width), self.thick, self.rings()
         rim = [
             np.column_stack([base * s, np.full(len(base), z)])
@@ -78,7 +78,7 @@ class _Shoe:
         collar, centre = rings[-1], rings[-1].mean(axis=0)
 
         def shrunk(share: float, z: np.ndarray | float) -> np.ndarray:
-            """The collar about its middle, at another height."""
+            """The collar scaled by ``share`` about its centre, at height ``z``."""
             flat = centre[:2] + (collar[:, :2] - centre[:2]) * share
             return np.column_stack([flat, np.broadcast_to(z, len(collar))])
 
@@ -95,7 +95,7 @@ class _Shoe:
         ]
 
     def laces(self) -> Shape:
-        """Five laces over the instep."""
+        """The five laces over the instep."""
         front = self.rings()[-1][:, 1].min()
         bars = []
         for k in range(5):
@@ -108,7 +108,7 @@ class _Shoe:
         return join(bars)
 
     def add_pair(self, w: Workshop, gap: float) -> None:
-        """A pair whose middles are ``gap`` apart, toes a little outwards."""
+        """Add a pair with centres ``gap`` apart and toes turned outwards."""
         for part, side in (("right", -1), ("left", 1)):
             for slot, shape in self.pieces():
                 own = shape.bent(lambda p: p * [-1, 1, 1]).flipped() if part == "left" else shape

@@ -21,7 +21,7 @@ BENCH = "table, counter, shelf, floor"
 
 
 def _lying(shape: Shape, z: float) -> Shape:
-    """A tool modelled upright along z, laid along x."""
+    """Rotate a tool that is modelled along z to the x axis, and move it up by ``z``."""
     return shape.turned("y", 90).moved(z=z)
 
 
