@@ -65,7 +65,7 @@ def publish(partial: Path, target: Path) -> None:
 
 
 def publish_first(partial: Path, target: Path) -> None:
-    """Link a finished file to a second name; raises ``FileExistsError`` if that name exists."""
+    """Publish a finished file as a hard link. Raises ``FileExistsError`` if ``target`` exists."""
     sync_file(partial)
     os.link(partial, target)
     sync_folder(target.parent)

@@ -295,7 +295,7 @@ def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str) -> None:
     [
         (
             lambda d: d["nodes"].append({"children": [1]}) or d["scenes"][0].update(nodes=[1]),
-            "inside itself",
+            "two parents or a cycle",
         ),
         (lambda d: d["accessors"][0].update(count=10_000), "10000 entries"),
         (lambda d: d["accessors"][0].update(bufferView=99), "an index below"),

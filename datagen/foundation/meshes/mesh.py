@@ -34,9 +34,7 @@ class Mesh:
         return max(len(self.faces), -(-len(self.positions) // 3))
 
     def transformed(self, target_from_source: NDArray[np.float64]) -> Mesh:
-        """The mesh under an affine (4, 4) transform; normals are transformed by the inverse transpose, the
-        winding is kept.
-        """
+        """The mesh under an affine (4, 4) transform; normals use its inverse transpose, faces are kept."""
         linear = np.asarray(target_from_source, dtype=np.float64)[:3, :3]
         offset = np.asarray(target_from_source, dtype=np.float64)[:3, 3]
         positions = self.positions.astype(np.float64) @ linear.T + offset
@@ -59,7 +57,7 @@ class Mesh:
         return areas
 
     def uv_per_m(self) -> float | None:
-        """Median over the surface of sqrt(UV area / area), in UV units per metre; None without usable UVs."""
+        """Area-weighted median of sqrt(UV area / area), in UV units per metre; None without usable UVs."""
         if self.uv is None:
             return None
         corners = self.uv.astype(np.float64)[self.faces]
@@ -77,7 +75,7 @@ class Mesh:
 
 @dataclass(frozen=True)
 class MeshFaults:
-    """Result of :func:`inspect_mesh`: counts of triangles, edges or vertices."""
+    """Result of :func:`inspect_mesh`; ``total``, ``degenerate`` and ``bad_indices`` count triangles."""
 
     is_empty: bool = False
     non_finite: int = 0
@@ -161,7 +159,7 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
                 mesh.faces[:, k], weights=(unit * angle)[:, axis], minlength=len(total)
             )
     size = np.linalg.norm(total, axis=1)
-    lost = size < 1e-6  # radians: remains of normals that cancel up to rounding
+    lost = size < 1e-6  # the normals cancel up to rounding
     normals = total / np.maximum(size, 1e-300)[:, None]
     if lost.any():
         touching = np.flatnonzero(lost[mesh.faces].any(axis=1) & (length[:, 0] > 0))
@@ -175,7 +173,7 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with normals that are safe for a renderer, and the number of corners that were changed.
+    """The mesh with normals that are safe for a renderer, and the number of normals that were replaced.
 
     Vertices whose normal is missing, zero or NaN get smooth normals. A normal in the plane of its
     triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, which leaves no shading
@@ -263,7 +261,7 @@ def without_degenerate(mesh: Mesh) -> Mesh:
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
-    """One mesh from several; normals and UVs are kept only if every mesh has them."""
+    """Concatenate meshes; normals and UVs are kept only if every mesh has them."""
     starts = np.cumsum([0] + [len(m.positions) for m in meshes[:-1]])
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]).astype(np.int32)
     normals = [m.normals for m in meshes if m.normals is not None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PLY files: the triangle meshes of asset packages, read and written.
+"""Reader and writer of PLY files, the triangle meshes of asset packages.
 
 Letters: N vertices, M triangles. Packages contain binary little-endian PLY; v of a texture coordinate points
 up (see ``datagen.formats.asset``).
@@ -17,7 +17,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.meshes.mesh import Mesh
 
-MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before any data is read
+MAX_VERTICES = 200_000_000  # headers that state more are refused before any data is read
 _MAX_HEADER_BYTES = 64 * 1024
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -50,7 +50,7 @@ def encode_ply(mesh: Mesh) -> bytes:
 
 
 def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read a PLY file; see :func:`decode_ply`."""
+    """Read a PLY file. Raises :class:`InputError` as :func:`decode_ply` and for an unreadable file."""
     budget = budget or Budget(path)
     try:
         budget.hold_file(path)
@@ -61,7 +61,7 @@ def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
 
 
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
-    """A :class:`Mesh` from PLY bytes (little-endian binary or ASCII; polygons are split into fans).
+    """Decode PLY bytes (little-endian binary or ASCII); polygons are split into fans of triangles.
 
     ``budget``: the budget of the enclosing import. Raises :class:`InputError` if the file is truncated, of
     another format or without positions. Indices and finiteness are checked by :func:`inspect_mesh`.
@@ -99,9 +99,8 @@ def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> 
     return mesh
 
 
-_Element = tuple[
-    str, int, list[tuple[str, str, str]]
-]  # name, count, [(property, type, list count type or "")]
+# name, count, [(property, type, type of a list's count or "")]
+_Element = tuple[str, int, list[tuple[str, str, str]]]
 
 
 def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
@@ -128,7 +127,7 @@ def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
                 where, "header", line.strip()[:80], f"a PLY header line ({error})", _PLY_REMEDY
             ) from None
         except ValueError as error:
-            if hasattr(error, "problems"):
+            if isinstance(error, InputError):
                 raise
             raise input_error(where, "header", line.strip()[:80], "a number", _PLY_REMEDY) from None
     return form, elements
@@ -149,7 +148,7 @@ def _read_binary(
         ]
         names = [p for p, _, _ in properties]
         if not names or len(set(names)) != len(names):
-            raise input_error(where, f"element {name}", names, "properties that differ", _PLY_REMEDY)
+            raise input_error(where, f"element {name}", names, "distinct properties", _PLY_REMEDY)
         record = np.dtype(dtype)
         if offset + count * record.itemsize <= len(body):
             table = np.frombuffer(body, record, count, offset)
@@ -175,7 +174,7 @@ def _read_polygons(
     where: str | Path,
     budget: Budget,
 ) -> tuple[dict[str, NDArray[Any]], int]:
-    """Faces of mixed size, as fans of triangles. Slow path."""
+    """Faces of any size as fans of triangles, and the offset after them; the slow path."""
     triangles: list[tuple[int, int, int]] = []
     most = budget.allowed("triangles")
     try:
