@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba emitters and sensors as lights and cameras of a package.
+"""Conversion of Mitsuba emitters to lights of a package.
 
-``A`` below is ``asset_from_source``: the rotation to Z up times the unit scale s. Radiance does not change
-with scale; intensities (W/sr) grow by s^2.
+A unit of s metres leaves radiance unchanged and multiplies intensity (W/sr) by s^2.
 """
 
 from __future__ import annotations
@@ -39,14 +38,12 @@ from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""Mitsuba's equirectangular image has its centre along +Z and its top along +Y; ours along +Y and +Z."""
+"""To Mitsuba's environment frame (image centre +Z, top +Y) from the project's (centre +Y, top +Z)."""
 
 
 @dataclass
 class LightConverter:
-    """Collects the lights of a scene; problems are gathered in ``problems``. ``matrix`` is ``A`` of the
-    module's docstring.
-    """
+    """Collects the lights and problems of a scene; ``matrix``: (4, 4) ``asset_from_source``."""
 
     scene: Path
     matrix: NDArray[np.float64]
@@ -82,7 +79,7 @@ class LightConverter:
         return _color(emitters[0].get("radiance", 1.0))
 
     def add(self, node: SceneNode) -> None:
-        """Convert an emitter without a shape."""
+        """Convert an emitter without a shape and append it to ``lights``."""
         converter = _CONVERTERS.get(node.type)
         if converter is None:
             expected = f"area, {', '.join(_CONVERTERS)}"
@@ -157,14 +154,14 @@ class LightConverter:
         )
 
     def _daylight(self, node: SceneNode) -> Light | None:
-        """Of a ``sky``, a ``sun`` or both; ``scale`` is an old name of the scale of either."""
+        """Light of a ``sky``, ``sun`` or ``sunsky``; ``scale`` is an old parameter of the first two."""
         scale = None if node.type == "sunsky" else node.get("scale")
         sky_scale, sun_scale = (
             float(node.get(f"{part}_scale", 1.0) if scale is None else scale) if part in node.type else 0.0
             for part in ("sky", "sun")
         )
         if node.get("sun_direction") is None:
-            expected = "sun_direction, rather than a place and a time"
+            expected = "sun_direction, not a location and a time"
             self._refuse(node, "no sun_direction", expected, "give the direction of the sun")
             return None
         place = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
@@ -200,7 +197,7 @@ _CONVERTERS: dict[str, Callable[[LightConverter, SceneNode], Light | None]] = {
 def emitter_shape_light(
     node: SceneNode, name: str, asset_from_shape: NDArray[np.float64], radiance: tuple[float, float, float]
 ) -> Light | None:
-    """The light of an emitting rectangle, disk or sphere; None for other shapes, which stay emissive parts.
+    """The light of an emitting rectangle, disk or sphere; None for other shapes, which become emissive parts.
 
     A rectangle or disk emits along its local +Z; if the transform mirrors, the edges are swapped so that
     edge_u x edge_v still points there.

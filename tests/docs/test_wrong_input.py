@@ -118,7 +118,7 @@ WRONG = [
     ("datagen library text.txt", ("no asset package", *CHECK_PATH)),
     ("datagen library text.txt --check --jsn", ("No such option: --jsn", "--json")),
     ("datagen import nope --library x", ("nope: nothing there", *CHECK_PATH)),
-    ("datagen import empty --library x", ("holds nothing to import", "Mitsuba scene")),
+    ("datagen import empty --library x", ("a folder with nothing to import", "Mitsuba scene")),
     ("datagen import text.txt --library x", ("not known", "glTF")),
     ("datagen import noise.glb --library x --license CC0-1.0", ("noise.glb", "expected a glTF file")),
     ("datagen import noise.xml --library x --license CC0-1.0", ("noise.xml", "Mitsuba scene")),
