@@ -200,7 +200,7 @@ class AssetCamera(PinholeFields):
 
 
 class Provenance(StrictModel):
-    """Origin of an asset. ``license``: SPDX identifier; ``usage: evaluation_only`` bars it from all plans."""
+    """Origin of an asset. ``license``: SPDX identifier; ``usage: evaluation_only`` excludes it from plans."""
 
     license: str
     author: str = ""

@@ -114,14 +114,14 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
     """Problems from validation errors; ``where``: the file, or a function from location to position."""
     problems = []
     for entry in error.errors(include_url=False):
-        place = where(entry["loc"]) if callable(where) else where
+        position = where(entry["loc"]) if callable(where) else where
         got = "" if entry["type"] == "missing" else _SHORT.repr(entry.get("input"))
         expected = entry["msg"].removeprefix("Value error, ")
         expected = expected[0].lower() + expected[1:]
         expected = expected.removeprefix("expected ").removeprefix("input should be ")
         if entry["loc"] == ("format",) and entry["type"] == "literal_error":
             # a file of another kind, whose further errors are meaningless
-            return [Problem(place, "format", got, expected, "this is another kind of file; check the path")]
+            return [Problem(position, "format", got, expected, "another kind of file; check the path")]
         if entry["type"] == "extra_forbidden":
             expected, remedy = "no such key", "correct its spelling or remove it"
         elif entry["type"] == "model_type":
@@ -130,7 +130,7 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
             expected, remedy = "this key to be present", "add it"
         else:
             remedy = "correct the value"
-        problems.append(Problem(place, _field_path(entry["loc"]), got, expected, remedy))
+        problems.append(Problem(position, _field_path(entry["loc"]), got, expected, remedy))
     return problems
 
 

@@ -102,10 +102,10 @@ MIN_METAL_SHARE, MIN_GLOSS_SHARE = 0.06, 0.15
 class ViewCoverage(StrictModel):
     """Summary of the views' content, from rays at low resolution.
 
-    ``median_observations``: number of views that show the median surface pixel, its own included;
-    ``thin_share``: share of the surface pixels visible in two views or fewer. ``room_share``: share of the
-    views that show two walls, or a wall and the ceiling. ``metal_share`` and ``gloss_share``: shares of the
-    surface pixels on metal and on glossy materials, by the materials' means.
+    ``median_observations``: median, over the surface points hit, of the number of views that show the point;
+    ``thin_share``: share of the points visible in two views or fewer. ``room_share``: share of the views that
+    show two walls, or a wall and the ceiling. ``metal_share`` and ``gloss_share``: shares of the surface
+    pixels on metal and on glossy materials, by the materials' mean S and R.
     """
 
     median_observations: NonNegative

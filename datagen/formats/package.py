@@ -180,7 +180,7 @@ def open_package(path: str | Path, budget: Budget | None = None) -> Package:
     if path.is_file():
         return _open_zip(path, budget)
     raise input_error(
-        path, got="nothing there", expected="an asset package (folder or zip)", remedy="check the path"
+        path, "", "no such file or folder", "an asset package (folder or zip)", "check the path"
     )
 
 

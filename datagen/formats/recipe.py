@@ -81,7 +81,7 @@ class ObjectRecipe(AssetFilter):
 class Variation(StrictModel):
     """Weights of two modes of assigning materials, one of which is drawn for each configuration.
 
-    ``likely``: matching materials and colours that such surfaces have in real rooms.
+    ``likely``: combinations of materials and colours that such surfaces have in real rooms.
     ``wild``: any material of a class that suits the slot, in any colour that the class may have.
     """
 
@@ -139,7 +139,6 @@ class LightRecipe(StrictModel):
 
     With ``panoramas`` every room that has openings and no sky of its own has a panorama outside, regardless
     of ``daylight_probability``; generated rooms then have no modelled surroundings.
-
     Intensities are drawn log-uniformly, then all are scaled by one factor so that a probe estimate of the
     mean irradiance in the camera region falls into ``mean_irradiance`` (W/m^2).
     """
@@ -230,7 +229,7 @@ def _budget_contradictions(given: dict[str, Any]) -> list[str]:
         if others:
             found.append(f"either path_samples, a fixed number, or {' and '.join(others)}")
     elif "max_path_samples" in given and quality is None and "max_rel_mse" not in given:
-        found.append("max_path_samples only beside max_rel_mse or quality: it is the ceiling of a target")
+        found.append("max_path_samples only with max_rel_mse or quality: it is the ceiling of a target")
     if "max_depth" in given and "max_energy_left" in given:
         found.append("either max_depth or max_energy_left, from which a depth follows")
     return found
@@ -245,8 +244,8 @@ class RenderRecipe(StrictModel):
     * ``max_rel_mse``: render until the estimated relMSE of the finished beauty image against convergence is
       at most this (exposed, see :mod:`datagen.rendering.error`), or ``max_path_samples`` are reached;
     * ``quality``: the name of such a target in :data:`QUALITIES`. ``max_path_samples``, ``firefly_clamp``,
-      ``auxiliary_samples`` and ``irradiance_cache`` may be given too and override it. The name is replaced by
-      its numbers when the recipe is read, so that saved recipes keep their meaning in later versions.
+      ``auxiliary_samples`` and ``irradiance_cache`` may override it. The name is replaced by its numbers when
+      the recipe is read, so that saved recipes keep their meaning in later versions.
 
     ``firefly_clamp``: maximum radiance of a light path of two or more bounces, in multiples of the exposed
     white; None = no clamp; direct light is never clamped. ``irradiance_cache``: paths may end after their

@@ -53,9 +53,7 @@ def make_folder(folder: Path) -> None:
 
 
 def publish(partial: Path, target: Path) -> None:
-    """Rename a finished file or folder to its final name, replacing an existing file, and wait until it is on
-    disk.
-    """
+    """Rename a finished file or folder, replacing an existing file, and wait until it is on disk."""
     if partial.is_dir():
         sync_tree(partial)
     else:

@@ -46,7 +46,7 @@ class Problem:
 
 
 def _reworded_if_empty(problem: Problem) -> Problem:
-    """The problem; for an empty file, which parsers report as a syntax error, it says so."""
+    """The problem, reworded if its file is empty, which parsers report as a syntax error."""
     if isinstance(problem, str):  # torch rebuilds a worker's error from its text
         return problem
     try:

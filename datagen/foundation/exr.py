@@ -96,9 +96,7 @@ def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
 
 
 def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray[Any]]:
-    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged file or an
-    implausible header.
-    """
+    """Channels (H, W) of an EXR file by name. Raises :class:`InputError` if damaged or implausible."""
     claimed_size(data, where)
     try:
         with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:

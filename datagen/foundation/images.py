@@ -71,9 +71,7 @@ def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def encode_png(pixels: NDArray[Any]) -> bytes:
-    """Deterministic PNG bytes of uint8 or uint16 pixels, (H, W) or (H, W, C) with 1, 3 or 4 channels,
-    RGB(A).
-    """
+    """Deterministic PNG bytes of uint8 or uint16 pixels, (H, W) or (H, W, 1), (H, W, 3) or (H, W, 4)."""
     import cv2
 
     orders = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}

@@ -76,7 +76,7 @@ def named_file(
 def inside(root: Path, path: Path) -> Path:
     """``path``, checked to stay below ``root`` when links are followed and to be no pipe, device or folder.
 
-    It may be missing. Raises :class:`InputError` otherwise.
+    A missing file passes. Raises :class:`InputError` if a check fails.
     """
     try:
         name = str(path.relative_to(root))

@@ -86,8 +86,8 @@ def find_places(
 ) -> RoomPlaces:
     """Derive the annotations of a room from its ``triangles`` (M, 3, 3).
 
-    ``classes`` (M,): class of each triangle; those in ``seat_classes`` are upholstery. ``seeds`` (K, 3):
-    points known to be inside, such as cameras; may be empty.
+    ``classes`` (M,): class index of each triangle; those in ``seat_classes`` are upholstery. ``seeds``
+    (K, 3): points known to be inside, such as cameras; may be empty.
     """
     points, owner, spacing = surface_points(triangles)
     grid = RoomGrid.build(points, seeds, max(MIN_CELL_M, 1.4 * spacing))

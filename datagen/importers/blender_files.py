@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Files that Blender reads (FBX, USD, .blend, glTF with Draco), converted to glTF by its module in a separate
-process and then imported. The converted file counts against the same budget as any glTF file.
+"""Import of files that Blender reads (FBX, USD, .blend, glTF with Draco).
+
+Blender's module converts them in a separate process to glTF, whose import uses the budget of any glTF file.
 """
 
 from __future__ import annotations

@@ -231,7 +231,7 @@ class TextureFiles:
         return self._channel(value) if not isinstance(value, tuple) else _color(np.clip(value, 0, 1))
 
     def scalar(self, value: ScalarValue) -> float | Texture:
-        """Material channel of a scalar value, likewise; an RGB image is reduced to its luminance."""
+        """Material channel of a scalar value, whose image, if any, is added; RGB is reduced to luminance."""
         if isinstance(value, ImageSource) and value.channel == "rgb":
             grey = self._cache.pixels(value.file).shape[2] < 3
             if grey:

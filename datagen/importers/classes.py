@@ -114,7 +114,10 @@ def words_of(name: str) -> list[str]:
 
 
 def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
-    """Material class from names of material, mesh and file, implied by the first name with a known word."""
+    """Material class implied by the first of ``names`` with a known word.
+
+    Of several words a finish decides, else the last that implies neither plaster, paper nor fabric.
+    """
     for name in names:
         words = words_of(name)
         for word in words:
@@ -146,8 +149,7 @@ def guess_category(*names: str) -> str:
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
     """Supports of an object: furniture and large objects stand on the floor, small objects on furniture.
 
-    Objects above 40 cm stand on a table only if that is usual for their category (a vase, a lamp); an object
-    of unknown category may also stand on the floor.
+    Objects of over 40 cm stand on the floor and, if usual for their category (a vase, a lamp), on tables.
     """
     if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:
         return ("floor",)

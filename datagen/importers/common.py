@@ -108,7 +108,7 @@ class ImportedAsset:
 
 @dataclass(frozen=True)
 class Origin:
-    """Licence and authorship as stated by files beside a source; '' if missing."""
+    """Licence and authorship as stated by files in a source's folder; '' if missing."""
 
     license: str = ""
     title: str = ""

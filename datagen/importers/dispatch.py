@@ -57,7 +57,7 @@ def find_sources(path: Path) -> list[Source]:
         if sources:
             return sources
     else:
-        raise input_error(path, got="nothing there", expected="something to import", remedy="check the path")
+        raise input_error(path, "", "no such file or folder", "something to import", "check the path")
     expected = (
         "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a mesh (.obj, .ply, .stl), a file for Blender "
         "(.fbx, .usd, .blend), a Sweet Home 3D library (.sh3f), a PBR texture folder, or a folder of these"

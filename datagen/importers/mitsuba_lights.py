@@ -87,7 +87,7 @@ class LightConverter:
         elif (light := converter(self, node)) is not None:
             self.lights.append(light)
 
-    def _place(self, node: SceneNode) -> NDArray[np.float64]:
+    def _asset_from_emitter(self, node: SceneNode) -> NDArray[np.float64]:
         return self.matrix @ np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
 
     def _constant(self, node: SceneNode) -> Light:
@@ -106,7 +106,7 @@ class LightConverter:
             remedy = "restore it, or import with --missing replace"
             self._refuse(node, f"{name!r} (no such file)", "an environment map", remedy)
             return None
-        rotation = self._place(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
+        rotation = self._asset_from_emitter(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
         rigid = np.eye(4)
         rigid[:3, :3] = rotation / np.cbrt(np.abs(np.linalg.det(rotation)))
         return EnvironmentLight(
@@ -118,7 +118,7 @@ class LightConverter:
 
     def _point(self, node: SceneNode) -> Light:
         position = node.get("position")
-        matrix = self._place(node)
+        matrix = self._asset_from_emitter(node)
         source = np.append(np.asarray(position), 1.0) if position is not None else np.array([0, 0, 0, 1.0])
         point = (self.matrix if position is not None else matrix) @ source
         return PointLight(
@@ -128,7 +128,7 @@ class LightConverter:
         )
 
     def _spot(self, node: SceneNode) -> Light:
-        matrix = self._place(node)
+        matrix = self._asset_from_emitter(node)
         cutoff = math.radians(float(node.get("cutoff_angle", 20.0)))
         beam = node.get("beam_width")
         name = self._name(node)
@@ -145,7 +145,7 @@ class LightConverter:
 
     def _directional(self, node: SceneNode) -> Light:
         given = node.get("direction")
-        matrix = self._place(node)
+        matrix = self._asset_from_emitter(node)
         direction = self.matrix[:3, :3] @ np.asarray(given) if given is not None else matrix[:3, 2]
         return DirectionalLight(
             name=self._name(node),
@@ -164,8 +164,8 @@ class LightConverter:
             expected = "sun_direction, not a location and a time"
             self._refuse(node, "no sun_direction", expected, "give the direction of the sun")
             return None
-        place = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
-        direction = self.matrix[:3, :3] @ place[:3, :3] @ np.asarray(node.get("sun_direction"))
+        to_world = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+        direction = self.matrix[:3, :3] @ to_world[:3, :3] @ np.asarray(node.get("sun_direction"))
         albedo = node.get("albedo", 0.3)
         return SkyLight(
             name=self._name(node),

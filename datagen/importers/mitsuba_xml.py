@@ -150,7 +150,7 @@ class _SceneImporter:
         return shapes
 
     def placed_shapes(self) -> Iterator[tuple[SceneNode, str, NDArray[np.float64]]]:
-        """Every shape with its label and the transform of the instance that places it."""
+        """Yield every shape with its label and the (4, 4) transform of its instance, or identity."""
         for number, node in enumerate(self.scene.all_of("shape")):
             label = node.id or f"shape_{number:04d}"
             if node.type == "instance":
@@ -315,10 +315,9 @@ class _SceneImporter:
 
     def mesh_key(self, shape: _Shape) -> Any:
         matrix = shape.draft.uv_matrix
-        place = None if shape.file else local_transform(shape.node).tobytes()
         return (
             *_source_of(shape.node, shape.file),
-            place,
+            None if shape.file else local_transform(shape.node).tobytes(),
             None if matrix is None else matrix.tobytes(),
         )
 

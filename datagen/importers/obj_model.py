@@ -253,8 +253,10 @@ def _corner_normals(
 
 
 def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
-    """Normals (M, 3, 3): at each corner the angle-weighted mean of the adjacent faces within 60 degrees and
-    in the same smoothing group; group 0 is flat.
+    """Normals (M, 3, 3) of the corners of ``faces`` (M, 3) with unit normals ``unit`` (M, 3).
+
+    They are angle-weighted means over the faces at the corner within 60 degrees and in the same smoothing
+    group; group 0 is flat.
     """
     made = np.repeat(unit[:, None], 3, axis=1)
     chosen = np.flatnonzero(smoothing > 0)

@@ -174,14 +174,14 @@ def agreement(image: NDArray, reference: NDArray) -> Agreement:
         (width, height),
         interpolation=cv2.INTER_AREA,
     )
-    ours, theirs = (luminance(np.asarray(i[..., :3], dtype=np.float64)) for i in (image, reference))
-    ours, theirs = (gaussian_filter(i, BLUR_SHARE * width) for i in (ours, theirs))
-    limit = np.percentile(theirs, 99)
-    ours, theirs = np.minimum(ours, limit), np.minimum(theirs, limit)
-    lit = theirs > _DARK_SHARE * theirs.mean()
+    image_y, reference_y = (luminance(np.asarray(i[..., :3], dtype=np.float64)) for i in (image, reference))
+    image_y, reference_y = (gaussian_filter(i, BLUR_SHARE * width) for i in (image_y, reference_y))
+    limit = np.percentile(reference_y, 99)
+    image_y, reference_y = np.minimum(image_y, limit), np.minimum(reference_y, limit)
+    lit = reference_y > _DARK_SHARE * reference_y.mean()
     return Agreement(
-        correlation=float(np.corrcoef(ours.ravel(), theirs.ravel())[0, 1]),
-        median_ratio=float(np.median(ours[lit] / theirs[lit])),
-        mean_ratio=float(ours.mean() / theirs.mean()),
-        rel_l1=float(np.abs(ours - theirs).sum() / theirs.sum()),
+        correlation=float(np.corrcoef(image_y.ravel(), reference_y.ravel())[0, 1]),
+        median_ratio=float(np.median(image_y[lit] / reference_y[lit])),
+        mean_ratio=float(image_y.mean() / reference_y.mean()),
+        rel_l1=float(np.abs(image_y - reference_y).sum() / reference_y.sum()),
     )

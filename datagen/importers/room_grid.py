@@ -39,8 +39,8 @@ def surface_points(
     The spacing is ``0.8 * SQUARE_M``, or more if that would give too many points.
     """
     lengths = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)  # edge k: corner k to k + 1
-    turn = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
-    a, b, c = np.take_along_axis(triangles, turn[:, :, None], axis=1).transpose(1, 0, 2)
+    order = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(triangles, order[:, :, None], axis=1).transpose(1, 0, 2)
     base = lengths.max(axis=1)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     height = 2 * area / np.maximum(base, 1e-30)

@@ -319,8 +319,8 @@ class _SweetHomeImporter:
 
     def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
         """(4, 4) transform by the catalogue's rotation and size and to Z up, without translation."""
-        turn = np.eye(3) if piece.rotation is None else piece.rotation
-        points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ turn.T
+        rotation = np.eye(3) if piece.rotation is None else piece.rotation
+        points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ rotation.T
         extent = points.max(axis=0) - points.min(axis=0)
         width, depth, height = piece.size_m
         size = np.array([width, height, depth])
@@ -335,7 +335,7 @@ class _SweetHomeImporter:
                 f"{piece.name}: stretched to the catalogue's size, axes unequally ({ratio:.2f} : 1)"
             )
         matrix = np.eye(4)
-        matrix[:3, :3] = np.diag(scale) @ turn
+        matrix[:3, :3] = np.diag(scale) @ rotation
         return Z_UP_FROM_Y_UP @ matrix
 
     def _supports(self, piece: Piece, category: str, findings: Findings) -> tuple[SupportKind, ...]:

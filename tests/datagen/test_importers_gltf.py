@@ -442,7 +442,7 @@ def test_sources_are_found_and_unknown_ones_refused(tmp_path: Path, shared_data:
     (tmp_path / "notes.txt").write_text("x")
     with pytest.raises(InputError, match="a Mitsuba scene"):
         find_sources(tmp_path / "notes.txt")
-    with pytest.raises(InputError, match="nothing there"):
+    with pytest.raises(InputError, match="no such file or folder"):
         find_sources(tmp_path / "absent")
     with pytest.raises(InputError, match="no id where several"):
         import_asset(shared_data / "textures" / "ambientcg", tmp_path, ImportOptions(asset_id="x"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba sensors as cameras.
+"""Conversion of Mitsuba sensors to cameras.
 
 ``asset_from_source`` is the rotation to Z up times the unit scale.
 """

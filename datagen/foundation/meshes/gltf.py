@@ -121,7 +121,7 @@ class GltfFile:
         if key not in self._lists:
             value = self._list(key)
             if not all(isinstance(v, dict) for v in value):
-                raise self.error(key, "something else", "a list of objects")
+                raise self.error(key, "a list with other values", "a list of objects")
             self._lists[key] = value
         return self._lists[key]
 

@@ -131,9 +131,7 @@ def inspect_mesh(mesh: Mesh) -> MeshFaults:
 
 
 def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Distinct positions (K, 3) and, for each vertex, the index of its position (N,); positions are compared
-    exactly.
-    """
+    """Distinct positions (K, 3), compared exactly, and the index into them of each vertex (N,)."""
     positions = np.ascontiguousarray(mesh.positions, dtype=np.float32) + np.float32(0.0)  # -0.0 becomes 0.0
     keys = positions.view(np.dtype((np.void, 12))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -177,7 +175,7 @@ def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
 
     Vertices whose normal is missing, zero or NaN get smooth normals. A normal in the plane of its
     triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, which leaves no shading
-    frame: that corner gets the triangle's own normal.
+    frame: that corner gets the triangle's normal.
     """
     if mesh.normals is None:
         mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
@@ -198,9 +196,7 @@ def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
-    """Mask (M, 3) of corners whose normal lies in the plane of their triangle; False for triangles without
-    area.
-    """
+    """Mask (M, 3) of corners with a normal in the plane of their triangle, if the triangle has an area."""
     if mesh.normals is None:
         return np.zeros(mesh.faces.shape, dtype=bool)
     corners = mesh.triangles()
@@ -209,12 +205,12 @@ def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
     normals = mesh.normals.astype(np.float64)[mesh.faces]
     size = np.linalg.norm(normals, axis=2)
     along = np.abs((normals * cross[:, None]).sum(axis=2))
-    lies: NDArray[np.bool_] = (along < LYING_COSINE * length * size) & (length > 0)
-    return lies
+    in_plane: NDArray[np.bool_] = (along < LYING_COSINE * length * size) & (length > 0)
+    return in_plane
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:
-    """The mesh with unshared vertices and the triangle's own normal at each of its corners."""
+    """The mesh with unshared vertices and the triangle's normal at each of its corners."""
     corners = mesh.triangles()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -229,9 +225,7 @@ def flat_shaded(mesh: Mesh) -> Mesh:
 
 
 def compacted(mesh: Mesh) -> Mesh:
-    """The mesh with vertices shared wherever position, normal and UV agree exactly, without unused
-    vertices.
-    """
+    """The mesh without unused vertices, with vertices of equal position, normal and UV merged."""
     columns = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)
     keys = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
