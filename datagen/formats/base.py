@@ -160,7 +160,7 @@ def _read_text(path: Path) -> str:
         raise InputError(Problem(path, "", "not text", "a UTF-8 text file", "check the path")) from None
     except OSError as error:
         got = (error.strerror or str(error)).lower()
-        raise InputError(Problem(path, "", got, "a readable file", "check the path and its rights")) from None
+        raise InputError(Problem(path, "", got, "a readable file", "check path and permissions")) from None
 
 
 def read_json(model: type[ModelT], path: Path) -> ModelT:

@@ -45,7 +45,7 @@ def _print_version(is_given: bool) -> None:
 
 VersionOption = Annotated[
     bool,
-    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop."),
+    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
 ]
 
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]

@@ -59,7 +59,7 @@ def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", n
         buffer = get_buffer(name)
         stored = to_storage(buffer, np.asarray(buffers[name]))
         if stored.shape[:2] != shape:
-            raise ValueError(f"{name}: got size {stored.shape[:2]}, expected {shape} as the other buffers")
+            raise ValueError(f"{name}: got size {stored.shape[:2]}, expected {shape} like the other buffers")
         for index, channel in enumerate(buffer.exr_channels):
             channels[channel] = np.ascontiguousarray(stored[..., index])
     header = {"compression": COMPRESSIONS[compression], "type": OpenEXR.scanlineimage}

@@ -94,7 +94,7 @@ def find_places(
     if grid is None:
         return RoomPlaces(None)
     near = [h for h in _levels(triangles, grid) if abs(h - grid.floor_m) < 0.15]
-    if near:  # the largest horizontal surface there, rather than skirtings and carpets
+    if near:  # the largest horizontal surface there, rather than a skirting board or carpet
         grid = replace(grid, floor_m=near[0])
     soft = np.isin(classes, list(seat_classes))[owner] if seat_classes else np.zeros(len(owner), bool)
     surfaces = tuple(without_stairs(list(_support_surfaces(triangles, points, soft, grid, 1.25 * spacing))))
@@ -169,7 +169,7 @@ def _support_surfaces(
     for height in _levels(triangles, grid):
         above = height - grid.floor_m
         if 0.04 < above < 0.3:
-            continue  # steps and skirtings
+            continue  # steps and skirting boards
         on_level = np.abs(points[:, 2] - height) < _LEVEL_M
         surface = points[on_level]
         inside = grid.is_interior(surface + np.array([0, 0, 1.3 * grid.cell_m], dtype=np.float32))

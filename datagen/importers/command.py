@@ -22,13 +22,13 @@ class ImportWords:
     """Command-line options of an import as strings, which :meth:`parse` checks."""
 
     kind: Annotated[str, typer.Option(help="auto, environment, object or material.")] = "auto"
-    asset_id: Annotated[str, typer.Option("--id", help="Id of the asset; from its name if left out.")] = ""
+    asset_id: Annotated[str, typer.Option("--id", help="Id of the asset; by default from its name.")] = ""
     title: Annotated[str, typer.Option(help="Title of the asset.")] = ""
     license: Annotated[str, typer.Option(help="SPDX licence; by default from the source's folder.")] = ""
     author: Annotated[str, typer.Option(help="Author; by default from the source's folder.")] = ""
     source: Annotated[str, typer.Option(help="Origin, such as a web address.")] = ""
     evaluation_only: Annotated[
-        bool, typer.Option("--evaluation-only", help="Exclude it from training data.")
+        bool, typer.Option("--evaluation-only", help="Exclude the asset from training data.")
     ] = False
     category: Annotated[str, typer.Option(help="Category of an object; guessed if left out.")] = ""
     classes: Annotated[

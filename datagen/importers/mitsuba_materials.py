@@ -147,7 +147,7 @@ class MaterialConverter(NodeValues):
                 mean = np.array(fresnel.conductor_preset_mean(str(node.get("material", "Cu"))))
             except ValueError as error:
                 self.problems.add(
-                    f"{node.where}: material", str(error), "a conductor of Mitsuba", "give eta and k"
+                    f"{node.where}: material", str(error), "one of Mitsuba's conductors", "give eta and k"
                 )
                 mean = np.ones(3)
         specular = self.cache.color(
@@ -242,7 +242,7 @@ class MaterialConverter(NodeValues):
             or second.opacity is not None
         ):
             self.problems.add(
-                node.where, "a blend with a transparent BSDF", "a blend of opaque ones", "replace it"
+                node.where, "a blend with a transparent BSDF", "a blend of opaque BSDFs", "replace it"
             )
             return first
 

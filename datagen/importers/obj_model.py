@@ -180,7 +180,7 @@ def triangulate(points: Floats, budget: Budget) -> Ints:
     """Triangles (K - 2, 3) of a planar polygon (K, 3) without holes, in its winding, by ear clipping."""
     ring = np.arange(len(points))
     turned = np.roll(points, -1, axis=0)
-    normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell
+    normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell's method
     axis = int(np.abs(normal).argmax())
     flat = np.delete(points, axis, axis=1)
     if (normal[axis] < 0) != (axis == 1):  # projected along -axis; x-z is mirrored relative to z-x

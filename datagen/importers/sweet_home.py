@@ -167,7 +167,7 @@ class _SweetHomeImporter:
     def _import(self, piece: Piece, asset_id: str, category: str) -> ImportedAsset:
         findings = Findings()
         source = self._provenance(piece)
-        # a piece is released when the next one begins
+        # one budget per piece, whose data are released before the next piece
         budget = Budget(self._label(piece), self.options.limits)
         budget.hold(self.catalogue.size_in_archive(piece.model))
         data = self.catalogue.read(piece.model)

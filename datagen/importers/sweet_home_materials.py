@@ -173,7 +173,7 @@ class PhongConverter:
         guess = guess_class(slot, stem)
         if guess == "other" and self.hints:
             by_name = guess_class(*self.hints)
-            guess = by_name if by_name != "glass" else guess  # a glass table has one part of glass only
+            guess = by_name if by_name != "glass" else guess  # only the top of a glass table is of glass
         return (guess,)
 
     def _image(self, slot: str, statement: str | None) -> ImageSource | None:

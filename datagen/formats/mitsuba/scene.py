@@ -189,7 +189,7 @@ class _Parser:
         self.fill(node, element, stack)
         if identity:
             if identity in self.by_id:
-                self.problem(node.where, "an id that is taken", "ids that occur once")
+                self.problem(node.where, "a duplicate id", "unique ids")
             self.by_id[identity] = node
         return node
 
@@ -249,7 +249,7 @@ class _Parser:
                     path.append(child)
                     above.add(id(child))
                     rest.append(iter(child.children))
-        # nodes that only serve as targets of references are not expanded
+        # nodes that are only targets of references are not expanded
         used = [
             (sizes[id(node)], node.where)
             for _, node in scene.children

@@ -141,7 +141,7 @@ def _read_binary(
     for name, count, properties in elements:
         lists = [p for p in properties if p[2]]
         if lists and (name != "face" or len(lists) != 1):
-            raise input_error(where, f"element {name}", "lists", "lists in 'face' alone", _PLY_REMEDY)
+            raise input_error(where, f"element {name}", "lists", "lists only in 'face'", _PLY_REMEDY)
         dtype = [
             (p, f"<{kind}") if not size else (p, [("n", f"<{size}"), ("i", f"<{kind}", (3,))])
             for p, kind, size in properties
@@ -184,7 +184,7 @@ def _read_polygons(
                     offset += np.dtype(kind).itemsize
                     continue
                 num = int(np.frombuffer(body, f"<{size}", 1, offset)[0])
-                if num < 0:  # numpy would read -1 as "everything"
+                if num < 0:  # numpy would read -1 as all remaining values
                     raise ValueError
                 offset += np.dtype(size).itemsize
                 corners = np.frombuffer(body, f"<{kind}", num, offset).tolist()
@@ -222,6 +222,6 @@ def _read_ascii(
         raise
     except (StopIteration, ValueError, IndexError):
         raise input_error(
-            where, "body", "numbers missing or unreadable", "the entries of the header"
+            where, "body", "numbers missing or unreadable", "the numbers that the header states"
         ) from None
     return tables
