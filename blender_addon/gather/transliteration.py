@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Transliteration of other alphabets to the letters of ids and file names: Küche is kueche, Öl-Eiche
-oel-eiche.
+"""Transliteration to ASCII for ids and file names: Küche becomes Kueche, Öl-Eiche Oel-Eiche.
 
 German umlauts become two letters; other accents are removed; letters that are not a base letter with an
 accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Characters without a Latin form here become
@@ -38,19 +37,17 @@ def transliterated(text: str) -> str:
     return "".join(_letters(c, after.isupper() or before.isupper()) for c, before, after in neighbours)
 
 
-def _letters(letter: str, is_shouted: bool) -> str:
-    """Latin letters for a letter. ``is_shouted``: an adjacent letter is a capital, so that a capital becomes
-    capitals only.
-    """
+def _letters(letter: str, is_in_capitals: bool) -> str:
+    """ASCII for a letter; a capital becomes only capitals if ``is_in_capitals``, next to another capital."""
     if letter.isascii():
         return letter
     small = letter.lower()
     if small in _TABLE:
         written = _TABLE[small]
-        return written if letter == small else written.upper() if is_shouted else written.capitalize()
+        return written if letter == small else written.upper() if is_in_capitals else written.capitalize()
     plain = "".join(c for c in unicodedata.normalize("NFKD", letter) if not unicodedata.combining(c))
     if plain.isascii():
         return plain
     if plain != letter:
-        return "".join(_letters(part, is_shouted) for part in plain)
+        return "".join(_letters(part, is_in_capitals) for part in plain)
     return f" u{ord(letter):04x} " if letter.isalnum() else " "

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Asset packages: rooms, objects, materials and panoramas on disk (``asset.json`` in a folder or a zip).
 
-Frames: metres, right-handed, Z up. An object's frame has its resting plane at z = 0 and its footprint around
-the origin; its front faces -Y. Meshes are binary little-endian PLY with vertex positions (x y z), normals (nx
-ny nz) and, if a texture needs them, texture coordinates (u v, v upwards: row 0 of an image is at v = 1).
+Frames are in metres, right-handed, Z up. An object rests on z = 0 of its frame, with its footprint around the
+origin; its front faces -Y. Meshes are binary little-endian PLY with vertex positions (x y z), normals (nx ny
+nz) and, if a texture needs them, texture coordinates (u v, v upwards: row 0 of an image is at v = 1).
 Textures are PNG, JPEG or EXR files.
 """
 
@@ -44,7 +44,7 @@ Surface = Literal[
     "legs", "upholstery", "curtain", "towel", "shade", "appliance", "sanitary", "fitting", "frame", "cover",
     "vessel", "utensil", "gadget", "small",
 ]  # fmt: skip
-"""Role of a surface in a room, which decides the likely materials (``datagen.assembly.looks``)."""
+"""Role of a surface in a room; determines its likely materials (``datagen.assembly.looks``)."""
 SURFACES: tuple[str, ...] = get_args(Surface)
 Daytime = Literal["day", "overcast", "dusk", "night"]
 DAYTIMES: tuple[Daytime, ...] = get_args(Daytime)
@@ -52,10 +52,10 @@ SupportKind = Literal["floor", "table", "shelf", "seat", "bed", "sill", "counter
 
 
 class Texture(StrictModel):
-    """A channel read from an image.
+    """A channel of a material read from an image: ``scale * texel + offset``, clamped to [0, 1].
 
-    ``encoding``: ``srgb`` is decoded to linear, ``linear`` is used as stored. ``channel`` selects one
-    component for a scalar channel of a material. The value is ``scale * texel + offset``, clamped to [0, 1].
+    ``encoding``: ``srgb`` texels are decoded to linear, except alpha; ``linear`` ones are used as stored.
+    ``channel``: ``rgb`` (its luminance if the material's channel is scalar), or a single component.
     """
 
     texture: RelativePath
@@ -76,11 +76,11 @@ MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
 class Material(StrictModel):
     """The three channels of the project's BSDF, opacity, normal map and emission.
 
-    ``classes``: the first is the main class. ``tile_size_m``: side of the square that one UV unit covers
-    on a surface, for materials that may be assigned to any object; None for unique UV layouts. ``normal``:
+    ``classes``: the first is the main class. ``tile_size_m``: length of one UV unit on a surface, for
+    materials that may be assigned to any object; None for textures made for one mesh. ``normal``:
     tangent-space normal texture (linear, OpenGL convention, +Y up). ``opacity``: 1 = opaque. ``emission``:
-    radiance in W/(m^2 sr); an emitter has no ground-truth channels and is masked. ``approximations``:
-    sentences about properties that an importer or exporter could not represent.
+    radiance in W/(m^2 sr); emitters have no ground truth and are outside ``surface_mask``.
+    ``approximations``: sentences about properties that an importer or exporter could not represent.
     """
 
     classes: Annotated[tuple[MaterialClass, ...], Field(min_length=1)] = ("other",)
@@ -100,12 +100,11 @@ class Material(StrictModel):
 
 
 class SlotMaterial(Material):
-    """A material inside an object or environment, with the name of its slot.
+    """The material of a slot of an object or environment; its key in ``materials`` names the slot.
 
-    ``replaceable_by``: classes of material that suit the geometry and may replace it; empty = fixed.
-    ``baked_from``: the material of which this slot holds a bake for one mesh; slots with the same origin are
-    one material and are varied and replaced together. None if the slot is the whole material. ``surface``:
-    the slot's role in a room; None: derived from names and shape.
+    ``replaceable_by``: classes of the materials that may replace it; empty = fixed. ``baked_from``: name of
+    the source material, if this slot contains its bake for one mesh; slots of the same source are varied and
+    replaced together. ``surface``: the slot's role in a room; None: derived from names and shape.
     """
 
     replaceable_by: tuple[MaterialClass, ...] = ()
@@ -114,7 +113,7 @@ class SlotMaterial(Material):
 
 
 class Part(StrictModel):
-    """One mesh with one material; ``asset_from_part`` instances the same mesh file at several positions.
+    """One mesh with the material of one slot; parts with different ``asset_from_part`` may share a mesh file.
 
     ``uv_per_m``: median UV units per metre over the mesh, None without UVs; scales tiled materials.
     """
@@ -127,9 +126,9 @@ class Part(StrictModel):
 
 
 class SupportSurface(StrictModel):
-    """Horizontal rectangle ``origin_m + s edge_u_m + t edge_v_m`` on which objects may stand.
+    """Horizontal rectangle on which objects may stand, with free height ``clearance_m`` above it.
 
-    ``clearance_m`` is the free height above it.
+    Its points are ``origin_m + s edge_u_m + t edge_v_m``, s and t in [0, 1].
     """
 
     name: str
@@ -141,7 +140,7 @@ class SupportSurface(StrictModel):
 
 
 class LightSlot(StrictModel):
-    """A possible position of a lamp: a rectangle that would emit along edge_u x edge_v, or a point."""
+    """A possible position of a lamp: a point, or a rectangle that emits along edge_u x edge_v."""
 
     name: str
     kind: Literal["area", "point"]
@@ -151,7 +150,7 @@ class LightSlot(StrictModel):
 
 
 class Opening(StrictModel):
-    """A window or door through which daylight enters; edge_u x edge_v points into the room."""
+    """Rectangle of a window or door that admits daylight; edge_u x edge_v points into the room."""
 
     name: str
     origin_m: Vector3
@@ -160,7 +159,7 @@ class Opening(StrictModel):
 
 
 class Box(StrictModel):
-    """Axis-aligned box."""
+    """Axis-aligned box in the asset's frame."""
 
     minimum_m: Vector3
     maximum_m: Vector3
@@ -173,7 +172,7 @@ class Box(StrictModel):
 
 
 class PinholeFields(StrictModel):
-    """Name, size and lens of a camera in a file (see ``datagen.foundation.cameras`` for the conventions)."""
+    """Name, image size and intrinsics of a camera in a file (conventions: ``datagen.foundation.cameras``)."""
 
     name: str
     width_px: Annotated[int, Field(gt=0, le=65536)]
@@ -185,12 +184,12 @@ class PinholeFields(StrictModel):
 
 
 def lens_of(camera: Camera) -> dict[str, Any]:
-    """Size and lens of a camera, by field of :class:`PinholeFields`."""
+    """Image size and intrinsics of a camera as values of the fields of :class:`PinholeFields`."""
     return {field: getattr(camera, field) for field in PinholeFields.model_fields if field != "name"}
 
 
 class AssetCamera(PinholeFields):
-    """A camera from an asset's source file (see ``datagen.foundation.cameras`` for the conventions)."""
+    """A camera from an asset's source file, in the asset's frame."""
 
     asset_from_camera: Matrix4
     clip_m: ClipRange = None
@@ -201,7 +200,7 @@ class AssetCamera(PinholeFields):
 
 
 class Provenance(StrictModel):
-    """Origin of an asset. ``license`` is an SPDX identifier."""
+    """Origin of an asset. ``license``: SPDX identifier; ``usage: evaluation_only`` excludes it from plans."""
 
     license: str
     author: str = ""
@@ -243,7 +242,7 @@ class _GeometryAsset(_AssetBase):
                 )
         names = [part.name for part in self.parts]
         if len(set(names)) != len(names):
-            raise ValueError("expected every part to have its own name")
+            raise ValueError("expected the names of the parts to be unique")
         return self
 
 
@@ -251,8 +250,8 @@ class ObjectAsset(_GeometryAsset):
     """An object that can be placed in a room.
 
     ``minimum_m`` and ``maximum_m`` bound the meshes (z from 0); the footprint is their x-y rectangle unless
-    ``footprint_m`` gives a convex polygon. Scale and yaw are drawn within the ranges given here. ``supports``
-    is empty for hanging or built-in objects, which are never placed.
+    ``footprint_m`` gives a convex polygon. Scale and yaw are drawn from their ranges. ``supports``: kinds of
+    surfaces on which it may stand; empty for hanging or built-in objects, which are never placed.
     """
 
     kind: Literal["object"] = "object"
@@ -266,7 +265,7 @@ class ObjectAsset(_GeometryAsset):
 
 
 class EnvironmentAsset(_GeometryAsset):
-    """A room: geometry, its own lights, and possible positions of objects, lights and cameras."""
+    """A room: geometry, lights, and possible positions of objects, added lights and cameras."""
 
     kind: Literal["environment"] = "environment"
     support_surfaces: tuple[SupportSurface, ...] = ()
@@ -279,8 +278,8 @@ class EnvironmentAsset(_GeometryAsset):
 class PanoramaAsset(_AssetBase):
     """The surroundings of a room: an equirectangular EXR ``image`` of relative radiance, linear Rec.709.
 
-    Its centre column is +Y and its top row +Z. ``daytime`` is the time of day of the photograph, ``overcast``
-    a day without shadows.
+    Its centre column faces +Y and its top row +Z. ``daytime``: time of day of the photograph; ``overcast``
+    means a day without shadows.
     """
 
     kind: Literal["panorama"] = "panorama"

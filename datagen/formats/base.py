@@ -22,8 +22,8 @@ from datagen.formats.yaml_places import YamlPlaces, syntax_error
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem
 
-MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file cannot be one of ours
-_MAX_YAML_BYTES = 512 * 1024  # such files are hand-written; the parser takes 5 s for this size
+MAX_TEXT_BYTES = 256 * 1024 * 1024  # more than any valid JSON or YAML file has
+_MAX_YAML_BYTES = 512 * 1024  # YAML files are hand-written; parsing this size takes 5 s
 _MAX_SLUG = 200  # leaves room for a suffix in a file name
 
 
@@ -45,7 +45,7 @@ def _check_slug(value: str) -> str:
 def _check_relative_path(value: str) -> str:
     parts = value.replace("\\", "/").split("/")
     if (
-        not value.isprintable()  # a zero byte ends a name for the system, but not for Python
+        not value.isprintable()  # a NUL ends a name for the system, not for Python
         or value.startswith(("/", "\\"))
         or ":" in value
         or any(p in ("", ".", "..") for p in parts)
@@ -54,7 +54,7 @@ def _check_relative_path(value: str) -> str:
     return value
 
 
-def _check_rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+def _check_affine(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     if tuple(rows[3]) != (0.0, 0.0, 0.0, 1.0):
         raise ValueError("expected a 4x4 matrix whose last row is 0 0 0 1")
     return rows
@@ -74,7 +74,7 @@ UnitColor = tuple[Unit, Unit, Unit]
 
 def _check_clip(limits: tuple[float, float] | None) -> tuple[float, float] | None:
     if limits is not None and not limits[0] < limits[1]:
-        raise ValueError("expected the near limit to be below the far one")
+        raise ValueError("expected the near limit to be below the far limit")
     return limits
 
 
@@ -85,25 +85,25 @@ ClipRange = Annotated[
 ]
 """Near and far clipping distance of a camera in metres, along its optical axis; None = everything in front.
 
-None is not written, so that files without limits have the same bytes as before this field existed."""
+None is not written: files without limits keep the bytes that they had before this field existed."""
 Radiometric3 = tuple[NonNegative, NonNegative, NonNegative]
-"""Linear Rec.709 radiance, intensity or irradiance."""
+"""Radiance in W/(m^2 sr), intensity in W/sr or irradiance in W/m^2, linear Rec.709."""
 _Row = tuple[float, float, float, float]
-Matrix4 = Annotated[tuple[_Row, _Row, _Row, _Row], AfterValidator(_check_rigid)]
-"""Row-major affine transform."""
+Matrix4 = Annotated[tuple[_Row, _Row, _Row, _Row], AfterValidator(_check_affine)]
+"""Affine transform as four rows; the last is 0 0 0 1."""
 IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 Location = tuple[int | str, ...]
-"""Keys and indices of a field."""
+"""Keys and indices that lead to a field."""
 
 
-# Bounded: the repr of a small file with nested aliases could fill the memory.
+# Bounded: nested YAML aliases give a small file a repr that could fill the memory.
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 120, 120
 
 
-def _field_path(location: tuple[int | str, ...]) -> str:
+def _field_path(location: Location) -> str:
     text = ""
     for part in location:
         text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else str(part))
@@ -111,17 +111,17 @@ def _field_path(location: tuple[int | str, ...]) -> str:
 
 
 def problems_of(where: str | Path | Callable[[Location], str], error: ValidationError) -> list[Problem]:
-    """A model's errors as text; ``where`` is a file, or a function that returns a field's position."""
+    """Problems from validation errors; ``where``: the file, or a function from location to position."""
     problems = []
     for entry in error.errors(include_url=False):
-        place = where(entry["loc"]) if callable(where) else where
+        position = where(entry["loc"]) if callable(where) else where
         got = "" if entry["type"] == "missing" else _SHORT.repr(entry.get("input"))
         expected = entry["msg"].removeprefix("Value error, ")
         expected = expected[0].lower() + expected[1:]
         expected = expected.removeprefix("expected ").removeprefix("input should be ")
         if entry["loc"] == ("format",) and entry["type"] == "literal_error":
-            # A file of another kind: further differences are meaningless.
-            return [Problem(place, "format", got, expected, "this is another kind of file; check the path")]
+            # a file of another kind, whose further errors are meaningless
+            return [Problem(position, "format", got, expected, "another kind of file; check the path")]
         if entry["type"] == "extra_forbidden":
             expected, remedy = "no such key", "correct its spelling or remove it"
         elif entry["type"] == "model_type":
@@ -130,12 +130,12 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
             expected, remedy = "this key to be present", "add it"
         else:
             remedy = "correct the value"
-        problems.append(Problem(place, _field_path(entry["loc"]), got, expected, remedy))
+        problems.append(Problem(position, _field_path(entry["loc"]), got, expected, remedy))
     return problems
 
 
 def parse_model(model: type[ModelT], data: Any, where: str | Path) -> ModelT:
-    """Validate ``data`` as ``model``; raises :class:`InputError` with every problem."""
+    """Validate plain data as a ``model``. Raises :class:`InputError` with every problem in ``where``."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -160,11 +160,11 @@ def _read_text(path: Path) -> str:
         raise InputError(Problem(path, "", "not text", "a UTF-8 text file", "check the path")) from None
     except OSError as error:
         got = (error.strerror or str(error)).lower()
-        raise InputError(Problem(path, "", got, "a readable file", "check the path and its rights")) from None
+        raise InputError(Problem(path, "", got, "a readable file", "check path and permissions")) from None
 
 
 def read_json(model: type[ModelT], path: Path) -> ModelT:
-    """Read a JSON file as ``model``; raises :class:`InputError`."""
+    """Read a JSON file as a ``model``. Raises :class:`InputError` with every problem."""
     text = _read_text(path)
     try:
         data = json.loads(text)
@@ -174,7 +174,7 @@ def read_json(model: type[ModelT], path: Path) -> ModelT:
 
 
 def read_yaml(model: type[ModelT], path: Path) -> ModelT:
-    """Read a YAML file as ``model``; raises :class:`InputError` with line and column of every problem."""
+    """Read a YAML file as a ``model``. Raises :class:`InputError` with line and column of every problem."""
     text = _read_text(path)
     if len(text) > _MAX_YAML_BYTES:
         raise InputError(Problem(path, "", f"{len(text)} characters", "a YAML file of at most 512 kB"))
@@ -190,7 +190,7 @@ def read_yaml(model: type[ModelT], path: Path) -> ModelT:
 
 
 def differences(old: Any, new: Any, field: str = "") -> list[tuple[str, str, str]]:
-    """Differences of two trees of plain data: field, old value and new value of each leaf, shortened."""
+    """(field, old value, new value), as short texts, of each leaf in which two trees of plain data differ."""
     if isinstance(old, dict) and isinstance(new, dict):
         found = []
         for key in dict.fromkeys((*old, *new)):
@@ -211,7 +211,7 @@ def _brief(value: Any) -> str:
 
 
 def canonical_json(data: BaseModel | dict[str, Any] | list[Any]) -> bytes:
-    """UTF-8 JSON with sorted keys, two-space indent and a final newline: equal content, equal bytes.
+    """UTF-8 JSON with sorted keys, two-space indent and a final newline; equal content gives equal bytes.
 
     Floats are written by ``repr``, which round-trips; NaN and Inf raise ``ValueError``.
     """
@@ -227,23 +227,15 @@ def sha256_hex(data: bytes) -> str:
 
 def sha256_file(path: Path) -> str:
     """SHA-256 of a file's content in hexadecimal, read in blocks."""
-    with path.open("rb") as file:
-        return (
-            hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else _sha(file)
-        )
-
-
-def _sha(file: Any) -> str:  # Python 3.10 has no hashlib.file_digest
     digest = hashlib.sha256()
-    while block := file.read(1 << 20):
-        digest.update(block)
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):  # Python 3.10 has no hashlib.file_digest
+            digest.update(block)
     return digest.hexdigest()
 
 
 def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it appears whole or not at all, even after a power failure: temporary file, flush,
-    rename.
-    """
+    """Write a file whole or not at all, even in a power failure: write, flush and rename a temporary file."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         temporary.write_bytes(data)
@@ -251,24 +243,24 @@ def write_bytes_atomically(path: Path, data: bytes) -> None:
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.filename is None:
-            error.filename = str(path)  # write and flush errors do not contain it
+            error.filename = str(path)  # errors of write and flush lack it
         raise
 
 
 def quantized(value: float, digits: int = 9) -> float:
-    """``value`` rounded to ``digits`` significant digits, so that files stay readable and stable."""
+    """``value`` rounded to ``digits`` significant digits, for readable and reproducible files."""
     if value == 0 or not math.isfinite(value):
         return 0.0 if value == 0 else value
     return float(f"{value:.{digits}g}")
 
 
 def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
-    """Rows of a (4, 4) affine matrix for a file, with the last row exact."""
+    """Rows of a (4, 4) affine matrix, rounded to 12 significant digits, with an exact last row."""
     rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
     return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
 
 
 def vector3(values: NDArray[Any] | list[float]) -> Vector3:
-    """Three numbers for a file, to nine significant digits."""
+    """Three numbers rounded to nine significant digits."""
     x, y, z = (quantized(float(v)) for v in values)
     return x, y, z

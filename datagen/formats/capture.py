@@ -31,7 +31,7 @@ class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
     ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing coefficients are 0; ``polynomial``: k1 k2 p1 p2 k3 k4 without
-    a denominator, k4 for r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4.
+    a denominator, k4 of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]
@@ -46,10 +46,10 @@ class Distortion(StrictModel):
 
 
 class PhotographRecord(StrictModel):
-    """One photograph: its calibrated camera, before undistortion.
+    """One photograph and its calibrated camera, before undistortion.
 
-    ``image`` is absolute or relative to ``capture.json``. ``exposure_scale`` multiplies the linear image and
-    brings all views to one exposure.
+    ``image``: path, absolute or relative to ``capture.json``. ``exposure_scale``: factor of the linear image
+    that brings it to the common exposure of all views.
     """
 
     camera: ViewCamera
@@ -59,7 +59,7 @@ class PhotographRecord(StrictModel):
 
 
 class MeshRecord(StrictModel):
-    """The mesh file (PLY, OBJ, glTF, GLB) and its transform to the cameras' world."""
+    """Path of the mesh file (PLY, OBJ, glTF, GLB) and the transform from its frame to the cameras' world."""
 
     file: str
     world_from_mesh: Matrix4 = IDENTITY4
@@ -70,7 +70,7 @@ class CaptureFile(StrictModel):
 
     ``encoding``: transfer function of the images' values. ``auto`` is sRGB for integer images (PNG, JPEG,
     TIFF) and linear for EXR; ``gamma22`` is the assumption of Prakash et al. 2022 for photographs.
-    ``lights``, if known, are used when the result is rendered.
+    ``lights``, if known, illuminate renderings of the result.
     """
 
     format: Literal["scene-materials/capture"] = "scene-materials/capture"
@@ -85,7 +85,7 @@ class CaptureFile(StrictModel):
     def _names_are_unique(self) -> CaptureFile:
         names = [photograph.camera.name for photograph in self.photographs]
         if len(set(names)) != len(names):
-            raise ValueError("expected every view to have its own name")
+            raise ValueError("expected the names of the views to be unique")
         return self
 
 
@@ -94,8 +94,8 @@ class ColorImage:
     """An image and its masks.
 
     ``color`` (H, W, 3) float32 linear; ``valid_mask`` (H, W): False where undistortion left no value;
-    ``clipped_mask`` (H, W, 3): True where a channel is at the sensor's ``limit``, a radiance, so that
-    ``color`` is a lower bound; None if no limit is known.
+    ``clipped_mask`` (H, W, 3): True where ``color`` is only a lower bound, since the sensor saturates at the
+    radiance ``limit``; both are None if no limit is known.
     """
 
     color: NDArray[np.float32]
@@ -108,7 +108,7 @@ class ImageSource(Protocol):
     """Source of a view's pixels."""
 
     def read(self, camera: Camera) -> ColorImage:
-        """The image of the undistorted ``camera``. Raises :class:`InputError` if it cannot be read."""
+        """The undistorted image of ``camera``. Raises :class:`InputError` if it cannot be read."""
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
         """Stored ground truth (H, W, C) by buffer name; empty for photographs."""
@@ -116,7 +116,7 @@ class ImageSource(Protocol):
 
 @dataclass(frozen=True)
 class CaptureView:
-    """One view. ``camera`` is without distortion, at the resolution at which the view is processed."""
+    """One view. ``camera``: pinhole camera of the undistorted image, at the resolution of processing."""
 
     name: str
     camera: Camera
@@ -129,9 +129,7 @@ class CaptureView:
 
 @dataclass(frozen=True)
 class GeometryPart:
-    """Part of a mesh: triangles ``first_face`` ... ``first_face + num_faces - 1``; ``emission`` is the
-    radiance of a lamp.
-    """
+    """``num_faces`` triangles of a mesh from ``first_face``; ``emission``: radiance of a lamp, W/(m^2 sr)."""
 
     name: str
     first_face: int
@@ -141,17 +139,17 @@ class GeometryPart:
 
 @dataclass(frozen=True)
 class CaptureGeometry:
-    """One mesh in world space, v of its UVs upwards, and its parts in the order of its faces."""
+    """A mesh in world space, with v of its UVs upwards, and its consecutive parts."""
 
     mesh: Mesh
     parts: tuple[GeometryPart, ...]
 
     def __post_init__(self) -> None:
         if sum(part.num_faces for part in self.parts) != len(self.mesh.faces):
-            raise ValueError("expected the parts to hold every face once")
+            raise ValueError("expected the parts to contain every face once")
 
     def emitter_mask(self) -> NDArray[np.bool_]:
-        """Mask (M,) of emitting triangles."""
+        """Mask (M,): True for emitting triangles."""
         mask = np.zeros(len(self.mesh.faces), dtype=bool)
         for part in self.parts:
             mask[part.first_face : part.first_face + part.num_faces] = part.emission is not None
@@ -162,7 +160,7 @@ class CaptureGeometry:
 class Capture:
     """Cameras, images and geometry.
 
-    ``lights`` are known for rendered captures only; ``notes`` are the reader's decisions as sentences;
+    ``lights`` are known for rendered captures only; ``notes``: sentences about the reader's decisions;
     ``mesh_up`` is the axis of the mesh file that was assumed to be up.
     """
 

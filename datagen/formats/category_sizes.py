@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Usual sizes of objects by category, to detect a wrong unit."""
+"""Plausible sizes of objects by category, so wide that only wrong units violate them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ CATEGORY_SIZES_M: dict[str, tuple[float, float]] = {
     "cup": (0.03, 0.3), "mug": (0.03, 0.3), "plate": (0.05, 0.6), "seat": (0.25, 3.5), "chair": (0.25, 1.6),
     "sofa": (0.6, 4.0), "table": (0.2, 4.0), "bed": (0.5, 2.6),
 }  # fmt: skip
-"""Minimum and maximum of the longest side by category; generous, to detect a wrong unit rather than an odd
-vase."""
+"""Plausible minimum and maximum, in metres, of an object's longest side by category."""
 
 
 def size_fault(asset: ObjectAsset) -> str:
-    """Remark on an object's implausible longest side; "" if it is plausible, or the category is unknown."""
+    """Remark on an object's implausible longest side; "" if it is plausible or the category is unknown."""
     limits = CATEGORY_SIZES_M.get(asset.category)
     if limits is None:
         return ""
@@ -29,6 +28,6 @@ def size_fault(asset: ObjectAsset) -> str:
     if most >= limits[0] and least <= limits[1]:
         return ""
     return (
-        f"is {longest:.3g} m long; things of category {asset.category} are {limits[0]:g} to {limits[1]:g} m; "
+        f"is {longest:.3g} m long; category {asset.category} has {limits[0]:g} to {limits[1]:g} m; "
         "correct its unit or its category"
     )

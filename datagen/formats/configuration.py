@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Configurations: one room with objects, materials, lights and cameras, ready to render; readable JSON.
 
-A configuration names every asset by id and content hash and holds all decisions: the renderer makes no random
-choice of content. A configuration is a pure function of (recipe, index, library).
+A configuration names every asset by id and content hash and contains all decisions: the renderer makes no
+random choice of content. A configuration is a pure function of (recipe, index, library).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ Split = Literal["train", "validation", "test"]
 
 
 class ColorAdjustment(StrictModel):
-    """Variation of a material: applied to D and S in linear HSV, to R by an offset; results are clamped.
+    """Variation of a material, clamped: D and S change in linear HSV, ``roughness_offset`` is added to R.
 
-    ``hue_shift`` is in turns; ``saturation_scale`` and ``value_scale`` are factors; ``roughness_offset`` is
-    added. S is changed only where it is coloured (metals); its value is never scaled.
+    ``hue_shift`` is in turns (1 = 360 degrees); ``saturation_scale`` and ``value_scale`` are factors. S
+    changes only where it is coloured (metals); its HSV value is never scaled.
     """
 
     hue_shift: Annotated[float, Field(ge=-1, le=1)] = 0.0
@@ -57,8 +57,9 @@ class MaterialAssignment(StrictModel):
 class PlacedAsset(StrictModel):
     """An environment or object in the world; ``name`` is unique in the configuration.
 
-    ``world_from_asset`` holds scale, yaw and position. ``materials`` maps slot to assignment; other slots
-    keep their own material. ``emission`` replaces the radiance of emissive slots; (0, 0, 0) turns one off.
+    ``world_from_asset`` contains scale, yaw and position. ``materials`` maps slot to assignment; other slots
+    keep the asset's material. ``emission`` replaces the radiance of emissive slots; (0, 0, 0) switches one
+    off. ``support``: name of the support surface on which an object stands.
     """
 
     name: str
@@ -70,7 +71,7 @@ class PlacedAsset(StrictModel):
 
 
 class ViewCamera(PinholeFields):
-    """A camera of the configuration (conventions in ``datagen.foundation.cameras``)."""
+    """A camera in world space (conventions: ``datagen.foundation.cameras``)."""
 
     name: Slug
     world_from_camera: Matrix4
@@ -82,7 +83,7 @@ class ViewCamera(PinholeFields):
 
     @classmethod
     def from_camera(cls, name: str, camera: Camera) -> ViewCamera:
-        """A camera as stored in a file."""
+        """The file record, named ``name``, of a camera."""
         rows = tuple(tuple(float(x) for x in row) for row in camera.world_from_camera)
         return cls(
             name=name,
@@ -93,18 +94,18 @@ class ViewCamera(PinholeFields):
 
 
 METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3
-"""S (brightest channel) above and R below which a surface pixel counts as metal and as gloss."""
+"""S (largest channel) above which a surface pixel counts as metal, and R below which it counts as glossy."""
 MIN_METAL_SHARE, MIN_GLOSS_SHARE = 0.06, 0.15
-"""Shares of metal and gloss among the surface pixels that training needs."""
+"""Minimum shares of metal and of glossy surface pixels that training needs."""
 
 
 class ViewCoverage(StrictModel):
     """Summary of the views' content, from rays at low resolution.
 
-    ``median_observations``: number of views that show the median surface pixel, its own included;
-    ``thin_share``: share of the surface pixels visible in two views or fewer. ``room_share``: share of the
-    views that show two walls, or a wall and the ceiling. ``metal_share`` and ``gloss_share``: shares of the
-    surface pixels on metal and on glossy materials, by the materials' means.
+    ``median_observations``: median, over the surface points hit, of the number of views that show the point;
+    ``thin_share``: share of the points visible in two views or fewer. ``room_share``: share of the views that
+    show two walls, or a wall and the ceiling. ``metal_share`` and ``gloss_share``: shares of the surface
+    pixels on metal and on glossy materials, by the materials' mean S and R.
     """
 
     median_observations: NonNegative
@@ -115,7 +116,7 @@ class ViewCoverage(StrictModel):
 
 
 class Configuration(StrictModel):
-    """Complete input of rendering. ``lights`` lists all lights besides emissive parts.
+    """Complete input of rendering. ``lights`` lists all lights except emissive parts.
 
     ``assets`` maps every used asset id (environment, objects, materials, images of lights) to the SHA-256 of
     its package; rendering refuses a library whose packages differ. ``rejections`` counts rejected candidate
@@ -141,8 +142,8 @@ class Configuration(StrictModel):
     def _names_are_unique(self) -> Configuration:
         names = [placed.name for placed in (self.environment, *self.objects)]
         if len(set(names)) != len(names):
-            raise ValueError("expected every placed asset to have its own name")
+            raise ValueError("expected the names of placed assets to be unique")
         cameras = [camera.name for camera in self.cameras]
         if len(set(cameras)) != len(cameras):
-            raise ValueError("expected every camera to have its own name")
+            raise ValueError("expected the names of the cameras to be unique")
         return self

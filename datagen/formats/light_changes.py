@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Transforms and dimming of lights of every kind, in their respective units."""
+"""Transformation and scaling of lights of every kind."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ from datagen.formats.lights import (
 
 
 def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
-    """A light of an asset in world space; intensities are unchanged, sizes and positions follow the
-    transform.
+    """An asset's light in world space: geometry transformed by (4, 4), radiometric values unchanged.
+
+    An image of an environment without ``asset`` is attributed to the package ``asset_id``.
     """
     matrix = np.array(world_from_asset, dtype=np.float64)
     linear = matrix[:3, :3]

@@ -49,8 +49,9 @@ class SpotLight(StrictModel):
 
 
 class DirectionalLight(StrictModel):
-    """Sunlight: ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``; a diameter of 0 gives
-    sharp shadows.
+    """Sunlight of ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``.
+
+    ``angular_diameter_rad``: diameter of the sun's disk; 0 gives sharp shadows.
     """
 
     type: Literal["directional"] = "directional"
@@ -88,11 +89,11 @@ class SphereLight(StrictModel):
 
 
 class EnvironmentLight(StrictModel):
-    """Light from infinity: constant ``radiance``, or an equirectangular image times ``scale``.
+    """Light from infinity: constant ``radiance`` or, if given, an equirectangular image, times ``scale``.
 
-    ``image`` is relative to the asset package named by ``asset`` (None: the package that contains this
-    light). The image's centre column is +Y of the environment frame and its top row +Z;
-    ``world_from_environment`` rotates it. The bitmap is linear Rec.709 (EXR).
+    ``image``: linear Rec.709 EXR, relative to the asset package ``asset`` (None: the package that contains
+    this light). Its centre column faces +Y of the environment frame and its top row +Z;
+    ``world_from_environment`` rotates it.
     """
 
     type: Literal["environment"] = "environment"
@@ -107,7 +108,7 @@ class EnvironmentLight(StrictModel):
 class SkyLight(StrictModel):
     """Daylight computed by Mitsuba's ``sunsky``, without an image file.
 
-    ``sun_direction`` points towards the sun (world). Scales multiply the model's physical radiances.
+    ``sun_direction`` points towards the sun. The scales multiply the model's physical radiances.
     """
 
     type: Literal["sky"] = "sky"

@@ -46,16 +46,17 @@ _MODELS: dict[str, type[AnyAsset]] = {
     "panorama": PanoramaAsset,
 }
 ZIP_SUFFIX = ".zip"
-_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest time that a zip can store: equal content, equal bytes
+_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can store; constant for deterministic bytes
 _MESH_SUFFIXES = (".ply",)
 _TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 
 @dataclass(repr=False, eq=False)
 class Package:
-    """An opened asset package. Obtain one from :func:`open_package`; use it as a context manager if zipped.
+    """An opened asset package, from :func:`open_package`; use it as a context manager if zipped.
 
-    ``asset`` is the validated description, ``path`` the folder or zip. Paths inside are '/'-separated.
+    ``asset`` is the validated ``asset.json``, ``path`` the folder or zip. Names of files in it are
+    '/'-separated relative paths.
     """
 
     path: Path
@@ -79,13 +80,13 @@ class Package:
         return self.asset.id
 
     def names(self) -> tuple[str, ...]:
-        """The files that ``asset.json`` refers to, sorted."""
+        """Names of the files that ``asset.json`` refers to, sorted."""
         return tuple(sorted({name for _, name in referenced_files(self.asset)}))
 
     def local_file(self, name: str) -> Path:
-        """A path on disk for a file of the package; members of a zip are unpacked one by one, on demand.
+        """Path on disk of a file of the package; a zip's member is unpacked on demand, until :meth:`close`.
 
-        Unpacked members exist until :meth:`close`.
+        Raises :class:`InputError` if the zip's member cannot be read.
         """
         if self._archive is None:
             return self.path / name
@@ -119,9 +120,9 @@ class Package:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the content: ``asset.json`` (whatever its layout) and every file that it names.
+        """SHA-256, in hexadecimal, of the content of ``asset.json`` and of every file that it names.
 
-        A folder and its zip have the same hash; files that the asset does not name are ignored.
+        A folder and its zip have the same hash, independent of the layout of the JSON and of other files.
         """
         lines = [f"{sha256_hex(canonical_json(self._data))}  {ASSET_FILE}\n"]
         for name in self.names():
@@ -179,12 +180,12 @@ def open_package(path: str | Path, budget: Budget | None = None) -> Package:
     if path.is_file():
         return _open_zip(path, budget)
     raise input_error(
-        path, got="nothing there", expected="an asset package (folder or zip)", remedy="check the path"
+        path, "", "no such file or folder", "an asset package (folder or zip)", "check the path"
     )
 
 
 def is_package(path: Path) -> bool:
-    """Whether a path looks like a package: a folder with ``asset.json``, or a zip that contains one."""
+    """Whether a path is a folder with ``asset.json`` or a zip that contains exactly one."""
     if path.is_dir():
         return (path / ASSET_FILE).is_file()
     if path.suffix.lower() != ZIP_SUFFIX or not path.is_file():
@@ -246,7 +247,7 @@ def _open_folder(folder: Path) -> Package:
 
 
 def _folder_fault(folder: Path, name: str) -> str:
-    """Reason to refuse a member of a folder; '' if it is a plain file reached without links."""
+    """Reason to refuse a file of a package folder; '' if it is a regular file reached without links."""
     real, fault = fault_of(folder, name)
     if real is None:
         return fault
@@ -256,7 +257,7 @@ def _folder_fault(folder: Path, name: str) -> str:
 
 
 def _find_prefix(names: list[str]) -> str | None:
-    """'' or 'folder/' in front of asset.json; None if there is no asset.json or several."""
+    """Path prefix of asset.json among a zip's names ('' or 'folder/'); None unless exactly one exists."""
     hits = [n for n in names if n == ASSET_FILE or (n.endswith("/" + ASSET_FILE) and n.count("/") == 1)]
     return hits[0].removesuffix(ASSET_FILE) if len(hits) == 1 else None
 
@@ -299,10 +300,9 @@ FileSource = bytes | Path
 
 
 def package_in_memory(asset: AnyAsset, files: Mapping[str, bytes]) -> tuple[bytes, Package]:
-    """The bytes of a zip with an asset and its files, and the package opened from them, without a file on
-    disk.
+    """Zip an asset and its files in memory; returns the zip's bytes and the package opened from them.
 
-    The zip's bytes depend on content alone; written to disk they are a regular package.
+    Equal content gives equal bytes. Raises :class:`InputError` if a file that the asset names is missing.
     """
     sink = io.BytesIO()
     _write_zip(sink, {ASSET_FILE: canonical_json(asset), **files})
@@ -328,8 +328,8 @@ def write_package(
 
     ``files`` maps names inside the package to bytes or to files on disk; it must contain every file that the
     asset names and may contain more (a licence text, a preview). ``validate`` is called with the package
-    before it gets its final path, and may raise. Zip bytes depend on content alone. Raises
-    :class:`InputError` if the target exists and ``overwrite`` is not set, or if a named file is missing from
+    before it gets its final path, and may raise. Equal content gives equal zip bytes. Raises
+    :class:`InputError` if ``path`` exists and ``overwrite`` is not set, or if a named file is missing from
     ``files``.
     """
     path = Path(path)
@@ -338,7 +338,7 @@ def write_package(
             path, got="exists already", expected="a new path", remedy="remove it or overwrite it"
         )
     problems = [
-        Problem(path, field, repr(name), "a file handed to the writer", "add it")
+        Problem(path, field, repr(name), "a file of the package", "add it")
         for field, name in referenced_files(asset)
         if name not in files
     ]
@@ -368,7 +368,7 @@ def write_package(
         raise input_error(
             path,
             got=str(error),
-            expected="room and permission to write",
+            expected="free space and permission to write",
             remedy="free space or choose another folder",
         ) from None
     except BaseException:
@@ -378,7 +378,7 @@ def write_package(
 
 
 def _renamed(problem: Problem, partial: Path, path: Path) -> Problem:
-    """A problem of the temporary package, reported with the path that the user asked for."""
+    """A problem of the temporary package ``partial``, attributed to the final ``path``."""
     return replace(problem, where=str(problem.where).replace(str(partial), str(path)))
 
 
@@ -402,7 +402,7 @@ def _write_zip(target: Path | io.BytesIO, content: Mapping[str, FileSource]) -> 
             info = zipfile.ZipInfo(name, _ZIP_TIME)
             info.external_attr = (stat.S_IFREG | 0o644) << 16
             info.create_system = 3  # Unix: otherwise the field depends on the system that made the zip
-            # images are compressed already; deflating them again takes time without gain
+            # images are compressed already
             stored = name.lower().endswith(_TEXTURE_SUFFIXES)
             info.compress_type = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED
             source = content[name]
@@ -420,7 +420,7 @@ def _remove(path: Path) -> None:
 
 
 def _replace(partial: Path, path: Path) -> None:
-    """Move ``partial`` to ``path``; a folder cannot be renamed onto a non-empty one."""
+    """Move ``partial`` to ``path``; a folder there, which a rename cannot replace, is set aside first."""
     if path.is_dir() and not path.is_symlink():
         old = path.with_name(f".{path.name}.{os.getpid()}.old")
         _remove(old)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Shards: WebDataset tar files with deterministic bytes, one configuration each, and the dataset's index.
 
-A shard holds ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order,
+A shard contains ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order,
 after ``__meta__/configuration``: WebDataset skips names in such folders, Hugging Face's `datasets` skips
 names without a suffix. Headers are USTAR with fixed owner, mode and time. Before result revision 8 that
 member was called ``__meta__/configuration.json``; such shards can still be read.
@@ -46,7 +46,7 @@ class AssetRecord(StrictModel):
 
 
 class ShardRecord(StrictModel):
-    """One shard in the index. ``file`` is relative to the index."""
+    """One shard in the index. ``file`` is a path relative to the index."""
 
     file: RelativePath
     sha256: str
@@ -112,7 +112,7 @@ class ShardReader:
         self.names = tuple(names) if names is not None else None
 
     def members(self) -> Iterator[tuple[str, bytes]]:
-        """Raw members in order: (name, content)."""
+        """Yield (name, content) of each member, in order."""
         if self.path.exists() and not self.path.is_file():
             raise InputError(Problem(self.path, "", "a folder, pipe or device", "a shard", "check the path"))
         try:
@@ -120,8 +120,8 @@ class ShardReader:
                 for info in tar:
                     # `isreg` is true for sparse members too, whose few bytes may expand to any size
                     if not info.isreg() or info.issparse() or info.size > MAX_MEMBER_BYTES:
-                        what = f"{info.name!r}, type {info.type!r}, {info.size} bytes"
-                        raise InputError(Problem(self.path, "member", what, "a regular file", _REMEDY))
+                        got = f"{info.name!r}, type {info.type!r}, {info.size} bytes"
+                        raise InputError(Problem(self.path, "member", got, "a regular file", _REMEDY))
                     file = tar.extractfile(info)
                     data = file.read() if file else b""
                     if len(data) != info.size:
@@ -137,14 +137,14 @@ class ShardReader:
             raise InputError(Problem(self.path, "", str(error), "an intact tar file", _REMEDY)) from None
 
     def configuration(self) -> Configuration:
-        """The configuration from which the shard was made."""
+        """The shard's configuration. Raises :class:`InputError` if it is missing or damaged."""
         for name, data in self.members():
             if name in CONFIGURATION_MEMBERS:
                 return parse_model(Configuration, _json(data, f"{self.path}:{name}"), f"{self.path}:{name}")
         raise InputError(Problem(self.path, CONFIGURATION_MEMBER, "missing", "this member", _REMEDY))
 
     def records(self) -> Iterator[ViewRecord]:
-        """The views' records without decoding pixels."""
+        """Yield the views' records, without decoding pixels."""
         for name, data in self.members():
             if name.endswith(".json") and name not in CONFIGURATION_MEMBERS:
                 where = f"{self.path}:{name}"
@@ -194,7 +194,7 @@ class Dataset:
         return [inside(self.folder, self.folder / s.file) for s in shards]
 
     def views(self, split: Split | None = None, names: Iterable[str] | None = None) -> Iterator[View]:
-        """Every view of ``split``, with the buffers in ``names`` (None = all)."""
+        """Yield every view of ``split`` (None = all), with the buffers in ``names`` (None = all)."""
         chosen = tuple(names) if names is not None else None
         for path in self.shard_paths(split):
             yield from ShardReader(path, chosen)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An environment package alone, as a configuration: its own materials, lights and cameras."""
+"""Configuration of an environment package alone, with its materials, lights and cameras."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from datagen.foundation.errors import input_error
 
 
 def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Configuration:
-    """The package alone as a configuration; cameras keep their order and are named ``view_000`` onwards."""
+    """Configuration of an environment package alone; its cameras are named ``view_000`` onwards, in order.
+
+    ``content_hash``: the package's SHA-256. Raises :class:`InputError` if it has no camera.
+    """
     asset = open_package(package_path).asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
         raise input_error(
@@ -38,7 +41,7 @@ def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Co
 
 
 def _located(light: Light, asset_id: str) -> Light:
-    """A light whose image is looked up by the package's id."""
+    """The light, with its image, if any, attributed to the package ``asset_id``."""
     if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
         return light.model_copy(update={"asset": asset_id})
     return light

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Textures of a package as material values."""
+"""Conversion of texture pixels to material values."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from datagen.foundation.images import normalized
 def texture_values(texture: Texture, pixels: NDArray[Any], is_scalar: bool) -> NDArray[np.float32]:
     """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
 
-    ``pixels`` are as returned by :func:`read_image`. Returns (H, W) if ``is_scalar``, else (H, W, 3). A
-    scalar channel that names ``rgb`` uses the luminance, as Mitsuba does.
+    ``pixels``: (H, W, C) of :func:`datagen.foundation.images.read_image`. Returns (H, W) if ``is_scalar``
+    (the luminance of ``rgb``, as in Mitsuba), else (H, W, 3). Raises :class:`InputError` if the image lacks
+    the channel.
     """
     values = normalized(pixels)
     num_channels = values.shape[2]

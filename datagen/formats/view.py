@@ -16,7 +16,7 @@ from datagen.formats.configuration import Split, ViewCamera
 
 
 def _names_from_file(value: Any) -> Any:
-    """A file's list of ids and names as a dictionary, which files of version 1 contain directly."""
+    """Convert a file's list of ids and names to a dictionary; files of version 1 contain the dictionary."""
     if not isinstance(value, list | tuple):
         return value
     names: dict[str, str] = {}
@@ -45,21 +45,20 @@ NamesOfIds = Annotated[
     PlainSerializer(_names_to_file),
     WithJsonSchema({"items": _NAMED_ID, "type": "array"}),
 ]
-"""Id to name.
+"""Names by id; in files a list of ``{"id": 1, "name": "..."}``.
 
-In files a list of ``{"id": 1, "name": "..."}``, so that all views have one type, whatever their ids: column
-libraries (Arrow, used by Hugging Face's `datasets`) turn keys into columns."""
+Column libraries (Arrow, in Hugging Face's `datasets`) would turn ids as keys into columns."""
 _T = TypeVar("_T")
 _IfAny = Annotated[_T | None, Field(exclude_if=lambda value: value is None)]
-"""A value that is not written if it is None: a column that begins with nulls would have no type."""
+"""A value that is not written if it is None: a column whose first values are null would have no type."""
 
 
 class RenderRecord(StrictModel):
     """Record of a view's rendering. ``clipped_pixels``: number of pixels beyond the range of half floats.
 
     ``path_samples``: mean number of light paths per pixel. If a target error was given, ``most_path_samples``
-    is the largest number for any pixel, ``estimated_rel_mse`` the error estimated from independent halves
-    (exposed relMSE of the beauty image) plus its standard error, and ``at_ceiling`` is true if the sample
+    is the largest number for any pixel, ``estimated_rel_mse`` the relMSE of the beauty image, estimated from
+    two independent halves of the samples, plus its standard error, and ``at_ceiling`` is true if the sample
     limit was reached before the target. ``firefly_clamp_radiance`` is the maximum radiance of a path of two
     or more bounces, ``clamped_energy`` the share of the luminance removed by it. ``max_energy_left`` bounds
     the share of the light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the cells of
@@ -84,9 +83,7 @@ class RenderRecord(StrictModel):
 
 
 class StatisticsRecord(StrictModel):
-    """Record of a view's statistics; ``light``: whether the statistics include the light that the views
-    record.
-    """
+    """Record of a view's statistics; ``light``: whether they include the light buffers."""
 
     num_views: int
     best_views: int

@@ -24,9 +24,7 @@ class ViewPlace:
 
 
 def index_shard(path: Path) -> list[ViewPlace]:
-    """The views of a shard, from the tar's headers alone. Raises :class:`InputError` if the tar is
-    damaged.
-    """
+    """Index a shard's views from the tar's headers alone. Raises :class:`InputError` for a damaged tar."""
     members: dict[str, dict[str, tuple[int, int]]] = {}
     try:
         with tarfile.open(path, mode="r:") as tar:
@@ -53,7 +51,7 @@ def index_shard(path: Path) -> list[ViewPlace]:
 
 
 def read_member(place: ViewPlace, part: tuple[int, int]) -> bytes:
-    """The bytes of one member (offset, size) of a view."""
+    """Bytes of a view's member at ``part`` (offset, size). Raises :class:`InputError` if the tar is short."""
     with place.shard.open("rb") as file:
         file.seek(part[0])
         data = file.read(part[1])

@@ -13,7 +13,7 @@ _MERGE = "<<"
 
 
 class YamlPlaces:
-    """Positions of the fields of one document, by the paths in a model's errors."""
+    """Function from a field's location in a validation error to its position in a YAML document."""
 
     def __init__(self, path: Path, text: str):
         self.path = path
@@ -22,7 +22,7 @@ class YamlPlaces:
     def __call__(self, location: tuple[int | str, ...]) -> str:
         """``FILE:LINE:COLUMN`` of a field, or of its parent if it is missing.
 
-        A part that is not a key is skipped: models put the kind of a choice into their paths.
+        Parts that are no keys are skipped: pydantic adds the chosen type of a union to locations.
         """
         mark, node = (self._root.start_mark if self._root is not None else None), self._root
         for part in location:
@@ -35,15 +35,15 @@ class YamlPlaces:
 def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
     """Position and description of a YAML syntax error."""
     mark = getattr(error, "problem_mark", None)
-    what = getattr(error, "problem", None)
-    if mark is None or what is None:
+    problem = getattr(error, "problem", None)
+    if mark is None or problem is None:
         return str(path), " ".join(str(error).split())
     context = getattr(error, "context", None)
-    return f"{path}:{mark.line + 1}:{mark.column + 1}", f"{what} {context}" if context else what
+    return f"{path}:{mark.line + 1}:{mark.column + 1}", f"{problem} {context}" if context else problem
 
 
 def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
-    """Position at which an entry (a key, an item) begins, and its value."""
+    """Start and value of a node's entry ``part`` (key or index), or None."""
     if isinstance(node, SequenceNode):
         if isinstance(part, int) and 0 <= part < len(node.value):
             return node.value[part].start_mark, node.value[part]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Zip files from other sources: limits on their members, checked before any is unpacked."""
+"""Checks of untrusted zip files before any member is unpacked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import Problem, raise_problems
 
-# All exceptions of zipfile for damaged archives; each was seen with fuzzed ones.
+# Exceptions of zipfile for damaged archives; each occurred with fuzzed ones.
 ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Axes and units of foreign files, converted to metres with Z up."""
+"""Conversion of the axes and units of foreign files to metres with Z up."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ Z_UP_FROM_Y_UP = np.array(
 
 
 def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
-    """(4, 4) transform from the file's frame to metres with Z up."""
+    """(4, 4) transform to metres with Z up from a file whose unit is ``unit_scale`` metres.
+
+    Raises :class:`InputError` unless the scale is positive and finite.
+    """
     if not (np.isfinite(unit_scale) and unit_scale > 0):
         raise input_error("unit scale", got=unit_scale, expected="a positive number of metres per unit")
     scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
@@ -26,4 +29,5 @@ def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.fl
 
 
 def unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``vector`` divided by its length; a zero vector stays zero."""
     return vector / max(float(np.linalg.norm(vector)), 1e-30)

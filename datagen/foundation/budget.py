@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Limits of untrusted files: one budget per import, charged by every reader.
+"""Resource limits for untrusted files: one budget per import, charged by every reader.
 
 A small file can expand to a large amount of data: references that fan out, a mesh placed a million times,
 compressed zeros. Each limit applies to the expanded data and grows with the actual size of the file, so that
@@ -25,21 +25,21 @@ LimitName = Literal[
     "nodes", "depth", "references", "instances", "triangles", "pairs", "pixels", "bytes", "values",
     "frames",
 ]  # fmt: skip
-_MAX_DEPTH = 2000  # each level takes up to four calls of the interpreter's limited stack
+_MAX_DEPTH = 2000  # each level needs up to four frames of the interpreter's limited stack
 _CALLS_PER_LEVEL = 4
 _USUAL_CALLS = 1000
 _PER_BYTE: dict[LimitName, float] = {"triangles": 1 / 8, "pairs": 20.0, "pixels": 8.0, "bytes": 20.0}
-"""Allowance per byte of the input files that is added to a limit: no format stores more triangles per byte,
-and pictures or archives rarely store more pixels or bytes."""
+"""Increase of a limit per byte of the input files: no format stores more triangles per byte, and images and
+archives rarely store more pixels or bytes."""
 _NOUNS: dict[LimitName, str] = {
-    "nodes": "elements or nodes, each counted as often as it is referred to",
-    "depth": "levels of elements, nodes or references inside each other",
+    "nodes": "elements or nodes, counted once per reference",
+    "depth": "nested levels of elements, nodes or references",
     "references": "references followed",
     "instances": "meshes placed",
     "triangles": "triangles placed",
     "pairs": "pairs of triangles at a vertex, or of corners of a polygon",
     "pixels": "pixels decoded",
-    "bytes": "bytes made of the file by unpacking or substitution",
+    "bytes": "bytes unpacked or substituted",
     "values": "values in a document",
     "frames": "cameras or photographs",
 }
@@ -47,7 +47,7 @@ _NOUNS: dict[LimitName, str] = {
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an import on each count that a budget charges.
+    """Maximum during an import of each count that a budget charges.
 
     A mesh counts as many triangles as it has faces or, if more, a third of its vertices.
     """
@@ -74,8 +74,7 @@ class Limits:
 
     @classmethod
     def from_environment(cls) -> Limits:
-        """The defaults, changed by ``LIMITS_VARIABLE``. Raises :class:`InputError` for unknown names and
-        impossible values."""
+        """Defaults overridden by ``LIMITS_VARIABLE``. Raises :class:`InputError` for a bad name or value."""
         changes: dict[str, int] = {}
         names = [item.name for item in fields(cls)]
         for entry in filter(None, os.environ.get(LIMITS_VARIABLE, "").split(",")):
@@ -88,7 +87,7 @@ class Limits:
 
 
 class Budget:
-    """Consumption of an import's limits. ``where`` is the imported file.
+    """Amounts that the import of the file ``where`` has used, and their limits.
 
     Readers declare a file's size (:meth:`hold`) and charge their output before they allocate it
     (:meth:`spend`), which raises :class:`InputError` beyond the limit.
@@ -105,7 +104,7 @@ class Budget:
             sys.setrecursionlimit(max(sys.getrecursionlimit(), calls))
 
     def hold(self, num_bytes: int) -> None:
-        """Add the size of existing input, which raises the limits of the data made from it."""
+        """Add the size of existing input, which raises the limits of the data derived from it."""
         self._held += num_bytes
 
     def hold_file(self, path: Path) -> None:
@@ -116,28 +115,28 @@ class Budget:
             self.hold(real.stat().st_size)
 
     def allowed(self, what: LimitName) -> int:
-        """The current limit of ``what``."""
+        """The limit of ``what``, including the increase by the size of the input."""
         return int(getattr(self.limits, what) + _PER_BYTE.get(what, 0.0) * self._held)
 
     def spend(self, what: LimitName, amount: int = 1, at: str = "") -> None:
-        """Charge ``amount`` of ``what``; ``at`` is the position in the file. Raises beyond the limit."""
+        """Charge ``amount`` at position ``at`` in the file. Raises :class:`InputError` beyond the limit."""
         total = self._spent.get(what, 0) + amount
         self._spent[what] = total
         if total > self.allowed(what):
             raise self.exceeded(what, total, at)
 
     def check_depth(self, depth: int, at: str = "") -> None:
-        """Raise if the nesting is deeper than the limit."""
+        """Raise :class:`InputError` if the nesting is deeper than the limit."""
         if depth > self.limits.depth:
             raise self.exceeded("depth", depth, at)
 
     def exceeded(self, what: LimitName, amount: int, at: str = "") -> InputError:
         """The error for a limit that would be exceeded; ``amount`` is a lower bound of the actual amount."""
         base, limit = getattr(self.limits, what), self.allowed(what)
-        # one and a half times the counted amount: counting stops at the limit, so that there may be more
+        # with a margin of half the counted amount, since counting stopped at the limit
         needed = amount + amount // 2 - (limit - base)
-        share = f" ({base} and what the size of the files adds)" if limit > base else ""
-        remedy = f"if you trust the file, raise it by the environment: {LIMITS_VARIABLE}={what}={needed}"
+        share = f" ({base} plus an allowance for the size of the files)" if limit > base else ""
+        remedy = f"if you trust the file, raise the limit: {LIMITS_VARIABLE}={what}={needed}"
         if what == "depth" and amount > _MAX_DEPTH:
             remedy = (
                 f"the limit can be raised by {LIMITS_VARIABLE}=depth={_MAX_DEPTH} at most: correct the file"

@@ -20,7 +20,7 @@ Stage = Literal["radiance", "ground_truth", "statistics"]
 
 
 class MaterialMaps(NamedTuple):
-    """Names of D, S and R, in their common order."""
+    """Names of the buffers and material channels of D, S and R, in this order everywhere."""
 
     diffuse_albedo: str
     specular_albedo: str
@@ -35,7 +35,8 @@ class Buffer:
     """One buffer: its name, EXR channel suffixes, storage type, unit, closed valid range and fill value.
 
     ``invalid`` fills pixels in which the quantity does not exist (background, emitters). ``stage`` is its
-    origin: path tracing, the ground truth of the first hit, or statistics over views.
+    origin: path tracing, the ground truth of the first hit, or statistics over views. ``is_optional``: views
+    may lack it.
     """
 
     name: str
@@ -88,8 +89,8 @@ def _id(name: str, of: str) -> Buffer:
 
 
 _ALL = (
-    _color("beauty", "radiance", "rendered image, denoised where the recipe asks for it"),
-    _color("beauty_noisy", "radiance", "the same image before the denoiser (kept only if asked for)", True),
+    _color("beauty", "radiance", "rendered image, denoised if the recipe enables it"),
+    _color("beauty_noisy", "radiance", "the same image before the denoiser (only with keep_noisy)", True),
     _albedo(MATERIAL_MAPS.diffuse_albedo, "diffuse albedo D at the first hit"),
     _albedo(MATERIAL_MAPS.specular_albedo, "specular albedo S (F0) at the first hit"),
     Buffer(
@@ -179,12 +180,8 @@ _ALL = (
         "statistics",
         True,
     ),
-    _color(
-        "mirror_sharp", "statistics", "what a surface of S = 1 and R = 0.2 would mirror of the room", True
-    ),
-    _color(
-        "mirror_broad", "statistics", "what a surface of S = 1 and R = 0.5 would mirror of the room", True
-    ),
+    _color("mirror_sharp", "statistics", "radiance that a surface of S = 1 and R = 0.2 would reflect", True),
+    _color("mirror_broad", "statistics", "radiance that a surface of S = 1 and R = 0.5 would reflect", True),
 )
 
 BUFFERS: dict[str, Buffer] = {buffer.name: buffer for buffer in _ALL}
@@ -200,16 +197,15 @@ STATISTICS_BUFFERS = _names("statistics")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 """Buffers of a complete view; ``beauty_noisy`` and :data:`LIGHT_BUFFERS` are optional."""
 LIGHT_BUFFERS = ("reflectance", "known_share", "mirror_sharp", "mirror_broad")
-"""Light that the views of a configuration record, if the recipe asks for it (``statistics.light``)."""
+"""Buffers of the light that a configuration's views record, enabled by ``statistics.light`` of the recipe."""
 MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}
-"""Perceptual roughness of the mirror images."""
+"""R of the hypothetical surface whose reflected radiance a buffer stores."""
 MIN_COVERAGE = 0.5
-"""Minimum ``surface_mask`` of a pixel that counts as surface; below it, most of its colour comes from
-elsewhere."""
+"""Minimum ``surface_mask`` of a surface pixel; below it, most of the colour is not the surface's."""
 
 
 def get_buffer(name: str) -> Buffer:
-    """The registered buffer with that name; raises ``KeyError`` with the known names."""
+    """The buffer registered as ``name``. Raises ``KeyError`` with the known names."""
     try:
         return BUFFERS[name]
     except KeyError:
@@ -217,7 +213,7 @@ def get_buffer(name: str) -> Buffer:
 
 
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that count as surface."""
+    """Mask (H, W): True where ``depth_z_m`` and ``surface_mask``, if present, indicate a surface."""
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)
     if "depth_z_m" in view:

@@ -26,18 +26,18 @@ def bundled_folder() -> Path:
 
 
 def _places() -> tuple[Path, Path]:
-    """The folder in an installation, and in a checkout."""
+    """Candidate folders of the bundled data: in an installation and in a checkout."""
     package = Path(__file__).resolve().parents[1]
     return package / "scenes", package.parent / "scenes"
 
 
 def is_bundled(package: Path) -> bool:
-    """Whether an asset package belongs to the bundled library, also in a copy of the sources."""
+    """Whether an asset package is in the bundled library, installed or in a checkout."""
     return any(package.resolve().is_relative_to((place / "library").resolve()) for place in _places())
 
 
 def bundled_library() -> Path:
-    """The library that comes with the project."""
+    """Folder of the bundled library."""
     return bundled_folder() / "library"
 
 
@@ -47,7 +47,7 @@ def bundled_names(kind: BundledKind) -> list[str]:
 
 
 def resolve_bundled(path: Path, kind: BundledKind) -> Path:
-    """A file named in a command: ``path`` itself, or the bundled file with that name.
+    """File that a command's argument names: ``path`` itself, or the bundled file with that name.
 
     Raises :class:`InputError` with the bundled names if it is neither.
     """
@@ -62,6 +62,6 @@ def resolve_bundled(path: Path, kind: BundledKind) -> Path:
 
 
 def object_package(name: str, folder: Path) -> Path:
-    """The object package of ``name``: ``bundled:ID``, or a path relative to ``folder``."""
+    """Path of an object package; ``name`` is ``bundled:ID`` or a path relative to ``folder``."""
     kind, _, asset_id = name.partition(":")
     return bundled_library() / "objects" / asset_id if kind == "bundled" else folder / name

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pinhole cameras and their conventions as code.
+"""Pinhole cameras and their conventions.
 
 World: metres, right-handed, Z up. Camera: x right, y down, z forward. Pixel (column u, row v) has its centre
 at (u + 0.5, v + 0.5); intrinsics are in pixels. Transforms are named target_from_source.
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class PinholeRecord(Protocol):
-    """The intrinsics of a camera in a file."""
+    """Image size, intrinsics and clipping range of a camera in a file."""
 
     width_px: int
     height_px: int
@@ -30,7 +30,7 @@ class PinholeRecord(Protocol):
 class Camera:
     """A pinhole camera without distortion. ``world_from_camera`` is a rigid (4, 4) float64 matrix.
 
-    ``clip_m``: range of visible depths along its optical axis; None = everything in front.
+    ``clip_m``: near and far limit of the visible ``depth_z_m``; None = everything in front.
     """
 
     width_px: int
@@ -44,7 +44,7 @@ class Camera:
 
     @classmethod
     def of(cls, record: PinholeRecord, world_from_camera: ArrayLike) -> Camera:
-        """The camera of a file's record at a pose, (4, 4)."""
+        """Camera with the fields of a file's record and the pose ``world_from_camera`` (4, 4)."""
         return cls(
             record.width_px,
             record.height_px,
@@ -77,7 +77,7 @@ class Camera:
 
     @property
     def fov_x_rad(self) -> float:
-        """Full horizontal field of view of a centred image of this width."""
+        """Full horizontal field of view, as if the principal point were centred."""
         return float(2 * np.arctan(0.5 * self.width_px / self.fx_px))
 
     def scaled(self, width_px: int, height_px: int) -> Camera:
@@ -120,7 +120,7 @@ class Camera:
         return points
 
     def pixel_centers(self) -> NDArray[np.float64]:
-        """Coordinates of every pixel's centre, (H, W, 2)."""
+        """Coordinates (u, v) of every pixel's centre, (H, W, 2)."""
         u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
         return np.stack([u, v], axis=-1)
 

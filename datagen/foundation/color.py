@@ -52,7 +52,7 @@ def linear_from_log(encoded: NDArray[Any]) -> NDArray[Any]:
 def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
     """Factor that maps the 95th percentile of an image's luminance to 0.9.
 
-    ``linear_rgb`` (..., 3); ``valid_mask`` (...) excludes pixels. 1.0 for a black or empty image.
+    ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for ignored pixels. 1.0 for a black or empty image.
     """
     values = luminance(np.asarray(linear_rgb, dtype=np.float64))
     if valid_mask is not None:
@@ -65,18 +65,18 @@ def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = Non
 
 
 MAX_CLIPPED_SHARE = 0.025
-MIN_MEDIAN = 0.1  # luminance of the median pixel below which an image looks dark; middle grey is 0.18
+MIN_MEDIAN = 0.1  # an image with a lower median luminance looks dark; middle grey is 0.18
 MAX_DARK_CLIPPED_SHARE = 0.1  # for images that would look dark otherwise
 
 
 def photographic_exposure(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
-    """Exposure as a photographer would choose it, for display.
+    """Exposure factor for display, which limits clipped highlights and dark medians.
 
     As :func:`exposure_for`, but lower if more than :data:`MAX_CLIPPED_SHARE` of the pixels would have a
     channel above 1, as under a warm lamp or in the sun. If the median luminance is then below
     :data:`MIN_MEDIAN`, as in a room with sky-lit blinds and window sill, the exposure is raised to reach it,
     with at most :data:`MAX_DARK_CLIPPED_SHARE` of clipped pixels. ``linear_rgb`` (..., 3); ``valid_mask``
-    (...) excludes pixels, such as lamps and windows.
+    (...): False for ignored pixels, such as lamps and windows.
     """
     exposure = exposure_for(linear_rgb, valid_mask)
     colors = np.asarray(linear_rgb, dtype=np.float64)
@@ -93,8 +93,9 @@ def photographic_exposure(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | N
 
 
 def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray[Any] | None = None) -> float:
-    """Share of the pixels of ``linear_rgb`` (..., 3) in ``valid_mask`` (...) with a channel above 1 at an
-    exposure; 0 if there are none.
+    """Share of pixels of ``linear_rgb`` (..., 3) with a channel above 1 after scaling by ``exposure``.
+
+    ``valid_mask`` (...): False for ignored pixels; 0 if all are ignored.
     """
     brightest = np.asarray(linear_rgb, dtype=np.float64).max(axis=-1)
     chosen = brightest[valid_mask] if valid_mask is not None else brightest
@@ -102,7 +103,7 @@ def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray
 
 
 def color_of_temperature(kelvin: float) -> tuple[float, float, float]:
-    """Linear Rec.709 colour of a black body of luminance 1 (Kim et al. 2002's fit, 1667 to 25000 K)."""
+    """Linear Rec.709 colour, of luminance 1, of a black body at 1667 to 25000 K (fit of Kim et al. 2002)."""
     t = min(max(kelvin, 1667.0), 25000.0)
     if t < 4000:
         x = -0.2661239e9 / t**3 - 0.2343589e6 / t**2 + 0.8776956e3 / t + 0.179910

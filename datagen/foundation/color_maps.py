@@ -7,7 +7,7 @@ import numpy as np
 
 
 def cividis() -> list[list[int]]:
-    """256 sRGB colours for values from 0 to 1, perceived alike with and without colour blindness."""
+    """256 sRGB colours [red, green, blue], 0 to 255, for values 0 to 1; suited to the colour-blind."""
     from matplotlib import colormaps
 
     colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]

@@ -25,18 +25,18 @@ T = TypeVar("T")
 
 _REMEDIES = {
     errno.ENOENT: "check the path",
-    errno.EACCES: "choose a place that you may read and write, or ask for the rights",
-    errno.EPERM: "choose a place that you may read and write, or ask for the rights",
-    errno.EROFS: "choose a place that can be written to",
-    errno.EEXIST: "choose another name, or remove what is there",
+    errno.EACCES: "choose a readable and writable path, or change its permissions",
+    errno.EPERM: "choose a readable and writable path, or change its permissions",
+    errno.EROFS: "choose a path on a writable file system",
+    errno.EEXIST: "choose another name, or remove the existing file",
     errno.ENOTDIR: "a part of the path is a file; choose a folder",
     errno.EISDIR: "name a file",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 
 
-def _tell_version(is_asked: bool) -> None:
-    if is_asked:
+def _print_version(is_given: bool) -> None:
+    if is_given:
         from datagen.foundation.versions import DISTRIBUTION, pixel_versions
 
         typer.echo(f"{DISTRIBUTION} {pixel_versions()[DISTRIBUTION]}")
@@ -45,17 +45,16 @@ def _tell_version(is_asked: bool) -> None:
 
 VersionOption = Annotated[
     bool,
-    typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version and stop."),
+    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
 ]
-"""``--version`` of the commands."""
-QuietOption = Annotated[bool, typer.Option("--quiet", help="No progress.")]
+
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 
 def run_command(app: Callable[[], object]) -> None:
-    """Run a command.
+    """Run a command, and exit with a message instead of a traceback for the user's errors.
 
-    Bad input ends with its message and code 2, a full disk with code 1, a broken pipe silently; access errors
-    of files and folders count as bad input.
+    Exit codes: 2 for bad input, including inaccessible files; 1 for a full disk and, silently, a broken pipe.
     """
     try:
         app()
@@ -69,7 +68,7 @@ def run_command(app: Callable[[], object]) -> None:
         is_full = error.errno in DISK_FULL
         if not is_full and (error.filename is None or error.errno not in _REMEDIES):
             raise
-        remedy = _REMEDIES.get(error.errno or 0, "make room; what is finished is kept")
+        remedy = _REMEDIES.get(error.errno or 0, "make room; finished results are kept")
         print(
             Problem(error.filename or "disk", "", (error.strerror or "").lower(), "", remedy), file=sys.stderr
         )
@@ -77,17 +76,17 @@ def run_command(app: Callable[[], object]) -> None:
 
 
 def run_function(function: Callable[..., None]) -> None:
-    """Run a module's function as its own command: ``python -m`` with options from its parameters."""
+    """Run a function as the command of ``python -m MODULE``; its parameters become options."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.command()(function)
     run_command(app)
 
 
 def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
-    """Class of a command with removed subcommands: each ends with code 2 and names its replacement."""
+    """Typer class of a command whose removed subcommands, the keys of ``moved``, name their replacements."""
 
     class Group(TyperGroup):
-        """The subcommand of that name; a removed one raises :class:`InputError` with its replacement."""
+        """Command whose removed subcommands raise :class:`InputError` with their replacement."""
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args and args[0] in moved:
@@ -99,7 +98,7 @@ def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
 
 
 def with_options(verb: Callable[..., T]) -> Callable[..., T]:
-    """A subcommand for typer: the fields of each parameter that is a dataclass of options become options.
+    """Wrap ``verb`` for typer: each field of its parameters that are dataclasses becomes an option.
 
     Fields without a typer annotation keep their defaults. ``tuple[X, ...]`` is a repeatable option.
     """
@@ -146,9 +145,7 @@ def _options_of(kind: type) -> list[tuple[str, Any, Any]]:
 
 
 def declared_options(kind: type) -> dict[str, tuple[str, float | None]]:
-    """For each field of a dataclass of options: its name on the command line, and its minimum, if it has
-    one.
-    """
+    """Command-line name and minimum (or None) of each option of a dataclass, by field name."""
     found = {}
     for name, hint, _ in _options_of(kind):
         (option,) = (extra for extra in get_args(hint)[1:] if isinstance(extra, OptionInfo))
@@ -163,7 +160,7 @@ def _is_repeatable(hint: Any) -> bool:
 
 
 def _shown(name: str, hint: Any, default: Any) -> inspect.Parameter:
-    """The parameter as typer reads it: lists for tuples of any length, text for values with a parser."""
+    """The parameter in typer's terms: lists for tuples of any length, text for values with a parser."""
     if get_origin(hint) is Annotated:
         kind, *extras = get_args(hint)
         if any(isinstance(extra, ParameterInfo) and extra.parser is not None for extra in extras):

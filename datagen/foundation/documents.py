@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""JSON and XML from untrusted sources as trees, whose size is checked before they take memory."""
+"""Parsers of untrusted JSON and XML, which check the size of the tree before it takes memory."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import input_error
+from datagen.foundation.errors import InputError, input_error
 
 _OPENING = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{\]}]', re.S)
 
 
 def parse_json(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
-    """A JSON document. Raises :class:`InputError` for invalid JSON, too many values or too deep nesting."""
-    # every value except the first follows one of these, also inside strings: an upper bound
+    """Parse JSON. Raises :class:`InputError` for invalid JSON, too many values or too deep nesting."""
+    # an upper bound: every value but the first follows one of these, which strings may contain too
     count = 1 + text.count(",") + text.count("[") + text.count("{")
     budget.spend("values", count, "document")
     try:
@@ -37,7 +37,7 @@ def _depth(text: str) -> int:
 
 
 class _Counter(ElementTree.TreeBuilder):
-    """Builds the tree and counts elements and levels."""
+    """Tree builder that charges elements and levels to a budget."""
 
     def __init__(self, budget: Budget):
         super().__init__()
@@ -57,7 +57,7 @@ class _Counter(ElementTree.TreeBuilder):
 def parse_xml(
     text: str, where: str | Path, budget: Budget, remedy: str = "export it again"
 ) -> ElementTree.Element:
-    """The root element of an XML document.
+    """Parse an XML document to its root element.
 
     Raises :class:`InputError` for invalid XML, a DOCTYPE or entities, too many elements, or too deep nesting.
     """
@@ -69,6 +69,6 @@ def parse_xml(
         )
         return root
     except (ElementTree.ParseError, ValueError) as error:
-        if hasattr(error, "problems"):
+        if isinstance(error, InputError):
             raise
         raise input_error(where, "", str(error)[:200], "well-formed XML", remedy) from None

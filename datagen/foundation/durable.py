@@ -53,9 +53,7 @@ def make_folder(folder: Path) -> None:
 
 
 def publish(partial: Path, target: Path) -> None:
-    """Rename a finished file or folder to its final name, replacing an existing file, and wait until it is on
-    disk.
-    """
+    """Rename a finished file or folder, replacing an existing file, and wait until it is on disk."""
     if partial.is_dir():
         sync_tree(partial)
     else:
@@ -65,7 +63,7 @@ def publish(partial: Path, target: Path) -> None:
 
 
 def publish_first(partial: Path, target: Path) -> None:
-    """Link a finished file to a second name; raises ``FileExistsError`` if that name exists."""
+    """Publish a finished file as a hard link. Raises ``FileExistsError`` if ``target`` exists."""
     sync_file(partial)
     os.link(partial, target)
     sync_folder(target.parent)

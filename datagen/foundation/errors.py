@@ -10,7 +10,7 @@ from pathlib import Path
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Error numbers of a full disk or an exhausted quota."""
-_MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can contain a million faults of any length
+_MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can have a million faults of any length
 
 
 def _shortened(text: str) -> str:
@@ -45,9 +45,9 @@ class Problem:
         return text
 
 
-def _said_of_empty(problem: Problem) -> Problem:
-    """Reworded problem of an empty file, which parsers report as a syntax error."""
-    if isinstance(problem, str):  # torch passes a loader process's error on as text
+def _reworded_if_empty(problem: Problem) -> Problem:
+    """The problem, reworded if its file is empty, which parsers report as a syntax error."""
+    if isinstance(problem, str):  # torch rebuilds a worker's error from its text
         return problem
     try:
         is_empty = (
@@ -68,8 +68,8 @@ class InputError(ValueError):
     def __init__(self, *problems: Problem):
         if not problems:
             raise TypeError("InputError needs at least one Problem")
-        # remedies shared by several problems are printed once
-        problems = tuple(dict.fromkeys(map(_said_of_empty, problems)))
+        # equal problems are listed once
+        problems = tuple(dict.fromkeys(map(_reworded_if_empty, problems)))
         self.problems = problems
         lines = [str(problem) for problem in problems[:_MAX_LISTED]]
         if len(problems) > _MAX_LISTED:
@@ -97,6 +97,6 @@ class Problems(list[Problem]):
 
 
 def raise_problems(problems: Sequence[Problem]) -> None:
-    """Raise an :class:`InputError` with all problems, each once."""
+    """Raise an :class:`InputError` with all problems, if there are any."""
     if problems:
         raise InputError(*problems)

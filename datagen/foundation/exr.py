@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One multi-layer OpenEXR file per view: encoded to bytes and decoded, by buffer name.
+"""Encoding and decoding of a view's buffers as one multi-layer OpenEXR file.
 
 Channels are named by the registry (``R, G, B`` for beauty, ``layer.channel`` for the rest), scan lines run
 top-down, and no timestamps are written: with one OpenEXR version, equal arrays give equal bytes.
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import BUFFERS, Buffer, get_buffer
 from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 
-MAX_SIDE_PX = 16384  # refuses headers with absurd sizes before any pixel is allocated
-_MAX_COMPRESSION = 500  # of any file that is not a decompression bomb; halves count as floats here
+MAX_SIDE_PX = 16384  # larger headers are refused before any pixel is allocated
+_MAX_COMPRESSION = 500  # of files that are no decompression bombs; halves count as floats
 _CLAIM_FREE_BYTES = 256 << 20
 COMPRESSIONS = {
     "none": OpenEXR.NO_COMPRESSION,
@@ -59,7 +59,7 @@ def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", n
         buffer = get_buffer(name)
         stored = to_storage(buffer, np.asarray(buffers[name]))
         if stored.shape[:2] != shape:
-            raise ValueError(f"{name}: got size {stored.shape[:2]}, expected {shape} as the other buffers")
+            raise ValueError(f"{name}: got size {stored.shape[:2]}, expected {shape} like the other buffers")
         for index, channel in enumerate(buffer.exr_channels):
             channels[channel] = np.ascontiguousarray(stored[..., index])
     header = {"compression": COMPRESSIONS[compression], "type": OpenEXR.scanlineimage}
@@ -70,19 +70,18 @@ def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", n
 
 
 def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, where: Path | str) -> None:
-    """Refuse an image whose header states more pixels than a file of ``num_bytes`` can plausibly contain,
-    before memory is allocated.
+    """Check, before memory is allocated, that a file of ``num_bytes`` can contain an image of ``size_px``.
 
-    Raises :class:`InputError`.
+    ``pixel_bytes``: decoded bytes per pixel. Raises :class:`InputError` for an implausible size.
     """
     width, height = size_px
     if width * height * pixel_bytes > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:
         got = f"{width} x {height} pixels in {num_bytes} bytes"
-        raise InputError(Problem(where, "size", got, "a size that the file can hold", _READ_REMEDY))
+        raise InputError(Problem(where, "size", got, "a size that the file can contain", _READ_REMEDY))
 
 
 def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
-    """(width, height) from an EXR file's header, if plausible for its size. Raises :class:`InputError`."""
+    """(width, height) in an EXR file's header. Raises :class:`InputError` if damaged or implausible."""
     OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
     try:
         with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
@@ -97,9 +96,7 @@ def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
 
 
 def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray[Any]]:
-    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged file or an
-    implausible header.
-    """
+    """Channels (H, W) of an EXR file by name. Raises :class:`InputError` if damaged or implausible."""
     claimed_size(data, where)
     try:
         with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:

@@ -12,10 +12,12 @@ class Findings:
         self._notes: dict[str, None] = {}
 
     def approximate(self, sentence: str) -> str:
+        """Add a sentence about content that is converted only roughly, and return it."""
         self._approximations[sentence] = None
         return sentence
 
     def note(self, sentence: str) -> None:
+        """Add a sentence about a decision of the importer."""
         self._notes[sentence] = None
 
     @property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Image files of packages as arrays: PNG and JPEG as stored, EXR as float, textures as material values.
+"""Reading of image files as arrays: PNG and JPEG as stored, EXR as float; encoding as PNG.
 
 Arrays are (H, W, C), row 0 at the top, channels in the order R G B A.
 """
@@ -39,10 +39,9 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
-    """(width, height), without decoding pixels if the format allows; ``formats`` are Pillow's names of
-    formats, recognised by content.
+    """(width, height) in the header of an EXR, or of another of ``formats`` (Pillow's names).
 
-    Raises :class:`InputError`.
+    Raises :class:`InputError` for a missing or unreadable file.
     """
     if path.suffix.lower() == ".exr":
         from datagen.foundation.exr import claimed_size
@@ -65,16 +64,14 @@ def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -
 
 
 def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
-    """Integer pixels as [0, 1] floats; float pixels unchanged."""
+    """Unsigned integer pixels scaled to [0, 1]; float pixels unchanged."""
     if pixels.dtype.kind == "u":
         return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     return pixels.astype(np.float32)
 
 
 def encode_png(pixels: NDArray[Any]) -> bytes:
-    """Deterministic PNG bytes of uint8 or uint16 pixels, (H, W) or (H, W, C) with 1, 3 or 4 channels,
-    RGB(A).
-    """
+    """Deterministic PNG bytes of uint8 or uint16 pixels, (H, W) or (H, W, 1), (H, W, 3) or (H, W, 4)."""
     import cv2
 
     orders = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}
@@ -88,8 +85,8 @@ def encode_png(pixels: NDArray[Any]) -> bytes:
 def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[Any]:
     """Pixels (H, W, C) as stored of an image in one of ``formats``, recognised by content, not by name.
 
-    OpenCV would decode some twenty formats and trust the headers of damaged files: sizes and chunk lengths
-    are checked first. Raises :class:`InputError`.
+    Sizes and chunk lengths are checked first, since OpenCV trusts the headers of damaged files. Raises
+    :class:`InputError` for a missing, corrupt or oversized file.
     """
     import cv2
 
@@ -117,7 +114,7 @@ def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[
 
 
 def _has_whole_chunks(png: bytes) -> bool:
-    """Whether every chunk of a PNG ends within it, up to the last that is read."""
+    """Whether every chunk of a PNG, up to IEND, is complete."""
     position = len(_PNG_SIGNATURE)
     while position + 12 <= len(png):
         length, kind = struct.unpack_from(">I4s", png, position)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names of assets, views and files, derived from foreign names."""
+"""Ids and file names derived from foreign names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def unique(name: str, taken: set[str] | dict[str, object]) -> str:
     """``name``, or ``name_2``, ``name_3``, ... if it is taken."""
     if name not in taken:
         return name
-    last, step = 1, 1  # otherwise each of thousands of equal names would try all before it
+    last, step = 1, 1  # a search by bisection: trying every number is quadratic in the names
     while f"{name}_{last + step}" in taken:
         last, step = last + step, 2 * step
     while step > 1:

@@ -22,16 +22,16 @@ _SHORT = 200
 def fault_of(
     folder: Path, name: str, allowed: Sequence[Path] = (), *, is_folder: bool = False
 ) -> tuple[Path | None, str]:
-    """The file (or folder) behind a name in ``folder``, links followed; or None and the reason for its
-    refusal.
+    """Resolve a name in an untrusted file: (real path, "") or, if it is refused, (None, reason).
 
-    ``allowed`` are further permitted folders. Missing files are not faults.
+    The name is relative to ``folder`` and must lead into it or into one of ``allowed``. The target may be
+    missing; otherwise it must be a regular file, or a folder if ``is_folder``.
     """
     name = name.replace("\\", "/")
     if not name:
         return None, "no name"
-    if not name.isprintable():  # a zero byte ends a name for the system, but not for Python
-        return None, "no name that a file can have"
+    if not name.isprintable():  # a NUL ends a name for the system, not for Python
+        return None, "not a valid file name"
     if _URI.match(name):
         return None, "a URI"
     if _DRIVE.match(name):
@@ -62,8 +62,9 @@ def named_file(
     allowed: Sequence[Path] = (),
     remedy: str = "copy the file there",
 ) -> Path:
-    """The file named in ``field`` of the file ``where``; the file may be absent. Raises
-    :class:`InputError`.
+    """Path of the file ``name`` in ``field`` of the file ``where``, as :func:`fault_of` resolves it.
+
+    Raises :class:`InputError` if the name is refused.
     """
     real, fault = fault_of(folder, name, allowed)
     if real is None:
@@ -73,9 +74,9 @@ def named_file(
 
 
 def inside(root: Path, path: Path) -> Path:
-    """``path`` if it stays below ``root`` when links are followed, and is not a pipe, device or folder.
+    """``path``, checked to stay below ``root`` when links are followed and to be no pipe, device or folder.
 
-    A missing file is reported by its reader. Raises :class:`InputError`.
+    A missing file passes. Raises :class:`InputError` if a check fails.
     """
     try:
         name = str(path.relative_to(root))

@@ -29,10 +29,7 @@ def peak_mb() -> float:
 
 def process_peak_mb() -> float:
     """Peak of resident memory since process start, in MB."""
-    if sys.platform == "win32":  # without the module `resource`
-        import psutil
 
-        return psutil.Process().memory_info().peak_wset / 2**20
     unit = 2**20 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The progress of the commands, on standard error."""
+"""Progress of commands, on standard error."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Bars:
         return [task for task in self._bars.tasks if not task.finished]
 
     def tell(self, stage: str, done: int, total: int, note: str = "") -> None:
-        """Update a stage. Steps already done at the first report do not count as work of this run."""
+        """Report ``done`` of ``total`` steps of a stage; its rate excludes steps done at the first report."""
         if self.is_quiet:
             return
         now = time.monotonic()

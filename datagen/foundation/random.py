@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Random numbers that depend on their key alone, independent of order, workers, hash seeds and NumPy's
-version.
+"""Random numbers that depend on their key alone, not on order, workers, hash seeds or NumPy's version.
 
 Every draw of a configuration comes from a :class:`Draws` keyed by (recipe seed, configuration, purpose,
 index). Only NumPy's raw Philox stream is used, whose bits NumPy guarantees forever; ``Generator``'s
-distributions may change between its releases, so that the few distributions needed are implemented here.
+distributions may change between its releases, so the few distributions needed are implemented here.
 """
 
 from __future__ import annotations
@@ -27,8 +26,9 @@ def digest(*key: int | str) -> bytes:
 
 
 def weighted_item(items: Sequence[ItemT], weights: Sequence[float], number: float) -> ItemT:
-    """The item selected by a number uniform in [0, 1), with probability proportional to its weight; some
-    weight must be positive.
+    """Item drawn by weight, where ``number`` in [0, 1) is the random number.
+
+    Raises ``ValueError`` unless some weight is positive.
     """
     cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
     if not cumulative[-1] > 0:
@@ -39,7 +39,7 @@ def weighted_item(items: Sequence[ItemT], weights: Sequence[float], number: floa
 
 
 class Draws:
-    """A stream of draws for one key."""
+    """A reproducible stream of random numbers for one key."""
 
     def __init__(self, *key: int | str):
         self._bits = np.random.Philox(key=int.from_bytes(digest(*key)[:16], "little"))

@@ -9,18 +9,14 @@ DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 11
 """Increased whenever a change of the code changes the bytes of a dataset but not its configurations."""
 LIGHT_REVISION = 2
-"""Increased whenever a change of the code changes recorded light alone, in datasets with
-``statistics: {light: true}`` only."""
+"""Increased whenever a change of the code changes only the buffers of ``statistics: {light: true}``."""
 PLAN_REVISION = 2
 """Increased whenever a change of the code changes the configurations or generated rooms of a recipe."""
 _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
 def pixel_versions(*, has_light: bool = False) -> dict[str, str]:
-    """Versions, by name, of all software that affects the bytes of views.
-
-    ``has_light``: whether the views record light.
-    """
+    """Versions, by name, of all software that affects the bytes of views, with light buffers or without."""
     found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
     if has_light:
         found["light_revision"] = str(LIGHT_REVISION)

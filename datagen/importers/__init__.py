@@ -1,4 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Importers convert files of other programs to asset packages. ``dispatch.import_asset`` is the entry
-point.
-"""
+"""Importers of files of other programs as asset packages; ``dispatch.import_asset`` is the entry point."""

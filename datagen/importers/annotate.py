@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Derives, from the bare triangles of a room, support surfaces, camera regions and positions of ceiling
-lamps.
+"""Derivation of support surfaces, camera regions and positions of ceiling lamps from a room's triangles.
 
-The heuristics are set out in docs/importing.md; a YAML file of :class:`Annotations` overrides each of them.
+docs/importing.md describes the heuristics; a YAML file of :class:`Annotations` overrides their results.
 Frame: metres, Z up. Surfaces are rasterised in squares of side ``square_m``.
 """
 
@@ -40,7 +39,7 @@ _MAX_SURFACES = 40
 
 
 class Annotations(StrictModel):
-    """Sidecar for imported environments: every list that is given replaces the derived one.
+    """The user's annotations of an imported environment; each given list replaces the derived one.
 
     ``classes`` and ``replaceable_by`` correct the guesses for material slots, by slot name.
     """
@@ -53,7 +52,7 @@ class Annotations(StrictModel):
     replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
 
     def over(self, places: RoomPlaces, openings: tuple[Opening, ...]) -> dict[str, Any]:
-        """Annotation fields of an environment: the given lists, else the derived lists."""
+        """Fields of an environment, by name: the given lists, else those of ``places`` and ``openings``."""
         derived = {
             "support_surfaces": places.support_surfaces,
             "camera_regions": places.camera_regions,
@@ -65,15 +64,13 @@ class Annotations(StrictModel):
 
 
 def read_annotations(path: Path | None) -> Annotations:
-    """Annotations of a YAML file, empty for None. Raises :class:`InputError`."""
+    """Annotations of a YAML file, empty for None. Raises :class:`InputError` for an invalid file."""
     return Annotations() if path is None else read_yaml(Annotations, path)
 
 
 @dataclass(frozen=True)
 class RoomPlaces:
-    """Annotations of a room; ``floor_m`` is the height of the main floor, None if there is no enclosed
-    space.
-    """
+    """Derived annotations; ``floor_m``: height of the main floor, None without an enclosed space."""
 
     floor_m: float | None
     support_surfaces: tuple[SupportSurface, ...] = ()
@@ -87,17 +84,17 @@ def find_places(
     seat_classes: set[int],
     seeds: NDArray[np.float64],
 ) -> RoomPlaces:
-    """Annotations of a room of ``triangles`` (M, 3, 3).
+    """Derive the annotations of a room from its ``triangles`` (M, 3, 3).
 
-    ``classes`` (M,) has one index per triangle; indices in ``seat_classes`` are upholstery; ``seeds`` (K, 3)
-    are points known to be inside (cameras), and may be empty.
+    ``classes`` (M,): class index of each triangle; those in ``seat_classes`` are upholstery. ``seeds``
+    (K, 3): points known to be inside, such as cameras; may be empty.
     """
     points, owner, spacing = surface_points(triangles)
     grid = RoomGrid.build(points, seeds, max(MIN_CELL_M, 1.4 * spacing))
     if grid is None:
         return RoomPlaces(None)
     near = [h for h in _levels(triangles, grid) if abs(h - grid.floor_m) < 0.15]
-    if near:  # the largest horizontal surface there, rather than skirtings and carpets
+    if near:  # the largest horizontal surface there, rather than a skirting board or carpet
         grid = replace(grid, floor_m=near[0])
     soft = np.isin(classes, list(seat_classes))[owner] if seat_classes else np.zeros(len(owner), bool)
     surfaces = tuple(without_stairs(list(_support_surfaces(triangles, points, soft, grid, 1.25 * spacing))))
@@ -112,8 +109,9 @@ def places_of_parts(
     cameras: Sequence[AssetCamera],
     findings: Findings,
 ) -> RoomPlaces:
-    """:func:`find_places` for the parts of an environment; upholstered parts are seats, cameras are
-    inside.
+    """:func:`find_places` for the parts of an environment, with its cameras as seeds.
+
+    Parts whose main class is fabric or leather are upholstery.
     """
     triangles = [mesh.triangles() for mesh in meshes]
     owners = np.repeat(np.arange(len(meshes)), [len(t) for t in triangles])
@@ -121,7 +119,7 @@ def places_of_parts(
     seeds = np.array([[row[3] for row in c.asset_from_camera[:3]] for c in cameras]).reshape(-1, 3)
     places = find_places(np.concatenate(triangles), owners, seats, seeds)
     if places.floor_m is None:
-        findings.note("places: no enclosed space found; give support surfaces and camera regions in a file")
+        findings.note("places: no enclosed space found; state support surfaces and camera regions in a file")
     return places
 
 
@@ -133,9 +131,7 @@ def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
 
 
 def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
-    """Upright area lights of window size, which scenes place in windows and doors. The openings point
-    inwards.
-    """
+    """Openings at the vertical area lights of window size, which scenes place in windows and doors."""
     found = []
     for light in lights:
         if isinstance(light, AreaLight) and light.shape == "rectangle" and is_window_sized(light, 0.4):
@@ -145,7 +141,7 @@ def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
 
 
 def slots_of(lights: tuple[Light, ...]) -> tuple[LightSlot, ...]:
-    """A slot for every area light of the imported scene."""
+    """A light slot at every area light of ``lights``."""
     return tuple(
         LightSlot(
             name=light.name,
@@ -173,7 +169,7 @@ def _support_surfaces(
     for height in _levels(triangles, grid):
         above = height - grid.floor_m
         if 0.04 < above < 0.3:
-            continue  # steps and skirtings
+            continue  # steps and skirting boards
         on_level = np.abs(points[:, 2] - height) < _LEVEL_M
         surface = points[on_level]
         inside = grid.is_interior(surface + np.array([0, 0, 1.3 * grid.cell_m], dtype=np.float32))
@@ -263,10 +259,10 @@ def _kind_of(above_floor_m: float, is_soft: bool) -> SupportKind:
 
 
 def _levels(triangles: NDArray[np.float64], grid: RoomGrid) -> list[float]:
-    """Heights at which horizontal triangles of the room add up to a surface, by area, largest first."""
+    """Heights of the room's horizontal surfaces, the largest total area first."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = 0.5 * np.linalg.norm(cross, axis=1)
-    # on either side, since windings are unreliable
+    # facing up or down, since windings are unreliable
     flat = (area > 1e-9) & (np.abs(cross[:, 2]) > 0.995 * 2 * area)
     heights, areas = triangles[flat][:, :, 2].mean(axis=1), area[flat]
     inside = (heights > grid.floor_m - 0.1) & (heights < grid.floor_m + 2.2)
@@ -293,7 +289,7 @@ def _raster(
 
 
 def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
-    """The upright rectangle that frames a mesh (a window pane), facing ``inside_m``."""
+    """Vertical bounding rectangle of a mesh (a window pane), facing the point ``inside_m`` (3,)."""
     points = mesh.positions.astype(np.float64)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     flat = points[:, :2] - points[:, :2].mean(axis=0)

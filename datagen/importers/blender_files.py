@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Files that Blender reads (FBX, USD, .blend, glTF with Draco), converted to glTF by its module in a separate
-process and then imported. The converted file counts against the same budget as any glTF file.
+"""Import of files that Blender reads (FBX, USD, .blend, glTF with Draco).
+
+Blender's module converts them in a separate process to glTF, whose import uses the budget of any glTF file.
 """
 
 from __future__ import annotations
@@ -24,9 +25,7 @@ _MARK = "to_gltf: "
 
 
 def uses_draco(path: Path) -> bool:
-    """Whether a glTF file needs Draco and Blender's module is available to decode it; False for damaged
-    files.
-    """
+    """Whether a glTF file names the Draco extension and Blender's module is installed to decode it."""
     if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
         return False
     with path.open("rb") as file:
@@ -38,7 +37,7 @@ def import_by_blender(
 ) -> list[ImportedAsset]:
     """Convert a file that Blender reads to packages below ``out_library``.
 
-    Images outside the file's own folder and ``options.allowed`` are left out. Raises :class:`InputError`
+    Images outside the file's folder and ``options.allowed`` are left out. Raises :class:`InputError`
     if Blender's module is not installed or cannot read the file, and as :func:`import_gltf` does.
     """
     options = options or ImportOptions()
@@ -61,17 +60,17 @@ def import_by_blender(
             got = f"not read by Blender within {_SECONDS} s"
             raise input_error(path, got=got, expected="a smaller file", remedy="simplify it") from None
         lines = (done.stdout + "\n" + done.stderr).splitlines()
-        told = [line.removeprefix(_MARK) for line in lines if line.startswith(_MARK)]
+        messages = [line.removeprefix(_MARK) for line in lines if line.startswith(_MARK)]
         if done.returncode != 0 or not converted.is_file():
             last = [*[line for line in lines if line.strip()], f"exit code {done.returncode}"][:-1][-1:]
-            got = "; ".join(told or last or [f"exit code {done.returncode}"])[:400]
+            got = "; ".join(messages or last or [f"exit code {done.returncode}"])[:400]
             remedy = "open it in Blender, or export glTF from the program that made it"
-            raise input_error(path, got=f"Blender: {got}", expected="a file that it reads", remedy=remedy)
-        for sentence in told:
+            raise input_error(path, got=f"Blender: {got}", expected="a file that it can read", remedy=remedy)
+        for sentence in messages:
             findings.approximate(sentence)
         if path.suffix.lower() == ".blend":
             findings.note(
-                f"{path.stem}: procedural materials are lost on the way; python -m blender_addon bakes them"
+                f"{path.stem}: procedural materials are not converted; python -m blender_addon bakes them"
             )
-        turned = replace(options, up="y")  # glTF's up axis, whatever the file's was
-        return import_gltf(converted, out_library, turned, split=split, origin=path, findings=findings)
+        as_gltf = replace(options, up="y")  # the up axis of the converted file
+        return import_gltf(converted, out_library, as_gltf, split=split, origin=path, findings=findings)

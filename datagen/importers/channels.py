@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Material channels on their way into a package: constants stay constants, plain images pass through
-unchanged, and only computed values are baked, texel by texel.
+"""Material channels of an import: constants and unprocessed images are kept, computed values are baked.
 
 A *value* is a constant (float or colour), an :class:`ImageSource` (an unchanged image) or a
 :class:`BakedSource` (computed pixels).
@@ -35,7 +34,7 @@ ChannelName = Literal["rgb", "r", "g", "b", "a"]
 
 @dataclass(frozen=True)
 class ImageSource:
-    """A channel read from an image file, with the meaning of ``datagen.formats.asset.Texture``."""
+    """A channel read from an image file; the fields are as in :class:`datagen.formats.asset.Texture`."""
 
     file: Path
     encoding: Literal["srgb", "linear"]
@@ -51,7 +50,7 @@ class ImageSource:
 
 @dataclass(frozen=True)
 class BakedSource:
-    """Computed linear values, (H, W, 3) for colours or (H, W) for scalars; ``label`` names the file."""
+    """Computed linear values, (H, W, 3) for colours or (H, W) for scalars; ``label``: name of the file."""
 
     values: NDArray[np.float32]
     label: str
@@ -69,13 +68,14 @@ def is_constant(value: Value) -> bool:
 
 
 class ImageCache:
-    """Decoded images of one import: a texture used by several materials is read once."""
+    """Decoded images of one import; an image that several materials use is read once."""
 
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
         self._pixels: dict[Path, NDArray] = {}
 
     def pixels(self, file: Path) -> NDArray:
+        """Pixels (H, W, C) of an image file, as :func:`read_any_image` returns them."""
         if file not in self._pixels:
             if file.is_file():
                 self._budget.hold_file(file)
@@ -84,7 +84,7 @@ class ImageCache:
         return self._pixels[file]
 
     def values(self, value: Value, is_scalar: bool) -> NDArray[np.float32]:
-        """A value as an array: () or (3,) for constants, (H, W) or (H, W, 3) for images."""
+        """A value as a linear array: () or (3,) for constants, (H, W) or (H, W, 3) for images."""
         if isinstance(value, BakedSource):
             return value.values
         if isinstance(value, ImageSource):
@@ -98,16 +98,16 @@ class ImageCache:
         *colors: ColorValue,
         scalars: tuple[ScalarValue, ...] = (),
     ) -> ColorValue:
-        """The colour that ``function`` computes from colours and, after them, scalars as (..., 1).
+        """Colour computed by ``function`` from arrays of ``colors`` (..., 3), then ``scalars`` (..., 1).
 
-        The result has the resolution of the largest image. Constants give a constant, and so does an
-        image that turns out to be constant; ``label`` names the file of any other result.
+        The result has the resolution of the largest image and is baked under the name ``label``; a result
+        that varies by less than half an 8-bit step is a constant.
         """
         inputs = [*((value, False) for value in colors), *((value, True) for value in scalars)]
         return cast(ColorValue, self._combined(label, function, inputs, is_scalar=False))
 
     def scalar(self, label: str, function: Callable[..., NDArray], *scalars: ScalarValue) -> ScalarValue:
-        """The scalar that ``function`` computes from scalars; see :meth:`color`."""
+        """Scalar computed by ``function`` from arrays of ``scalars``; see :meth:`color`."""
         inputs = [(value, True) for value in scalars]
         return cast(ScalarValue, self._combined(label, function, inputs, is_scalar=True))
 
@@ -140,7 +140,7 @@ class ImageCache:
 
 
 def num_pixels(file: Path) -> int:
-    """Number of pixels stated in an image's header; 0 if it is unreadable, which the decoder reports."""
+    """Number of pixels stated in an image's header; 0 if it is unreadable, which decoding reports."""
     if file.suffix.lower() in (".hdr", ".pic"):
         with file.open("rb") as stream:
             match = _HDR_SIZE.search(stream.read(4096))
@@ -153,7 +153,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Like :func:`read_image`, but also reads BMP, TGA, TIFF and HDR, which packages do not support."""
+    """Like :func:`read_image`, but also for BMP, TGA, TIFF and HDR, which packages do not support."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2
@@ -179,7 +179,7 @@ def _resized(array: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.fl
 
 
 class TextureFiles:
-    """The texture files of a package under construction, each image once, under a readable name."""
+    """Texture files of a package under construction, by name; each image is added once."""
 
     def __init__(self, cache: ImageCache) -> None:
         self.files: dict[str, FileSource] = {}
@@ -196,9 +196,7 @@ class TextureFiles:
         return name
 
     def add_file(self, file: Path) -> str:
-        """Name in the package of an image file; formats that packages do not support are converted to PNG or
-        EXR.
-        """
+        """Add an image file, converted to PNG or EXR if need be, and return its name in the package."""
         key = file.resolve()
         if key not in self._names:
             suffix = file.suffix.lower()
@@ -214,7 +212,7 @@ class TextureFiles:
         return self._names[key]
 
     def add_baked(self, source: BakedSource) -> Texture:
-        """Texture of baked values: 8 bits, sRGB-encoded for colours."""
+        """Add baked values as an 8-bit PNG in their encoding, and return its texture."""
         values = source.values
         encoded: NDArray = (
             srgb_from_linear(values.astype(np.float64)) if source.encoding == "srgb" else values
@@ -229,11 +227,11 @@ class TextureFiles:
         return Texture(texture=self._baked[digest], encoding=source.encoding, channel=channel)
 
     def color(self, value: ColorValue) -> Color | Texture:
-        """Channel of a material for a colour value."""
+        """Material channel of a colour value, whose image, if any, is added."""
         return self._channel(value) if not isinstance(value, tuple) else _color(np.clip(value, 0, 1))
 
     def scalar(self, value: ScalarValue) -> float | Texture:
-        """Channel of a material for a scalar value; an RGB image is reduced to its luminance."""
+        """Material channel of a scalar value, whose image, if any, is added; RGB is reduced to luminance."""
         if isinstance(value, ImageSource) and value.channel == "rgb":
             grey = self._cache.pixels(value.file).shape[2] < 3
             if grey:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Guesses of material classes and object categories from names; the table is in docs/importing.md.
+"""Guesses of material classes and object categories from names (see docs/importing.md).
 
 The first name with a known word decides; within a compound, later words take precedence over earlier ones
 (``WoodFloor`` is wood, ``marble_table`` stone, ``FloorTiles`` ceramic).
@@ -35,14 +35,7 @@ _CLASS_WORDS: dict[MaterialClass, str] = {
     "candles wax",
 }
 _WORD_CLASS = {word: name for name, words in _CLASS_WORDS.items() for word in words.split()}
-_STRONG = {
-    "paint",
-    "painted",
-    "lacquer",
-    "lacquered",
-    "glazed",
-    "wallpaper",
-}  # a finish hides the material below
+_FINISHES = {"paint", "painted", "lacquer", "lacquered", "glazed", "wallpaper"}  # hide the material below
 
 _CATEGORY_WORDS = {
     "seat": "sofa couch chair stool armchair bench ottoman seat recliner puff pouf pouffe futon stroller "
@@ -112,20 +105,23 @@ REPLACEABLE: dict[MaterialClass, tuple[MaterialClass, ...]] = {
     "organic": (),
     "other": (),
 }
-"""Classes that suit the geometry of a slot of the given main class."""
+"""Classes of the materials that may replace a slot's material, by its main class."""
 
 
 def words_of(name: str) -> list[str]:
-    """Lower-case words of a name in CamelCase, snake_case or with spaces and digits."""
+    """Lower-case words of a name in CamelCase, in snake_case or separated by other characters."""
     return [w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
 
 
 def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
-    """Material class from the names of material, mesh and file; the first name that implies one decides."""
+    """Material class implied by the first of ``names`` with a known word.
+
+    Of several words a finish decides, else the last that implies neither plaster, paper nor fabric.
+    """
     for name in names:
         words = words_of(name)
         for word in words:
-            if word in _STRONG:
+            if word in _FINISHES:
                 return _WORD_CLASS[word]
         hits = [_WORD_CLASS[word] for word in words if word in _WORD_CLASS]
         if hits:
@@ -135,9 +131,9 @@ def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass
 
 
 def guess_category(*names: str) -> str:
-    """Object category from names; '' if none is known.
+    """Object category implied by the first name with a known word; '' if there is none.
 
-    Words after ``with`` are ignored (``chair with cushion`` is a seat); of several words the last one decides
+    Words after ``with`` are ignored (``chair with cushion`` is a seat); of several words the last decides
     (``table lamp``).
     """
     for name in names:
@@ -153,8 +149,7 @@ def guess_category(*names: str) -> str:
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
     """Supports of an object: furniture and large objects stand on the floor, small objects on furniture.
 
-    Objects above 40 cm stand on a table only if that is usual for their category (a vase, a lamp); an object
-    of unknown category may also stand on the floor.
+    Objects of over 40 cm stand on the floor and, if usual for their category (a vase, a lamp), on tables.
     """
     if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:
         return ("floor",)

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ImportWords:
-    """The options of an import as strings; :class:`ImportOptions` checks their values."""
+    """Command-line options of an import as strings, which :meth:`parse` checks."""
 
     kind: Annotated[str, typer.Option(help="auto, environment, object or material.")] = "auto"
-    asset_id: Annotated[str, typer.Option("--id", help="Id of the asset; from its name if left out.")] = ""
+    asset_id: Annotated[str, typer.Option("--id", help="Id of the asset; by default from its name.")] = ""
     title: Annotated[str, typer.Option(help="Title of the asset.")] = ""
-    license: Annotated[str, typer.Option(help="SPDX licence, if none is found beside it.")] = ""
-    author: Annotated[str, typer.Option(help="Author, if none is found beside it.")] = ""
+    license: Annotated[str, typer.Option(help="SPDX licence; by default from the source's folder.")] = ""
+    author: Annotated[str, typer.Option(help="Author; by default from the source's folder.")] = ""
     source: Annotated[str, typer.Option(help="Origin, such as a web address.")] = ""
     evaluation_only: Annotated[
-        bool, typer.Option("--evaluation-only", help="Exclude it from training data.")
+        bool, typer.Option("--evaluation-only", help="Exclude the asset from training data.")
     ] = False
     category: Annotated[str, typer.Option(help="Category of an object; guessed if left out.")] = ""
     classes: Annotated[
@@ -40,7 +40,7 @@ class ImportWords:
         float | None, typer.Option(help="Metres per unit of the file; guessed for OBJ, PLY and STL.")
     ] = None
     tile_size_m: Annotated[
-        float | None, typer.Option("--tile-size", help="Side of a material's tile in metres.")
+        float | None, typer.Option("--tile-size", help="Width of a material's tile in metres.")
     ] = None
     dielectric: Annotated[str, typer.Option(help="Transparent materials: refuse or replace.")] = "refuse"
     dielectric_as: Annotated[
@@ -54,7 +54,7 @@ class ImportWords:
     ] = None
     defines: Annotated[
         tuple[str, ...],
-        typer.Option("--define", help="NAME=VALUE for a $name of a Mitsuba scene, repeatable."),
+        typer.Option("--define", help="NAME=VALUE of a variable $NAME of a Mitsuba scene, repeatable."),
     ] = ()
     allowed: Annotated[
         tuple[Path, ...],
@@ -93,10 +93,10 @@ class ImportWords:
 def _pairs(option: str, values: tuple[str, ...]) -> dict[str, str]:
     pairs = {}
     for value in values:
-        name, separator, what = value.partition("=")
+        name, separator, text = value.partition("=")
         if not separator or not name:
-            raise input_error(option, got=repr(value), expected="NAME=VALUE", remedy="write it so")
-        pairs[name] = what
+            raise input_error(option, got=repr(value), expected="NAME=VALUE", remedy="correct the option")
+        pairs[name] = text
     return pairs
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common parts of the importers: options, the record of an import, licences, names and axes."""
+"""Common parts of the importers: options, the record of an import, and provenance."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ EVALUATION_SCENES = {
 }
 """Test scenes of the method's paper, by folder name and title: always imported as ``evaluation_only``."""
 
+OPAL_ALBEDO = 0.7
+"""D of the opal glass that replaces clear glass: roughly the brightness of a room behind the glass."""
 _LICENSE_FILES = ("LICENSE.txt", "LICENSE", "LICENSE.md", "license.txt", "README.txt", "README.md")
 _MAX_LICENSE_CHARACTERS = 1 << 20
 _LICENSE_PATTERNS = (
@@ -49,12 +51,12 @@ class ImportOptions:
     """Options of an import.
 
     ``dielectric``: transparent materials are refused, or replaced: flat panes and thin dielectrics are
-    removed, solid bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent
-    files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file; None is 1,
-    or a plausible value for formats that state no unit. ``defines`` are values for ``$names`` of a Mitsuba
-    scene. Options that are empty strings are detected or derived. ``allowed`` are folders, in addition to the
-    source's own, from which files may be read; ``limits`` apply to each source and are by default from the
-    environment variables.
+    removed, solid bodies become opal glass; ``dielectric_as`` overrides this by material name. ``missing``:
+    absent files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file;
+    None: 1, or a plausible value for formats that state no unit. ``defines``: values of the variables of a
+    Mitsuba scene. Empty strings: values are detected or derived. ``allowed``: folders, in addition to the
+    source's, from which files may be read. ``limits`` apply to each source; None:
+    :meth:`Limits.from_environment`.
     """
 
     kind: ImportKind = "auto"
@@ -89,9 +91,9 @@ class ImportOptions:
 class ImportedAsset:
     """The record of one import: the path of the package, and all differences from the source.
 
-    ``approximations`` name content that is represented only roughly, ``notes`` the importer's decisions and
-    remarks. Both are sentences that begin with the name of their subject. ``contents`` gives its size and its
-    parts.
+    ``approximations`` state what is represented only roughly, ``notes`` the importer's decisions and other
+    remarks; both are sentences that begin with the name of their subject. ``contents``: the asset's size and
+    numbers of parts and materials, as text.
     """
 
     asset_id: str
@@ -106,7 +108,7 @@ class ImportedAsset:
 
 @dataclass(frozen=True)
 class Origin:
-    """Licence and authorship as stated by files beside a source; '' if missing."""
+    """Licence and authorship as stated by files in a source's folder; '' if missing."""
 
     license: str = ""
     title: str = ""
@@ -115,7 +117,7 @@ class Origin:
 
 
 def detect_origin(folder: Path) -> Origin:
-    """Read licence files and ``info.json`` beside a source. Nothing else is assumed."""
+    """Licence and authorship stated by licence files or ``info.json`` in a source's folder."""
     info = folder / "info.json"
     if info.is_file():
         inside(folder, info)
@@ -150,8 +152,7 @@ def provenance(
 ) -> tuple[Provenance, str]:
     """Provenance of an import and its title ('' if unknown).
 
-    Raises :class:`InputError` if the licence is neither given nor stated beside the source: it is never
-    guessed.
+    Raises :class:`InputError` if the licence is neither given nor stated in ``folder``; it is never guessed.
     """
     origin = detect_origin(folder)
     license_id = options.license or origin.license
@@ -179,5 +180,5 @@ def provenance(
 
 
 def mended_note(num_normals: int, num_meshes: int) -> str:
-    """Remark of an import on unusable normals."""
-    return f"{num_normals} normals of {num_meshes} meshes were missing or lay in their surface, mended"
+    """Note that unusable normals were replaced."""
+    return f"{num_normals} normals of {num_meshes} meshes were missing or in the surface's plane, replaced"

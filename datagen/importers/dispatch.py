@@ -57,12 +57,12 @@ def find_sources(path: Path) -> list[Source]:
         if sources:
             return sources
     else:
-        raise input_error(path, got="nothing there", expected="something to import", remedy="check the path")
+        raise input_error(path, "", "no such file or folder", "something to import", "check the path")
     expected = (
-        "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a mesh (.obj, .ply, .stl), what Blender reads "
+        "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a mesh (.obj, .ply, .stl), a file for Blender "
         "(.fbx, .usd, .blend), a Sweet Home 3D library (.sh3f), a PBR texture folder, or a folder of these"
     )
-    got = "a folder that holds nothing to import" if path.is_dir() else "a file of a kind that is not known"
+    got = "a folder with nothing to import" if path.is_dir() else "a file of a type that is not known"
     raise input_error(path, got=got, expected=expected, remedy="check the path")
 
 
@@ -104,11 +104,11 @@ def import_asset(
     on_done: Callable[[ImportedAsset], None] | None = None,
     watch: ImportWatch | None = None,
 ) -> list[ImportedAsset]:
-    """Import all sources at a path into a library folder.
+    """Import all sources at a path into the library folder ``out_library``.
 
     ``split`` makes an object of each separate group in a glTF file; ``on_done`` is called after each asset,
-    except for pieces of a furniture library, which ``watch`` reports. An ``asset_id`` is allowed with a
-    single source only. With several sources, all valid sources are imported, then one :class:`InputError`
+    except for pieces of a furniture library, which are reported to ``watch``. An ``asset_id`` is allowed with
+    a single source only. With several sources, all valid sources are imported, then one :class:`InputError`
     lists the invalid ones.
     """
     options = options or ImportOptions()

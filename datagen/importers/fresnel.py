@@ -29,17 +29,17 @@ _NAMED_IOR = {
 
 
 def named_ior(name: str) -> float | None:
-    """Index of refraction of one of Mitsuba's named dielectrics, or None."""
+    """Index of refraction of one of Mitsuba's named dielectrics; None for other names."""
     return _NAMED_IOR.get(name.lower())
 
 
 def dielectric_f0(ior: float) -> float:
-    """((ior - 1) / (ior + 1))^2 for a relative index of refraction."""
+    """F0 of a dielectric of relative index of refraction ``ior``: ((ior - 1) / (ior + 1))^2."""
     return ((ior - 1.0) / (ior + 1.0)) ** 2
 
 
 def conductor_f0(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """((eta - 1)^2 + k^2) / ((eta + 1)^2 + k^2), per channel (C,)."""
+    """F0 of a conductor in air, ((eta - 1)^2 + k^2) / ((eta + 1)^2 + k^2), per channel (C,)."""
     eta, k = np.asarray(eta, dtype=np.float64), np.asarray(k, dtype=np.float64)
     return ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
 
@@ -55,50 +55,51 @@ def conductor_fresnel(cos_i: NDArray, eta: NDArray, k: NDArray) -> NDArray[np.fl
 
 
 def conductor_mean(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """Reflectance of a conductor under diffuse light, 2 * integral of F(c) c dc, per channel (C,)."""
+    """Reflectance (C,) of a conductor under diffuse light, 2 * integral of F(c) c dc over [0, 1]."""
     cosine = (np.arange(2000) + 0.5) / 2000
     return 2 * (conductor_fresnel(cosine, eta, k) * cosine[:, None]).mean(axis=0)
 
 
 def schlick_s_of_mean(mean: NDArray) -> NDArray[np.float64]:
-    """S for which Schlick's curve has this mean under diffuse light: mean = S + (1 - S) / 21, clamped at 0.
+    """S for which Schlick's curve has ``mean`` under diffuse light: mean = S + (1 - S) / 21, in [0, 1].
 
-    A metal dimmed to r times its reflectance stays dim at grazing angles, where Schlick's curve rises to 1
-    for any S; equal means preserve the light of a room, equal S at normal incidence does not.
+    A metal dimmed by a factor stays dim at grazing angles, where Schlick's curve rises to 1 for any S; equal
+    means preserve the light of a room, equal F0 does not.
     """
     return np.clip((np.asarray(mean, dtype=np.float64) - 1 / 21) * 21 / 20, 0.0, 1.0)
 
 
 def dielectric_fresnel(cos_i: NDArray, ior: float) -> NDArray[np.float64]:
-    """Unpolarised reflectance of a smooth interface; ``ior`` is the index of the transmitted over the
-    incident side.
+    """Unpolarised reflectance (N,) of a smooth interface at ``cos_i`` (N,).
+
+    ``ior``: index of refraction of the transmitting side over that of the incident side.
     """
     cos_i = np.asarray(cos_i, dtype=np.float64)
     sin2_t = (1 - cos_i**2) / ior**2
     cos_t = np.sqrt(np.maximum(0.0, 1 - sin2_t))
-    # 0 / 0 at grazing angles with ior 1
+    # the bounds prevent 0 / 0 at grazing angles with ior 1
     parallel = (ior * cos_i - cos_t) / np.maximum(ior * cos_i + cos_t, 1e-30)
     across = (cos_i - ior * cos_t) / np.maximum(cos_i + ior * cos_t, 1e-30)
     return np.where(sin2_t >= 1, 1.0, 0.5 * (parallel**2 + across**2))
 
 
 def diffuse_fresnel(ior: float) -> float:
-    """Reflectance under diffuse light, 2 * integral of F(c) c dc over [0, 1] (midpoint rule, 1e-6)."""
+    """Dielectric reflectance under diffuse light, 2 * integral of F(c) c dc over [0, 1] (error 1e-6)."""
     cosine = (np.arange(20000) + 0.5) / 20000
     return float(2 * (dielectric_fresnel(cosine, ior) * cosine).mean())
 
 
 def perceptual_roughness(alpha: float | NDArray, distribution: str) -> NDArray[np.float64]:
-    """R = sqrt(alpha), with alpha widened from GGX to the nearest Beckmann lobe; clamped to [0, 1]."""
+    """R = sqrt(alpha) in [0, 1], with alpha of a ``ggx`` lobe converted to the nearest Beckmann lobe's."""
     factor = ALPHA_BECKMANN_PER_GGX if distribution == "ggx" else 1.0
     return np.sqrt(np.clip(np.asarray(alpha, dtype=np.float64) * factor, 0.0, 1.0))
 
 
 def plastic_diffuse_albedo(reflectance: NDArray, ior: float, nonlinear: bool) -> NDArray[np.float64]:
-    """Hemispherical albedo of the diffuse part of a plastic: light enters, scatters inside, and leaves.
+    """Hemispherical albedo of the diffuse part of a plastic, whose light enters, scatters and leaves.
 
-    T (1 - f) d / (1 - f d) with T = 1 - f_outside and f the inner diffuse Fresnel reflectance; without
-    ``nonlinear`` the denominator is 1 - f and the result is T d.
+    T (1 - f) d / (1 - f d) for the inner ``reflectance`` d, where T = 1 - f_outside and f, f_outside are the
+    diffuse Fresnel reflectances from either side; without ``nonlinear`` the denominator is 1 - f, giving T d.
     """
     reflectance = np.asarray(reflectance, dtype=np.float64)
     entering = 1 - diffuse_fresnel(ior)

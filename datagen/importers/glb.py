@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes and plain materials as a binary glTF file, for formats that are imported through glTF."""
+"""Encoder of meshes and plain materials as binary glTF, for formats that are imported through glTF."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FLOAT, _UINT = 5126, 5125
 
 @dataclass(frozen=True)
 class GlbMaterial:
-    """A surface of one colour (linear) or of an image, as (media type, bytes) in sRGB."""
+    """A material; the linear ``color`` is the factor of ``image``, (media type, bytes) in sRGB, if any."""
 
     color: tuple[float, float, float] = (0.8, 0.8, 0.8)
     roughness: float = 1.0
@@ -30,9 +30,7 @@ class GlbMaterial:
 
 
 def encode_glb(surfaces: Sequence[tuple[str, Mesh]], materials: Mapping[str, GlbMaterial]) -> bytes:
-    """A .glb file with a node for each (material name, mesh); v of the input's texture coordinates
-    points up.
-    """
+    """Bytes of a .glb file with a node for each (material name, mesh), whose UVs have v upwards."""
     return _Writer(materials).encode(surfaces)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""glTF 2.0 files as object or environment packages: metres, Z up, D, S and R.
+"""Import of glTF 2.0 files as object or environment packages: metres, Z up, D, S and R.
 
 glTF is Y up with its front along +Z, which becomes Z up with the front along -Y. An object is centred on the
 origin and put on the plane z = 0. Texture coordinates are flipped so that v points up.
@@ -48,8 +48,7 @@ from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish
 
 LUMENS_PER_WATT = 683.0
-"""glTF lights are photometric; Blender and other exporters convert with this factor, which is inverted here.
-"""
+"""glTF lights are photometric; exporters such as Blender's multiply by this factor, which is undone here."""
 _ROOM_SIDE_M, _ROOM_HEIGHT_M = 2.5, 2.0
 _TOUCH_M = 0.005
 DRACO_REMEDY = "export it without, or install Blender's module, which decodes it (extra `blender`)"
@@ -58,7 +57,7 @@ _OPENING_AREA_M2 = 0.3
 
 @dataclass
 class _Piece:
-    """One primitive of a placed node; ``mesh`` is in the asset's frame, v upwards."""
+    """One primitive of a placed node; ``root``: index of the root node; ``mesh``: in the asset's frame."""
 
     name: str
     root: int
@@ -79,7 +78,7 @@ def import_gltf(
     group of touching root nodes.
 
     If ``path`` was converted from another format, ``origin`` is the original file, which provides the licence
-    and the name in errors, and ``findings`` holds the findings of the conversion. Raises :class:`InputError`
+    and the name in errors, and ``findings`` contains those of the conversion. Raises :class:`InputError`
     with every problem: unknown extensions, missing files, transparent materials if the policy is to refuse
     them, an unknown licence.
     """
@@ -110,7 +109,7 @@ class _GltfImporter:
         self.nodes = list(file.placed_nodes())
         self.names = {placed.index: placed.name for placed in self.nodes}
         file.placed_primitives(self.nodes)
-        self.num_mended: list[int] = []  # normals, by primitive
+        self.num_mended: list[int] = []  # replaced normals per primitive
         self.pieces = self._collect()
         if self.num_mended:
             self.findings.note(mended_note(sum(self.num_mended), len(self.num_mended)))
@@ -125,7 +124,7 @@ class _GltfImporter:
         taken: set[str] = set()
         for key in ("animations", "skins"):
             if self.file.items(key):
-                self.findings.approximate(f"{self.file.path.name}: {key} left out, the rest pose is taken")
+                self.findings.approximate(f"{self.file.path.name}: {key} left out, the rest pose is used")
         for placed in self.nodes:
             if "mesh" not in placed.node:
                 continue
@@ -159,7 +158,7 @@ class _GltfImporter:
         mesh = self._mesh(primitive, material, label)
         matrix = self.asset_from_source @ placed.scene_from_node
         if abs(np.linalg.det(matrix[:3, :3])) < 1e-15:
-            self.findings.approximate(f"{label}: scaled to nothing, left out")
+            self.findings.approximate(f"{label}: scaled to zero, left out")
             return None
         if np.linalg.det(matrix[:3, :3]) < 0:  # a mirroring node reverses the winding
             mesh = replace(mesh, faces=mesh.faces[:, ::-1].copy())
@@ -197,7 +196,7 @@ class _GltfImporter:
             if num_mended:
                 self.num_mended.append(num_mended)
             return mesh
-        return flat_shaded(Mesh(positions, faces, None, uv))  # required by the format if normals are absent
+        return flat_shaded(Mesh(positions, faces, None, uv))  # as the format requires without normals
 
     def groups(self) -> list[list[_Piece]]:
         """Pieces by root node; roots whose bounding boxes touch (a pot and its lid) stay together."""
@@ -333,7 +332,7 @@ class _GltfImporter:
         return finish(asset, files, out_library / "environments", self.options, self.findings)
 
     def _cameras(self) -> tuple[AssetCamera, ...]:
-        """Perspective cameras; glTF's look along -Z with +Y up, and have no resolution of their own."""
+        """Perspective cameras, 720 pixels high, as glTF states no resolution; glTF's look along -Z, +Y up."""
         found = []
         for placed in self.nodes:
             if "camera" not in placed.node:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""glTF materials as D, S and R; other properties are approximated, or refused with their name."""
+"""Conversion of glTF materials to D, S and R; other properties are approximated or refused by name."""
 
 from __future__ import annotations
 
@@ -27,19 +27,18 @@ from datagen.importers.channels import (
     TextureFiles,
 )
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, ImportOptions
 from datagen.importers.pbr import DEFAULT_F0, metallic_roughness
 
 _LEFT_OUT = (
     "KHR_materials_clearcoat", "KHR_materials_sheen", "KHR_materials_iridescence", "KHR_materials_anisotropy",
     "KHR_materials_volume", "KHR_materials_dispersion",
 )  # fmt: skip
-_OPAL = 0.7  # roughly the radiance of a bright room behind clear glass
 
 
 @dataclass
 class GltfMaterial:
-    """A converted material: its slot, the UV set and transform (3, 3) of its textures, and its emission."""
+    """A converted material, with the UV set and the UV transform (3, 3; None = identity) of its textures."""
 
     slot: str
     material: SlotMaterial
@@ -57,7 +56,7 @@ class _Use:
 
 @dataclass
 class GltfMaterialConverter:
-    """Materials of one document; problems are collected and raised by the caller."""
+    """Converts the materials of one document; problems are collected for the caller to raise."""
 
     file: GltfFile
     options: ImportOptions
@@ -72,9 +71,7 @@ class GltfMaterialConverter:
         self.problems = Problems(self.file.path)
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
-        """Material ``index`` (None: glTF's default); ``hints`` are names from which its class may be
-        guessed.
-        """
+        """Convert material ``index`` (None: glTF's default); its name and ``hints`` imply its class."""
         key = -1 if index is None else index
         if key not in self._done:
             entry = {} if index is None else self.file.item("materials", index, "primitive.material")
@@ -88,7 +85,7 @@ class GltfMaterialConverter:
     def _with_uv(self, material: GltfMaterial) -> GltfMaterial:
         use = self._use
         if len(use.sets) > 1:
-            expected = "one UV set a material"
+            expected = "one UV set per material"
             self.problems.add(
                 f"material {material.slot!r}", f"UV sets {sorted(use.sets)}", expected, "bake to one set"
             )
@@ -110,7 +107,7 @@ class GltfMaterialConverter:
             if extension in extensions:
                 self._note(name, f"{extension.removeprefix('KHR_materials_')} left out")
         if "KHR_materials_unlit" in extensions:
-            self._note(name, "unlit, taken as a lit surface of its colour")
+            self._note(name, "unlit, converted to a lit surface of its colour")
         base = self._base(pbr, name)
         packed = self._image(pbr.get("metallicRoughnessTexture"), name, "linear")
         rough = self._times(packed, float(pbr.get("roughnessFactor", 1.0)), "g")
@@ -118,7 +115,7 @@ class GltfMaterialConverter:
         base = self._transmission(base, extensions, name)
         channels = metallic_roughness(self.cache, slug(name), base, metal, rough, self._f0(extensions, name))
         if "occlusionTexture" in entry:
-            self.findings.note(f"{name}: occlusion map left out, light is traced")
+            self.findings.note(f"{name}: occlusion map left out, since light is traced")
         emission = self._emission(entry, extensions, name)
         classes = self._classes(name, hints)
         return SlotMaterial(
@@ -182,7 +179,7 @@ class GltfMaterialConverter:
             self.problems.add(f"material {name!r}", f"transmission {factor:g}", "an opaque material", remedy)
             return base
         self._note(name, f"transmission {factor:g} as opaque opal glass")
-        return self.cache.color(f"{slug(name)}_opal", lambda c: c * (1 - factor + _OPAL * factor), base)
+        return self.cache.color(f"{slug(name)}_opal", lambda c: c * (1 - factor + OPAL_ALBEDO * factor), base)
 
     def _opacity(self, entry: dict[str, Any], pbr: dict[str, Any], name: str) -> float | Texture | None:
         mode = entry.get("alphaMode", "OPAQUE")
@@ -243,7 +240,7 @@ class GltfMaterialConverter:
         info: dict[str, Any] | None,
         name: str,
         encoding: str,
-        instead: str = "its factor stands alone",
+        instead: str = "only its factor is used",
     ) -> ImageSource | None:
         """The image of a texture reference, or None; records its UV set and transform."""
         if info is None:
@@ -274,7 +271,7 @@ class GltfMaterialConverter:
 
 
 def _uv_matrix(transform: dict[str, Any]) -> NDArray[np.float64]:
-    """(3, 3) of KHR_texture_transform, on UVs with v downwards: translation x rotation x scale."""
+    """(3, 3) matrix of KHR_texture_transform, for UVs with v downwards: translation x rotation x scale."""
     angle = float(transform.get("rotation", 0.0))
     su, sv = transform.get("scale", (1.0, 1.0))
     ou, ov = transform.get("offset", (0.0, 0.0))

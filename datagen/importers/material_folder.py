@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PBR texture folders with the file names of ambientCG or Poly Haven as material packages.
+"""Import of PBR texture folders, with file names as of ambientCG or Poly Haven, as material packages.
 
 ``Wood051_1K_Color.jpg``, ``Wood051_1K-JPG_NormalGL.jpg``; ``oak_diff_1k.jpg``, ``oak_arm_1k.jpg``.
 """
@@ -47,7 +47,7 @@ DEFAULT_TILE_M = 1.0
 
 
 def role_of(name: str) -> str:
-    """Kind of map stated by an image's file name, or ''."""
+    """Role of an image, such as ``roughness``, implied by its file name; '' if none is."""
     stem = _RESOLUTION.sub("", Path(name).stem).lower().replace("-", "_")
     words = stem.split("_")
     for length in (2, 1):
@@ -58,7 +58,7 @@ def role_of(name: str) -> str:
 
 
 def find_maps(folder: Path) -> dict[str, list[Path]]:
-    """Images of a folder by role; symbolic links are not resolved here."""
+    """Images of a folder by role, in order of name; symbolic links are included, unresolved."""
     maps: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in _IMAGES and (path.is_file() or path.is_symlink()):
@@ -105,6 +105,7 @@ class _MaterialImporter:
         self.problems: list[Problem] = []
 
     def one(self, role: str) -> Path | None:
+        """The permitted image of a role, or None; refused or several images become problems."""
         found = []
         for path in self.maps.get(role, []):
             file, fault = fault_of(self.folder, path.name, self.options.allowed)
@@ -184,7 +185,7 @@ class _MaterialImporter:
             slopes = None if height is None else self.cache.pixels(height)
             is_up = pixels.dtype.kind != "u" or green_points_up(pixels, slopes)
             made = "OpenGL" if is_up else "DirectX"
-            self.findings.note(f"{path.name}: orientation not in its name; by its pixels it is {made}")
+            self.findings.note(f"{path.name}: orientation not in its name; its pixels indicate {made}")
         if is_up:
             return Texture(texture=self.textures.add_file(path), encoding="linear")
         flipped = np.array(self.cache.pixels(path)[..., :3])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""OBJ (with MTL), PLY and STL files, converted to glTF in memory and imported as such.
+"""Import of OBJ (with MTL), PLY and STL files, by conversion to glTF.
 
 Such files state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL (``--up``). The unit is a metre if
 that gives a plausible size, else the first of centimetre, millimetre and inch that does, and the import
@@ -33,7 +33,7 @@ from datagen.importers.obj_model import creased, read_obj_model
 
 _IMAGE_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 _UNITS_M = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
-_USUAL_M = (0.02, 20.0)  # longest plausible side of an object, or of a room, of unknown category
+_USUAL_M = (0.02, 20.0)  # plausible longest side of an object, or room, of unknown category
 _STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 _MAX_EXPONENT = 1000.0
@@ -64,12 +64,12 @@ def import_mesh_file(
     with tempfile.TemporaryDirectory() as folder:
         converted = Path(folder) / f"{path.stem}.glb"
         converted.write_bytes(encode_glb(source.surfaces, source.materials))
-        told = replace(options, up=up, unit_scale=unit_m)
-        return import_gltf(converted, out_library, told, split=split, origin=path, findings=findings)
+        resolved = replace(options, up=up, unit_scale=unit_m)
+        return import_gltf(converted, out_library, resolved, split=split, origin=path, findings=findings)
 
 
 def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, findings: Findings) -> float:
-    """Metres per unit of the file."""
+    """Metres per unit that give the longest side a plausible length; 1 if none of the known units does."""
     points = [mesh.positions for _, mesh in source.surfaces]
     low, high = np.min([p.min(0) for p in points], 0), np.max([p.max(0) for p in points], 0)
     longest = float((high - low).max())
@@ -112,7 +112,7 @@ def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 def _material_of(
     name: str, phong: PhongMaterial, path: Path, options: ImportOptions, findings: Findings, budget: Budget
 ) -> GlbMaterial:
-    """An MTL material as metalness and roughness: R from the exponent, mirrors (``illum`` 3) as metals."""
+    """Convert an MTL material: roughness from the exponent, mirrors (``illum`` 3) become metals."""
     image: tuple[str, bytes] | None = None
     for keyword, text in phong.maps.items():
         if keyword != "map_kd":

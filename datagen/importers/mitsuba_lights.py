@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba emitters and sensors as lights and cameras of a package.
+"""Conversion of Mitsuba emitters to lights of a package.
 
-``A`` below is ``asset_from_source``: the rotation to Z up times the unit scale s. Radiance does not change
-with scale; intensities (W/sr) grow by s^2.
+A unit of s metres leaves radiance unchanged and multiplies intensity (W/sr) by s^2.
 """
 
 from __future__ import annotations
@@ -39,14 +38,12 @@ from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""Mitsuba's equirectangular image has its centre along +Z and its top along +Y; ours along +Y and +Z."""
+"""To Mitsuba's environment frame (image centre +Z, top +Y) from the project's (centre +Y, top +Z)."""
 
 
 @dataclass
 class LightConverter:
-    """Collects the lights of a scene; problems are gathered in ``problems``. ``matrix`` is ``A`` of the
-    module's docstring.
-    """
+    """Collects the lights and problems of a scene; ``matrix``: (4, 4) ``asset_from_source``."""
 
     scene: Path
     matrix: NDArray[np.float64]
@@ -82,7 +79,7 @@ class LightConverter:
         return _color(emitters[0].get("radiance", 1.0))
 
     def add(self, node: SceneNode) -> None:
-        """Convert an emitter without a shape."""
+        """Convert an emitter without a shape and append it to ``lights``."""
         converter = _CONVERTERS.get(node.type)
         if converter is None:
             expected = f"area, {', '.join(_CONVERTERS)}"
@@ -90,7 +87,7 @@ class LightConverter:
         elif (light := converter(self, node)) is not None:
             self.lights.append(light)
 
-    def _place(self, node: SceneNode) -> NDArray[np.float64]:
+    def _asset_from_emitter(self, node: SceneNode) -> NDArray[np.float64]:
         return self.matrix @ np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
 
     def _constant(self, node: SceneNode) -> Light:
@@ -109,7 +106,7 @@ class LightConverter:
             remedy = "restore it, or import with --missing replace"
             self._refuse(node, f"{name!r} (no such file)", "an environment map", remedy)
             return None
-        rotation = self._place(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
+        rotation = self._asset_from_emitter(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
         rigid = np.eye(4)
         rigid[:3, :3] = rotation / np.cbrt(np.abs(np.linalg.det(rotation)))
         return EnvironmentLight(
@@ -121,7 +118,7 @@ class LightConverter:
 
     def _point(self, node: SceneNode) -> Light:
         position = node.get("position")
-        matrix = self._place(node)
+        matrix = self._asset_from_emitter(node)
         source = np.append(np.asarray(position), 1.0) if position is not None else np.array([0, 0, 0, 1.0])
         point = (self.matrix if position is not None else matrix) @ source
         return PointLight(
@@ -131,7 +128,7 @@ class LightConverter:
         )
 
     def _spot(self, node: SceneNode) -> Light:
-        matrix = self._place(node)
+        matrix = self._asset_from_emitter(node)
         cutoff = math.radians(float(node.get("cutoff_angle", 20.0)))
         beam = node.get("beam_width")
         name = self._name(node)
@@ -148,7 +145,7 @@ class LightConverter:
 
     def _directional(self, node: SceneNode) -> Light:
         given = node.get("direction")
-        matrix = self._place(node)
+        matrix = self._asset_from_emitter(node)
         direction = self.matrix[:3, :3] @ np.asarray(given) if given is not None else matrix[:3, 2]
         return DirectionalLight(
             name=self._name(node),
@@ -157,18 +154,18 @@ class LightConverter:
         )
 
     def _daylight(self, node: SceneNode) -> Light | None:
-        """Of a ``sky``, a ``sun`` or both; ``scale`` is an old name of the scale of either."""
+        """Light of a ``sky``, ``sun`` or ``sunsky``; ``scale`` is an old parameter of the first two."""
         scale = None if node.type == "sunsky" else node.get("scale")
         sky_scale, sun_scale = (
             float(node.get(f"{part}_scale", 1.0) if scale is None else scale) if part in node.type else 0.0
             for part in ("sky", "sun")
         )
         if node.get("sun_direction") is None:
-            expected = "sun_direction, rather than a place and a time"
+            expected = "sun_direction, not a location and a time"
             self._refuse(node, "no sun_direction", expected, "give the direction of the sun")
             return None
-        place = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
-        direction = self.matrix[:3, :3] @ place[:3, :3] @ np.asarray(node.get("sun_direction"))
+        to_world = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+        direction = self.matrix[:3, :3] @ to_world[:3, :3] @ np.asarray(node.get("sun_direction"))
         albedo = node.get("albedo", 0.3)
         return SkyLight(
             name=self._name(node),
@@ -200,7 +197,7 @@ _CONVERTERS: dict[str, Callable[[LightConverter, SceneNode], Light | None]] = {
 def emitter_shape_light(
     node: SceneNode, name: str, asset_from_shape: NDArray[np.float64], radiance: tuple[float, float, float]
 ) -> Light | None:
-    """The light of an emitting rectangle, disk or sphere; None for other shapes, which stay emissive parts.
+    """The light of an emitting rectangle, disk or sphere; None for other shapes, which become emissive parts.
 
     A rectangle or disk emits along its local +Z; if the transform mirrors, the edges are swapped so that
     edge_u x edge_v still points there.

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba BSDFs as D, S and R. The mapping and its errors are set out in docs/importing.md.
+"""Conversion of Mitsuba BSDFs to D, S and R; docs/importing.md describes the mapping and its errors.
 
-A BSDF first becomes a :class:`Draft`, which names the visible channels and their sources; drafts of
-transparent BSDFs carry their kind, so that the scene importer can apply the policy chosen by the user. BSDFs
-without a mapping are refused with their name.
+A BSDF first becomes a :class:`Draft` of channel values; drafts of transparent BSDFs state their
+``transparency``, to which the scene importer applies the user's policy. BSDFs without a mapping are refused.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from datagen.importers.channels import (
     Value,
     is_constant,
 )
-from datagen.importers.common import ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, ImportOptions
 from datagen.importers.mitsuba_values import NodeValues
 
 
@@ -38,8 +37,8 @@ from datagen.importers.mitsuba_values import NodeValues
 class Draft:
     """A material before its files are written. ``uv_matrix`` (3, 3) acts on Mitsuba's (u, v), v downwards.
 
-    ``transparency``: ``thin`` transmits light straight, ``body`` refracts, ``null`` is invisible. ``height``
-    is a bump map in scene units per texel value.
+    ``transparency``: ``thin`` transmits light straight, ``body`` refracts, ``null`` is invisible. ``height``:
+    bump map in scene units.
     """
 
     name: str
@@ -107,7 +106,7 @@ class MaterialConverter(NodeValues):
     # opaque BSDFs
 
     def _diffuse(self, node: SceneNode, name: str) -> Draft:
-        """S = 0, R = 1; D is lowered by the sheen that Schlick's curve adds even then, for equal albedo."""
+        """S = 0, R = 1; D is lowered by the albedo that Schlick's curve adds even at S = 0."""
         reflectance = self.color(node, "reflectance", 0.5)
         if isinstance(reflectance, ImageSource):
             return Draft(name, diffuse=replace(reflectance, offset=-fresnel.DIFFUSE_SHEEN))
@@ -115,7 +114,7 @@ class MaterialConverter(NodeValues):
         return Draft(name, diffuse=lowered)
 
     def _lobe_width(self, node: SceneNode, name: str) -> ScalarValue:
-        """R of a BSDF that Mitsuba has smooth and, with ``rough`` before its name, rough."""
+        """R of a BSDF of which Mitsuba has a smooth (R = 0) and a ``rough`` variant."""
         return self.roughness(node, name) if node.type.startswith("rough") else 0.0
 
     def _plastic(self, node: SceneNode, name: str) -> Draft:
@@ -148,7 +147,7 @@ class MaterialConverter(NodeValues):
                 mean = np.array(fresnel.conductor_preset_mean(str(node.get("material", "Cu"))))
             except ValueError as error:
                 self.problems.add(
-                    f"{node.where}: material", str(error), "a conductor of Mitsuba", "give eta and k"
+                    f"{node.where}: material", str(error), "one of Mitsuba's conductors", "give eta and k"
                 )
                 mean = np.ones(3)
         specular = self.cache.color(
@@ -186,8 +185,8 @@ class MaterialConverter(NodeValues):
 
     def _dielectric(self, node: SceneNode, name: str) -> Draft:
         roughness, f0 = self._lobe_width(node, name), fresnel.dielectric_f0(self.ior(node))
-        opal = 0.7  # roughly the radiance of a bright room behind clear glass
-        return Draft(name, (opal,) * 3, (f0,) * 3, roughness, transparency="body", fallback_class="glass")
+        opal = (OPAL_ALBEDO,) * 3
+        return Draft(name, opal, (f0,) * 3, roughness, transparency="body", fallback_class="glass")
 
     def _thindielectric(self, node: SceneNode, name: str) -> Draft:
         return replace(self._dielectric(node, name), transparency="thin")
@@ -233,7 +232,7 @@ class MaterialConverter(NodeValues):
         return replace(draft, normal=replace(source, encoding="linear"))
 
     def _blendbsdf(self, node: SceneNode, name: str) -> Draft:
-        """Channels blended by the weight; roughness is blended as alpha, not as R."""
+        """Blend of the channels by the weight; roughness is blended as alpha, not as R."""
         first, second = self._nested(node, name, 0), self._nested(node, name, 1)
         weight = self.scalar(node, "weight", 0.5)
         if (
@@ -243,7 +242,7 @@ class MaterialConverter(NodeValues):
             or second.opacity is not None
         ):
             self.problems.add(
-                node.where, "a blend with a transparent BSDF", "a blend of opaque ones", "replace it"
+                node.where, "a blend with a transparent BSDF", "a blend of opaque BSDFs", "replace it"
             )
             return first
 

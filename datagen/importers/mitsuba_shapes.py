@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba shapes as meshes in their own frame, with texture coordinates whose v points up.
+"""Conversion of Mitsuba shapes to meshes in the shapes' frames, with UVs whose v points up.
 
-Mitsuba looks up images with v downwards. Its OBJ loader flips v by default, its PLY loader does not, and its
-analytic shapes have v downwards: all of that is reversed here.
+Mitsuba looks up images with v downwards: its OBJ loader flips v by default, its PLY loader does not, and its
+analytic shapes have v downwards.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh
         uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
     mesh = Mesh(mesh.positions, mesh.faces, mesh.normals, uv)
     if len(mesh.faces) == 0 or not np.isfinite(mesh.positions).all():
-        return mesh, 0  # the check of the finished package reports it by name
+        return mesh, 0  # reported by the check of the finished package
     if bool(node.get("face_normals", False)):
         return compacted(flat_shaded(mesh)), 0
     return with_sound_normals(mesh)
@@ -86,7 +86,7 @@ def _disk(_: SceneNode) -> Mesh:
     return Mesh(positions, faces, _f32([[0, 0, 1]] * len(positions)), uv)
 
 
-_CUBE_CORNERS = (  # Mitsuba's own order, which its UVs require
+_CUBE_CORNERS = (  # in Mitsuba's order, which its UVs require
     (1, -1, -1), (1, -1, 1), (-1, -1, 1), (-1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, 1, 1), (1, 1, 1),
     (1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1), (-1, -1, 1),
     (-1, -1, 1), (-1, 1, 1), (-1, 1, -1), (-1, -1, -1), (1, 1, -1), (1, -1, -1), (-1, -1, -1), (-1, 1, -1),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Parameters and textures of Mitsuba's BSDF nodes as values of channels."""
+"""Conversion of parameters and textures of Mitsuba's BSDF nodes to channel values."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.mitsuba.scene import SceneNode
+from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.errors import Problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.paths import fault_of
@@ -36,14 +37,14 @@ _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 @dataclass
 class _Textures:
-    """Texture references of one BSDF, with their UV transforms."""
+    """UV transforms of one BSDF's textures; ``has_plain``: whether a texture has none."""
 
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
     has_plain: bool = False
 
 
 class NodeValues:
-    """Values of the BSDF nodes of one scene; faults are collected in ``problems``."""
+    """Reads values of the BSDF nodes of one scene; faults are collected in ``problems``."""
 
     def __init__(self, scene_file: Path, options: ImportOptions, findings: Findings, cache: ImageCache):
         self.scene_file = scene_file
@@ -54,7 +55,7 @@ class NodeValues:
         self.start_material()
 
     def start_material(self) -> None:
-        """Forget UV transforms and notes of the previous material."""
+        """Discard UV transforms and notes of the previous material."""
         self._textures = _Textures()
         self.notes: list[str] = []
 
@@ -95,14 +96,14 @@ class NodeValues:
         return value
 
     def color(self, node: SceneNode, key: str, default: float) -> ColorValue:
-        """A colour parameter or its texture."""
+        """The colour parameter ``key``, constant or textured."""
         texture = node.child(key)
         if texture is not None:
             return cast(ColorValue, self.texture(texture))
         return self.constant_color(node, key, default)
 
     def constant_color(self, node: SceneNode, key: str, default: float) -> Color:
-        """A colour parameter without a texture."""
+        """The colour parameter ``key`` without a texture."""
         value = node.get(key, default)
         if isinstance(value, tuple | list):
             red, green, blue = (float(x) for x in value)
@@ -110,18 +111,14 @@ class NodeValues:
         return (float(value),) * 3
 
     def scalar(self, node: SceneNode, key: str, default: float) -> ScalarValue:
-        """A scalar parameter or its texture; colours are converted to luminance."""
+        """The scalar parameter ``key``: luminance of a colour, mean of the channels of a checkerboard."""
         texture = node.child(key)
         if texture is None:
             value = node.get(key, default)
-            return (
-                float(np.dot(value, [0.212671, 0.715160, 0.072169]))
-                if isinstance(value, tuple)
-                else float(value)
-            )
+            return float(np.dot(value, LUMINANCE_WEIGHTS)) if isinstance(value, tuple) else float(value)
         found = self.texture(texture)
         if isinstance(found, tuple):
-            return float(np.dot(found, [0.212671, 0.715160, 0.072169]))
+            return float(np.dot(found, LUMINANCE_WEIGHTS))
         if isinstance(found, BakedSource):
             return BakedSource(self.cache.values(found, True).mean(axis=-1), found.label, "linear")
         return found
@@ -132,13 +129,11 @@ class NodeValues:
             return self._bitmap(node)
         if node.type == "checkerboard":
             self._note_matrix(node)
-            first, second = (
-                self.constant_color(node, "color0", 0.4),
-                self.constant_color(node, "color1", 0.2),
-            )
+            first = self.constant_color(node, "color0", 0.4)
+            second = self.constant_color(node, "color1", 0.2)
             if node.child("color0") or node.child("color1"):
                 self.problems.add(
-                    node.where, "a checkerboard of textures", "of two colours", "bake it to an image"
+                    node.where, "a checkerboard of textures", "two colours", "bake it to an image"
                 )
             return checkerboard(first, second)
         self.problems.add(
@@ -195,7 +190,7 @@ class NodeValues:
 
 
 def checkerboard(color0: Color, color1: Color) -> BakedSource:
-    """One tile of Mitsuba's checkerboard: color0 where u and v are both in the same half, rows downwards."""
+    """One tile of Mitsuba's checkerboard: ``color0`` where u and v are in the same half, else ``color1``."""
     side = CHECKER_TILE_PX
     half = np.arange(side) >= side // 2
     is_first = half[:, None] == half[None, :]

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A Mitsuba 3 scene (XML) as an environment package: one part per shape, metres, Z up.
+"""Import of a Mitsuba scene (XML) as an environment package: one part per shape, metres, Z up.
 
-docs/importing.md lists the conversions and their errors. Nothing is dropped or replaced silently: content
-without a conversion is refused with its name or, if an option allows, replaced and listed in the record of
-the import.
+docs/importing.md lists the conversions and their errors. Content without a conversion is refused by name or,
+if an option allows it, replaced or removed, and listed in the record of the import.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ _SlotKey = tuple[int, tuple[float, float, float] | None]  # BSDF, emission
 
 @dataclass
 class _Shape:
-    """One shape on its way to a part. ``mesh`` is in the shape's own frame, v upwards."""
+    """One shape before it becomes a part. ``mesh`` is in the shape's frame, v upwards."""
 
     node: SceneNode
     label: str
@@ -99,7 +98,7 @@ class _SceneImporter:
         self.scene: MitsubaScene = parse_scene(self.path, options.defines, self.budget, options.allowed)
         self.materials = MaterialConverter(self.path, options, self.findings, self.cache, self.budget)
         self.problems = self.materials.problems
-        self.num_mended: list[int] = []  # normals, by shape
+        self.num_mended: list[int] = []  # replaced normals per shape
         self.meshes: dict[Any, tuple[Mesh, int]] = {}
         up = guess_up(self.scene) if options.up == "auto" else options.up
         self.asset_from_source = asset_from_source(up, options.unit_m)
@@ -151,7 +150,7 @@ class _SceneImporter:
         return shapes
 
     def placed_shapes(self) -> Iterator[tuple[SceneNode, str, NDArray[np.float64]]]:
-        """Every shape with its label and the transform of the instance that places it."""
+        """Yield every shape with its label and the (4, 4) transform of its instance, or identity."""
         for number, node in enumerate(self.scene.all_of("shape")):
             label = node.id or f"shape_{number:04d}"
             if node.type == "instance":
@@ -208,9 +207,7 @@ class _SceneImporter:
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
 
     def mesh_of(self, node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
-        """The mesh of a shape; one shared by several shapes is read once, but counts against the budget each
-        time.
-        """
+        """Mesh of a shape, and number of replaced normals; a shared mesh is read once, charged each time."""
         key = _source_of(node, file)
         if key in self.meshes:
             self.budget.spend("triangles", self.meshes[key][0].weight, node.where)
@@ -219,7 +216,7 @@ class _SceneImporter:
         return self.meshes[key]
 
     def apply_dielectric_policy(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Refuse transmissive materials or, by option, remove panes and turn bodies into opal glass."""
+        """Refuse transparent materials or, by option, remove panes and convert bodies to opal glass."""
         kept: list[_Shape] = []
         refused: dict[str, str] = {}
         removed: dict[str, int] = {}
@@ -257,9 +254,7 @@ class _SceneImporter:
         return kept
 
     def take_out_lights(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Convert emitting rectangles, disks and spheres to lights of the package; other emitters stay
-        parts.
-        """
+        """Convert emitting rectangles, disks and spheres to lights of the package; return other shapes."""
         kept = []
         for shape in shapes:
             light = None
@@ -275,10 +270,10 @@ class _SceneImporter:
     # parts and materials
 
     def build_parts(self, shapes: list[_Shape]) -> tuple[list[Part], list[Mesh]]:
-        """Parts with their mesh files, and every part's mesh in the asset's frame.
+        """Add mesh files; returns the parts, and every part's mesh in the asset's frame.
 
-        A mesh shared by several shapes is stored once, in its own frame; others are stored in the asset's
-        frame.
+        A mesh shared by several shapes is stored once, in the shapes' frame, others in the asset's frame.
+        Shapes without a surface are removed from ``shapes``, the others get their slots.
         """
         parts: list[Part] = []
         placed: list[Mesh] = []
@@ -320,15 +315,14 @@ class _SceneImporter:
 
     def mesh_key(self, shape: _Shape) -> Any:
         matrix = shape.draft.uv_matrix
-        place = None if shape.file else local_transform(shape.node).tobytes()
         return (
             *_source_of(shape.node, shape.file),
-            place,
+            None if shape.file else local_transform(shape.node).tobytes(),
             None if matrix is None else matrix.tobytes(),
         )
 
     def slot_name(self, shape: _Shape, slots: dict[_SlotKey, str]) -> str:
-        """Slot of a shape: one per BSDF and emission."""
+        """Slot of a shape, one for each pair of BSDF and emission; new ones are added to ``slots``."""
         key = (shape.bsdf, shape.emission)
         if key not in slots:
             base = shape.draft.name + ("_emitter" if shape.emission else "")
@@ -353,7 +347,7 @@ class _SceneImporter:
         draft = shape.draft
         guessed: tuple[MaterialClass, ...] = (guess_class(draft.name, fallback=draft.fallback_class),)
         classes = self.annotations.classes.get(shape.slot, guessed)
-        approximations = list(draft.approximations)
+
         if shape.emission is not None:
             return SlotMaterial(
                 classes=classes,
@@ -374,7 +368,7 @@ class _SceneImporter:
             roughness=self.textures.scalar(draft.roughness),
             opacity=None if draft.opacity is None else self.textures.scalar(draft.opacity),
             normal=normal,
-            approximations=tuple(approximations),
+            approximations=draft.approximations,
             replaceable_by=self.annotations.replaceable_by.get(shape.slot, REPLACEABLE[classes[0]]),
         )
 
@@ -412,7 +406,7 @@ def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
 
 
 def is_pane(mesh: Mesh) -> bool:
-    """Whether every separate piece of a mesh is flat: thin relative to its second-largest extent."""
+    """Whether every connected piece of a mesh is thin relative to its second-largest extent."""
     points, index = welded(mesh)
     faces = index[mesh.faces]
     labels = _pieces(faces, len(points))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Material libraries of Wavefront OBJ files (.mtl), without conversion."""
+"""Reader of material libraries of Wavefront OBJ files (.mtl)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 
 @dataclass
 class PhongMaterial:
-    """A material of an MTL file: display colours, and ``maps`` by keyword (``map_kd``)."""
+    """A material of an MTL file: colours as stated, and arguments of ``maps`` by keyword (``map_kd``)."""
 
     diffuse: tuple[float, float, float] = (0.8, 0.8, 0.8)
     specular: tuple[float, float, float] = (0.0, 0.0, 0.0)

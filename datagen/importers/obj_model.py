@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""OBJ models with their materials: one mesh per material, polygons triangulated, normals computed if the file
-has none.
+"""Reader of OBJ models: one mesh per material, polygons triangulated, missing normals computed.
 
 Letters: C corners of polygons, P polygons, M triangles. v of a texture coordinate points up.
 """
@@ -19,10 +18,9 @@ from datagen.foundation.meshes.mesh import Mesh, compacted
 from datagen.foundation.meshes.obj import corner_indices
 
 CREASE_COSINE = 0.5
-"""Edges of less than 60 degrees are smooth within a smoothing group."""
+"""Cosine of the crease angle: edges of less than 60 degrees are smooth within a smoothing group."""
 MIRROR_GROUP = "sweethome3d_window_mirror"
-# lines are converted to numbers at once: as strings they take ten times the memory of the file
-_BLOCK = 1 << 16
+_BLOCK = 1 << 16  # lines split into words at once, which take ten times the memory of the lines
 _MAX_PAIRS = 1 << 22  # corner pairs in memory at once
 _NORMAL_DIGITS = 5  # equal normals of shared corners must be bit-identical for vertices to be shared
 
@@ -49,7 +47,7 @@ class ObjModel:
 
 @dataclass
 class _Statements:
-    """Lines of an OBJ file sorted by kind; for each polygon its corner count, smoothing group and owner."""
+    """Lines of an OBJ file by kind; for each polygon its number of corners, smoothing group and surface."""
 
     positions: list[bytes] = field(default_factory=list)
     uvs: list[bytes] = field(default_factory=list)
@@ -63,7 +61,7 @@ class _Statements:
 
 
 def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
-    """Parse an OBJ file. Lines and points are ignored. Raises :class:`InputError` if it is damaged."""
+    """Parse an OBJ file without its lines and points. Raises :class:`InputError` if it is damaged."""
     found = _sort_lines(data, budget)
     budget.spend("triangles", max(sum(found.counts) - 2 * len(found.counts), len(found.positions) // 3))
     try:
@@ -149,8 +147,9 @@ def _block(lines: list[bytes], width: int) -> Floats:
 
 
 def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, Ints]:
-    """Triangles as corner numbers (M, 3) and the polygon of each (M,). ``points`` (C, 3) are the positions of
-    the corners.
+    """Triangles as indices of corners (M, 3), and the polygon of each (M,).
+
+    ``points`` (C, 3): positions of the corners; ``counts`` (P,): corners of each polygon.
     """
     starts = np.cumsum(counts) - counts
     threes, fours = np.flatnonzero(counts == 3), np.flatnonzero(counts == 4)
@@ -178,10 +177,10 @@ def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, I
 
 
 def triangulate(points: Floats, budget: Budget) -> Ints:
-    """Triangles (K - 2, 3) of a planar polygon (K, 3) without holes, in its own winding, by ear clipping."""
+    """Triangles (K - 2, 3) of a planar polygon (K, 3) without holes, in its winding, by ear clipping."""
     ring = np.arange(len(points))
     turned = np.roll(points, -1, axis=0)
-    normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell
+    normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell's method
     axis = int(np.abs(normal).argmax())
     flat = np.delete(points, axis, axis=1)
     if (normal[axis] < 0) != (axis == 1):  # projected along -axis; x-z is mirrored relative to z-x
@@ -223,8 +222,7 @@ def _normal(triangles: Floats) -> Floats:
 def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
     """Mask (M,) of triangles that do not repeat an earlier one in either winding.
 
-    Models contain faces twice to make them visible from both sides, which every surface of the project is
-    anyway.
+    Models repeat faces to make them visible from behind; the project's surfaces are two-sided.
     """
     keys = np.sort(faces, axis=1)
     order = np.lexsort(keys.T)
@@ -255,8 +253,10 @@ def _corner_normals(
 
 
 def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
-    """Normals (M, 3, 3): at each corner the angle-weighted mean of the adjacent faces within 60 degrees and
-    in the same smoothing group; group 0 is flat.
+    """Normals (M, 3, 3) of the corners of ``faces`` (M, 3) with unit normals ``unit`` (M, 3).
+
+    They are angle-weighted means over the faces at the corner within 60 degrees and in the same smoothing
+    group; group 0 is flat.
     """
     made = np.repeat(unit[:, None], 3, axis=1)
     chosen = np.flatnonzero(smoothing > 0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The last step of every import: write the package, check it as a whole, and record the import.
 
-``import.json`` beside ``asset.json`` holds the approximations and remarks of the importer; it does not enter
-the asset's hash.
+``import.json`` beside ``asset.json`` contains the importer's approximations and notes; it is no part of the
+asset's hash.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ def finish(
     options: ImportOptions,
     findings: Findings,
 ) -> ImportedAsset:
-    """Write ``folder/<id>`` (or ``.zip``). Faults of the package are errors; warnings become notes."""
+    """Write, check and record the package ``folder/<id>`` (or ``.zip``); warnings become notes.
+
+    Raises :class:`InputError` for faults of the package, and if it exists without ``options.overwrite``.
+    """
     record: dict[str, Any] = {
         "approximations": list(findings.approximations),
         "notes": list(findings.notes),
@@ -59,7 +62,7 @@ def finish(
 
 
 def _contents(asset: AnyAsset) -> str:
-    """Short text with size, parts and materials."""
+    """Summary of an asset: size, and numbers of parts and materials; or classes, or time of day."""
     if isinstance(asset, PanoramaAsset):
         return asset.daytime
     if isinstance(asset, MaterialAsset):

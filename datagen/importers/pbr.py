@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Metallic-roughness materials (glTF, texture folders) as D, S and R:
+"""Conversion of metallic-roughness materials (glTF, texture folders) to D, S and R:
 
 D = base (1 - metallic),  S = F0 (1 - metallic) + base metallic,  R = roughness
 
-A channel given by one plain image is passed through; only true products of images are baked.
+A channel given by one unprocessed image is kept as it is; only products of images are baked.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def metallic_roughness(
     roughness: ScalarValue,
     f0: ColorValue = (DEFAULT_F0,) * 3,
 ) -> PbrChannels:
-    """D, S and R; ``label`` names baked files. A constant metalness image counts as a constant."""
+    """D, S and R; ``label``: prefix of baked files. Metalness images of only 0 or only 1 become constants."""
     metallic = settled(cache, metallic)
     if metallic == 0.0:
         return PbrChannels(base, f0, roughness)
@@ -68,8 +68,7 @@ def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
 
 
 def green_points_up(pixels: NDArray, height: NDArray | None = None) -> bool:
-    """Whether a tangent-space normal image has +Y up (OpenGL) rather than down (DirectX), judged by its
-    pixels.
+    """Whether the ``pixels`` (H, W, 3) of a normal map imply +Y up (OpenGL) rather than down (DirectX).
 
     If there is a ``height`` image of the same size that correlates with the normals, its slope along v
     decides. Otherwise the curl does: slopes p = nx / nz and q = ny / nz of a height field are free of curl,

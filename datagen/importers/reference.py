@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compares an imported scene with its original: rendered from the same camera, with Mitsuba's own BSDFs and
-with the converted materials.
+"""Comparison of renderings of an imported scene and of its original, from the same camera.
 
 Images are (H, W, 3) float32, scene-linear. The Mitsuba variant must have been selected before rendering.
 """
@@ -15,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import AssetCamera, EnvironmentAsset
-from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
-from datagen.formats.lights import EnvironmentLight, Light
+from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.mitsuba.scene import parse_scene
 from datagen.formats.mitsuba.sensors import camera_of
 from datagen.formats.package import Package
 from datagen.formats.recipe import RenderRecipe
+from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
 from datagen.foundation.errors import input_error
@@ -34,7 +33,7 @@ _DARK_SHARE = 0.01  # pixels below this share of the mean are too dark for a rat
 
 
 def load_original(path: Path, *, optimize: bool = False) -> Any:
-    """The scene as loaded by Mitsuba, with its own BSDFs; ``optimize=False`` keeps one mesh per shape."""
+    """The scene as Mitsuba loads it, with Mitsuba's BSDFs; ``optimize=False`` keeps one mesh per shape."""
     import mitsuba as mi
 
     file = path / "scene.xml" if path.is_dir() else path
@@ -42,7 +41,7 @@ def load_original(path: Path, *, optimize: bool = False) -> Any:
 
 
 def original_camera(path: Path) -> AssetCamera:
-    """First camera of a scene file, in the scene's own frame."""
+    """First camera of a scene file, in the scene's frame. Raises :class:`InputError` if it has none."""
     file = path / "scene.xml" if path.is_dir() else path
     sensors = parse_scene(file).all_of("sensor")
     if not sensors:
@@ -51,10 +50,10 @@ def original_camera(path: Path) -> AssetCamera:
 
 
 def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) -> Camera:
-    """An asset's camera at another width; its aspect is kept to the nearest pixel unless a height is given.
+    """An asset's camera at another width; the aspect is kept to the nearest pixel unless a height is given.
 
-    Another aspect keeps the horizontal field of view and the vertical centre: some reference images are
-    square although their scene is wide.
+    A height keeps the horizontal field of view and the vertical centre: some reference images are square
+    although their scene is wide.
     """
     if height_px is not None:
         scale = width_px / camera.width_px
@@ -80,7 +79,7 @@ def render_original(
     seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
-    """The original (H, W, 3) from its own camera, rendered by Mitsuba's path tracer with a box filter."""
+    """Render the original (H, W, 3) from its first camera by Mitsuba's path tracer with a box filter."""
     import mitsuba as mi
 
     scene = load_original(path, optimize=True)
@@ -110,28 +109,17 @@ def render_original(
 def native_configuration(
     package: Package, width_px: int, seed: int = 0, height_px: int | None = None
 ) -> Configuration:
-    """An environment alone, under its own lights, from its own cameras."""
-    asset = package.asset
-    if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
-        raise input_error(package.path, "cameras", "none", "an environment with its own camera")
-    lights: list[Light] = []
-    for light in asset.lights:
-        if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
-            light = light.model_copy(update={"asset": asset.id})
-        lights.append(light)
+    """Configuration of an environment alone, with its lights, and its cameras at another width.
+
+    Raises :class:`InputError` if it has no camera; ``height_px`` is as in :func:`camera_at`.
+    """
+    alone = configuration_of(package.path, package.sha256, seed)
+    assert isinstance(package.asset, EnvironmentAsset)
     cameras = tuple(
         ViewCamera.from_camera(f"view_{k:03d}", camera_at(camera, width_px, height_px))
-        for k, camera in enumerate(asset.cameras)
+        for k, camera in enumerate(package.asset.cameras)
     )
-    return Configuration(
-        id=f"{asset.id}-native",
-        index=0,
-        seed=seed,
-        environment=PlacedAsset(name="environment", asset=asset.id),
-        lights=tuple(lights),
-        cameras=cameras,
-        assets={asset.id: package.sha256},
-    )
+    return alone.model_copy(update={"id": f"{alone.id}-native", "cameras": cameras})
 
 
 def render_converted(
@@ -143,9 +131,7 @@ def render_converted(
     seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
-    """The imported environment (H, W, 3) from its first camera, rendered with the project's BSDF; not
-    denoised.
-    """
+    """Render the imported environment (H, W, 3) from its first camera by this project, not denoised."""
     configuration = native_configuration(library.package(asset_id), width_px, seed, height_px)
     recipe = RenderRecipe(
         variant=select_variant(),  # type: ignore[arg-type]
@@ -188,14 +174,14 @@ def agreement(image: NDArray, reference: NDArray) -> Agreement:
         (width, height),
         interpolation=cv2.INTER_AREA,
     )
-    ours, theirs = (luminance(np.asarray(i[..., :3], dtype=np.float64)) for i in (image, reference))
-    ours, theirs = (gaussian_filter(i, BLUR_SHARE * width) for i in (ours, theirs))
-    limit = np.percentile(theirs, 99)
-    ours, theirs = np.minimum(ours, limit), np.minimum(theirs, limit)
-    lit = theirs > _DARK_SHARE * theirs.mean()
+    image_y, reference_y = (luminance(np.asarray(i[..., :3], dtype=np.float64)) for i in (image, reference))
+    image_y, reference_y = (gaussian_filter(i, BLUR_SHARE * width) for i in (image_y, reference_y))
+    limit = np.percentile(reference_y, 99)
+    image_y, reference_y = np.minimum(image_y, limit), np.minimum(reference_y, limit)
+    lit = reference_y > _DARK_SHARE * reference_y.mean()
     return Agreement(
-        correlation=float(np.corrcoef(ours.ravel(), theirs.ravel())[0, 1]),
-        median_ratio=float(np.median(ours[lit] / theirs[lit])),
-        mean_ratio=float(ours.mean() / theirs.mean()),
-        rel_l1=float(np.abs(ours - theirs).sum() / theirs.sum()),
+        correlation=float(np.corrcoef(image_y.ravel(), reference_y.ravel())[0, 1]),
+        median_ratio=float(np.median(image_y[lit] / reference_y[lit])),
+        mean_ratio=float(image_y.mean() / reference_y.mean()),
+        rel_l1=float(np.abs(image_y - reference_y).sum() / reference_y.sum()),
     )

@@ -26,6 +26,7 @@ _SLOT_SIDE_M = 0.6
 
 
 def short_vector(values: NDArray | list[float]) -> Vector3:
+    """Three numbers rounded to six significant digits."""
     x, y, z = (quantized(float(v), 6) for v in values)
     return x, y, z
 
@@ -33,14 +34,13 @@ def short_vector(values: NDArray | list[float]) -> Vector3:
 def surface_points(
     triangles: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
-    """Points distributed over the triangles (P, 3), their triangles (P,), and an upper bound on the distance
-    between points.
+    """Points (P, 3) spread over ``triangles`` (M, 3, 3), their triangles (P,), and their maximum spacing.
 
-    The bound is ``0.8 * SQUARE_M``, or more if that would give too many points.
+    The spacing is ``0.8 * SQUARE_M``, or more if that would give too many points.
     """
     lengths = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)  # edge k: corner k to k + 1
-    turn = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
-    a, b, c = np.take_along_axis(triangles, turn[:, :, None], axis=1).transpose(1, 0, 2)
+    order = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(triangles, order[:, :, None], axis=1).transpose(1, 0, 2)
     base = lengths.max(axis=1)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     height = 2 * area / np.maximum(base, 1e-30)
@@ -65,7 +65,7 @@ def _counted(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class RoomGrid:
-    """Cubes of side ``cell_m`` from ``origin_m``, ``occupied`` or ``interior`` (free and enclosed)."""
+    """Masks of ``occupied`` and ``interior`` (free, enclosed) cubes of side ``cell_m`` from ``origin_m``."""
 
     origin_m: NDArray[np.float64]
     cell_m: float
@@ -77,9 +77,9 @@ class RoomGrid:
     def build(
         cls, points: NDArray[np.float32], seeds: NDArray[np.float64], min_cell_m: float
     ) -> RoomGrid | None:
-        """The grid of the room that contains most seeds (or is largest); None if no space is enclosed.
+        """Grid of the room with most ``seeds`` (without seeds, the largest); None if no space is enclosed.
 
-        ``min_cell_m`` must exceed the distance between points, otherwise walls have holes.
+        ``points`` (P, 3) are on surfaces; ``min_cell_m`` must exceed their spacing, or walls have holes.
         """
         from scipy import ndimage
 
@@ -113,14 +113,14 @@ class RoomGrid:
         floor_cell = int(levels.argmax())
         edge = origin[2] + floor_cell * cell
         near = points[np.abs(points[:, 2] - edge) < 1.5 * cell][:, 2]
-        if len(near):  # the height shared by most points, rather than the edge of a cube
+        if len(near):  # the height of most points, more exact than the edge of a cube
             bins = np.round(near / 0.005).astype(np.int64)
             values, counts = np.unique(bins, return_counts=True)
             edge = float(near[bins == values[counts.argmax()]].mean())
         return cls(origin, cell, occupied, interior, float(edge))
 
     def is_interior(self, points: NDArray) -> NDArray[np.bool_]:
-        """Whether points (P, 3) lie in the free space of the room."""
+        """Mask (P,) of the points (P, 3) in the free space of the room."""
         index = ((points - self.origin_m) / self.cell_m).astype(np.int64)
         valid = ((index >= 0) & (index < self.interior.shape)).all(axis=1)
         result = np.zeros(len(points), dtype=bool)
@@ -131,7 +131,7 @@ class RoomGrid:
         return int(np.clip((height_m - self.origin_m[2]) / self.cell_m, 0, self.interior.shape[2] - 1))
 
     def camera_regions(self) -> Iterator[Box]:
-        """Up to four boxes that are free from knee to head height above the floor."""
+        """Up to four boxes from the floor upwards that are free at camera height, 0.7 to 1.9 m."""
         from scipy import ndimage
 
         low, high = (
@@ -150,7 +150,7 @@ class RoomGrid:
             yield Box(minimum_m=short_vector(minimum), maximum_m=short_vector(maximum))
 
     def ceiling_slots(self, regions: tuple[Box, ...]) -> Iterator[LightSlot]:
-        """A square lamp below the ceiling over the middle of each camera region."""
+        """Square light slots below the ceiling, over the middles of the first two camera regions."""
         for number, region in enumerate(regions[:2]):
             x, y = ((a + b) / 2 for a, b in zip(region.minimum_m[:2], region.maximum_m[:2], strict=True))
             start = self._layer((region.minimum_m[2] + region.maximum_m[2]) / 2)
@@ -175,7 +175,7 @@ class RoomGrid:
 
 
 def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
-    """Largest free rectangles (x0, x1, y0, y1), one after the other, without overlap."""
+    """Up to ``count`` disjoint all-True rectangles (x0, x1, y0, y1) of a mask, the largest first."""
     mask = mask.copy()
     for _ in range(count):
         x0, x1, y0, y1 = largest_rectangle(mask, min_side)
@@ -186,8 +186,7 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 
 
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
-    """The all-True rectangle of greatest area with both sides at least ``min_side``; (0, 0, 0, 0) if there is
-    none.
+    """Largest all-True rectangle (x0, x1, y0, y1) with sides of at least ``min_side``; zeros if none exists.
 
     Computed row by row from the heights of the columns of True above (largest rectangle in a histogram).
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sweet Home 3D furniture libraries (.sh3f) as object packages: hundreds of objects by one command.
+"""Import of Sweet Home 3D furniture libraries (.sh3f) as object packages.
 
 A model is rotated by its catalogue's rotation, scaled to the catalogue's width, depth and height, oriented
 upright (the file's +Y is up, its +Z the front, which becomes -Y) and put on z = 0. Pieces that cannot be
@@ -53,7 +53,7 @@ _CATEGORIES = {
     "doors and windows": "door",
     "staircases": "stairs",
 }
-"""Catalogue categories that name the kind of object; the others (kitchen, office) name only its room."""
+"""Object category by catalogue category; the other catalogue categories (kitchen, office) name rooms."""
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,9 @@ def import_sweet_home(
     options: ImportOptions | None = None,
     on_step: StepObserver | None = None,
 ) -> list[ImportedAsset]:
-    """Import every possible piece of a .sh3f file; returns the records of all pieces imported now or
-    kept from earlier runs.
+    """Import every possible piece of a .sh3f file; returns the records of pieces imported now or earlier.
 
-    Raises :class:`InputError` if the file is not a catalogue, and at the end with all refused pieces.
+    Raises :class:`InputError` if the file is not a catalogue and, at the end, for all refused pieces.
     """
     options = options or ImportOptions()
     _check_options(path, options)
@@ -103,7 +102,7 @@ def _check_options(path: Path, options: ImportOptions) -> None:
     """Refuse options that apply to a single asset only, or contradict the catalogue."""
     problems = []
     if options.kind not in ("auto", "object"):
-        expected = "object, which is what furniture becomes"
+        expected = "object, the kind of furniture"
         problems.append(Problem(path, "kind", options.kind, expected, "leave --kind out"))
     for option, value, default in (
         ("id", options.asset_id, ""),
@@ -112,14 +111,12 @@ def _check_options(path: Path, options: ImportOptions) -> None:
         ("unit-scale", options.unit_scale, None),
     ):
         if value != default:
-            expected = "what the catalogue says of each piece"
+            expected = "the catalogue's value for each piece"
             problems.append(Problem(path, option, str(value), expected, f"leave --{option} out"))
     raise_problems(problems)
 
 
 class _SweetHomeImporter:
-    """Imports one catalogue into a library."""
-
     def __init__(self, catalogue: Catalogue, out_library: Path, options: ImportOptions):
         self.catalogue, self.options = catalogue, options
         self.folder = out_library / "objects"
@@ -153,8 +150,9 @@ class _SweetHomeImporter:
         return ", ".join(part for part in (origin.provider, origin.id, piece.id) if part)
 
     def _kept(self, piece: Piece, asset_id: str) -> ImportedAsset | None:
-        """The package made of the same piece by an earlier run, or None. A package of another piece is an
-        error.
+        """Record of the piece's package from an earlier run, or None.
+
+        Raises :class:`InputError` if a package of another source has the same path.
         """
         path = self.folder / (f"{asset_id}.zip" if self.options.as_zip else asset_id)
         if not path.exists():
@@ -169,7 +167,7 @@ class _SweetHomeImporter:
     def _import(self, piece: Piece, asset_id: str, category: str) -> ImportedAsset:
         findings = Findings()
         source = self._provenance(piece)
-        # a piece is released when the next one begins
+        # one budget per piece, whose data are released before the next piece
         budget = Budget(self._label(piece), self.options.limits)
         budget.hold(self.catalogue.size_in_archive(piece.model))
         data = self.catalogue.read(piece.model)
@@ -218,13 +216,11 @@ class _SweetHomeImporter:
             return finish(asset, files, self.folder, self.options, findings)
 
     def _hints(self, piece: Piece, model: ObjModel) -> tuple[str, ...]:
-        """Names of the piece, from which a material's class is guessed only if it has one or two
-        materials.
-        """
+        """Names from which material classes are guessed: the piece's if it has at most two materials."""
         return (piece.name, *piece.tags) if len({s.material for s in model.surfaces}) <= 2 else ()
 
     def _provenance(self, piece: Piece) -> Provenance:
-        """Licence, creator and rights holder of a piece, with its source page if that is named."""
+        """Licence, author and source of a piece. Raises :class:`InputError` without a licence."""
         origin = self.catalogue.origin
         license_id = self.options.license or piece.license or origin.license
         if not license_id:
@@ -256,7 +252,7 @@ class _SweetHomeImporter:
         )
 
     def _phong_materials(self, piece: Piece, model: ObjModel, findings: Findings) -> dict[str, PhongMaterial]:
-        """Materials of the MTL files named by the model."""
+        """Materials of the MTL files that the model names, by name."""
         beside = self.catalogue.beside(piece.model)
         found: dict[str, PhongMaterial] = {}
         absent = []
@@ -272,7 +268,7 @@ class _SweetHomeImporter:
             remedy = "restore it, or import with --missing replace"
             raise input_error(self._label(piece), "materials", ", ".join(absent), "in an MTL file", remedy)
         for name in absent:
-            findings.approximate(f"{name}: missing, grey")
+            findings.approximate(f"{name}: missing, replaced by grey")
         return found
 
     def _surfaces(
@@ -322,9 +318,9 @@ class _SweetHomeImporter:
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
 
     def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
-        """Transform (4, 4) by the catalogue's rotation and size, and from +Y up to +Z up."""
-        turn = np.eye(3) if piece.rotation is None else piece.rotation
-        points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ turn.T
+        """(4, 4) transform by the catalogue's rotation and size and to Z up, without translation."""
+        rotation = np.eye(3) if piece.rotation is None else piece.rotation
+        points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ rotation.T
         extent = points.max(axis=0) - points.min(axis=0)
         width, depth, height = piece.size_m
         size = np.array([width, height, depth])
@@ -335,26 +331,28 @@ class _SweetHomeImporter:
         scale[~has_extent] = np.median(scale[has_extent])
         ratio = float(scale[has_extent].max() / scale[has_extent].min())
         if ratio > _STRETCH:
-            findings.note(f"{piece.name}: stretched to the catalogue's size, sides by up to {ratio:.2f} to 1")
+            findings.note(
+                f"{piece.name}: stretched to the catalogue's size, axes unequally ({ratio:.2f} : 1)"
+            )
         matrix = np.eye(4)
-        matrix[:3, :3] = np.diag(scale) @ turn
+        matrix[:3, :3] = np.diag(scale) @ rotation
         return Z_UP_FROM_Y_UP @ matrix
 
     def _supports(self, piece: Piece, category: str, findings: Findings) -> tuple[SupportKind, ...]:
-        """Supports of a piece; none if it hangs above the floor or is part of a wall."""
+        """Surfaces on which a piece may stand; none if it hangs or is part of a wall."""
         width, depth, height = piece.size_m
         if piece.is_light:
             findings.approximate(f"{piece.name}: light of the catalogue left out of the object")
         if piece.is_door_or_window or piece.elevation_m > 0 or category in ("door", "stairs"):
             findings.note(
-                f"{piece.name}: hangs or is built in, at {piece.elevation_m:g} m; no plan places it"
+                f"{piece.name}: hangs or is built in, at {piece.elevation_m:g} m; it is never placed"
             )
             return ()
         return guess_supports(category, height, max(width, depth))
 
 
 class _ImageFinder:
-    """Images of a model's folder by lower-case name, unpacked into ``scratch`` on first use."""
+    """Function from lower-case name to image in a model's folder, unpacked into ``scratch`` on first use."""
 
     def __init__(self, catalogue: Catalogue, piece: Piece, scratch: Path):
         self.catalogue, self.scratch = catalogue, scratch
@@ -371,9 +369,7 @@ class _ImageFinder:
 
 
 def guess_piece_category(piece: Piece) -> str:
-    """Category of a piece: from its catalogue category if that names a kind of object, else from its name,
-    then from tags.
-    """
+    """Object category of a piece, from its catalogue category, else its name, else its tags."""
     tags = {t.lower() for t in piece.tags}
     if piece.is_door_or_window or piece.is_stairs:
         return "stairs" if piece.is_stairs else "door"
@@ -388,10 +384,9 @@ def guess_piece_category(piece: Piece) -> str:
 
 
 def _with_outer_panes(pieces: list[_Surface], panes: list[_Surface]) -> tuple[list[_Surface], list[_Surface]]:
-    """Parts to keep, and panes to leave out.
+    """Surfaces to keep, and panes to remove.
 
-    A pane that extends beyond everything else (a table top, a plate of glass) is the object itself: it is
-    kept, as opal glass.
+    A pane that extends beyond all other surfaces (a table top) is essential, and kept as opal glass.
     """
     if not pieces or not panes:
         return panes + pieces, []

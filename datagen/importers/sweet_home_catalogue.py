@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furniture catalogues of Sweet Home 3D (.sh3f): a zip with ``PluginFurnitureCatalog.properties`` and models.
+"""Reader of Sweet Home 3D catalogues (.sh3f), zips of ``PluginFurnitureCatalog.properties`` and models.
 
 A property ``width#12`` belongs to the twelfth piece. Sizes are centimetres: width along x, depth along the
 model's z, height along its y. ``modelRotation`` is a 3 x 3 matrix, row by row, applied to the model's points.
@@ -21,7 +21,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
-MAX_SIDE_CM = 20_000.0  # longer than any ship: a wrong unit
+MAX_SIDE_CM = 20_000.0  # longer sides indicate a wrong unit
 _KEY = re.compile(r"(?P<name>[A-Za-z]+)#(?P<number>\d+)$")
 _ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.S)
 _LICENSES = (
@@ -38,10 +38,9 @@ _HOLDER = re.compile(r"(?:Copyright\s*)?(?:©|\(C\))\s*(?:Copyrights?\s*)?(?P<ho
 
 @dataclass(frozen=True)
 class Piece:
-    """One entry of a catalogue. ``size_m`` is width, depth, height in metres; ``rotation`` (3, 3) or None.
+    """One entry of a catalogue. ``size_m``: width, depth, height; ``rotation``: (3, 3) or None.
 
-    ``elevation_m``: initial height above the floor; above zero the object hangs. ``is_back_shown``: the faces
-    are meant to be visible from behind too.
+    ``elevation_m``: height above the floor; above zero the object hangs.
     """
 
     id: str
@@ -52,7 +51,7 @@ class Piece:
     tags: tuple[str, ...] = ()
     elevation_m: float = 0.0
     rotation: NDArray[np.float64] | None = None
-    is_back_shown: bool = False
+
     is_door_or_window: bool = False
     is_light: bool = False
     is_stairs: bool = False
@@ -72,7 +71,7 @@ class Origin:
 
 @dataclass
 class Catalogue:
-    """An opened catalogue; ``problems`` lists unreadable entries by name."""
+    """An opened catalogue; ``problems``: errors of invalid entries by name."""
 
     path: Path
     archive: zipfile.ZipFile
@@ -102,7 +101,7 @@ class Catalogue:
             ) from None
 
     def beside(self, model: str) -> dict[str, str]:
-        """Files in the folder of a model: members by their base names in lower case."""
+        """Members in the folder of a model, by their base names in lower case."""
         if self._folders is None:
             self._folders = {}
             for name in self.archive.namelist():
@@ -124,7 +123,7 @@ def open_catalogue(path: Path, budget: Budget) -> Catalogue:
 
     Raises :class:`InputError` if it is not a catalogue.
     """
-    expected = f"a Sweet Home 3D furniture library: a zip that holds {CATALOGUE_FILE}"
+    expected = f"a Sweet Home 3D furniture library: a zip that contains {CATALOGUE_FILE}"
     try:
         archive = zipfile.ZipFile(path)
     except ZIP_ERRORS as error:
@@ -149,7 +148,7 @@ def open_catalogue(path: Path, budget: Budget) -> Catalogue:
 
 
 def parse_properties(data: bytes) -> dict[str, str]:
-    """A Java properties file: comments, continued lines, ``=`` ``:`` or blank, ``\\uXXXX`` and other escapes.
+    """Parse a Java properties file, with comments, continued lines and escapes, to values by key.
 
     Decoded as UTF-8 if possible, else as ISO 8859-1, as in Java.
     """
@@ -261,7 +260,7 @@ def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
                 Problem(where, "modelRotation", repr(entry["modelRotation"]), expected, "correct it")
             )
     raise_problems(problems)
-    flags = entry.get("modelFlags", "0")
+
     return Piece(
         id=label,
         name=entry.get("name") or label,
@@ -271,7 +270,6 @@ def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
         tags=tuple(t.strip() for t in entry.get("tags", "").split(",") if t.strip()),
         elevation_m=elevation,
         rotation=rotation,
-        is_back_shown=entry.get("backFaceShown", "") == "true" or (flags.isdigit() and int(flags) & 1 == 1),
         is_door_or_window=entry.get("doorOrWindow", "") == "true",
         is_light="lightSourceX" in entry,
         is_stairs="staircaseCutOutShape" in entry,

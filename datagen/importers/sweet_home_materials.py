@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Phong materials (MTL) as D, S and R. Colours are display values, as in Sweet Home 3D: sRGB.
+"""Conversion of Phong materials (MTL) to D, S and R. Colours are sRGB, as in Sweet Home 3D.
 
-D is ``Kd``, or ``map_Kd`` alone if there is one, as in the program's own renderings. Phong has no F0;
-``phong_channels`` derives it by a convention (docs/importing.md).
+D is ``Kd`` or, if given, ``map_Kd`` without the factor ``Kd``, as in the program's renderings. Phong has no
+F0; ``phong_channels`` derives it by a convention (docs/importing.md).
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from datagen.foundation.images import normalized
 from datagen.importers.annotate import Annotations
 from datagen.importers.channels import Color, ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, ImportOptions
 from datagen.importers.fresnel import perceptual_roughness
 from datagen.importers.obj_materials import PhongMaterial
 
 F0_PER_SPECULAR = 0.08
 """F0 of a non-metal at Ks = 1; half of it, the slider's middle in Blender and Disney's model, is 0.04."""
 MIN_F0, MAX_ALBEDO = 0.02, 0.9
-_METAL_F0 = (0.3, 0.95)  # below the first a "metal" is painted; above the second no metal reflects
-_INVISIBLE = 0.02  # surfaces with less opacity are invisible markers of the program
+_METAL_F0 = (0.3, 0.95)  # a "metal" below the first is painted; real metals are below the second
+_INVISIBLE = 0.02  # surfaces with less opacity are invisible aids of the program
 _OPAQUE = 0.999
-_OPAL = 0.7  # roughly the radiance of a bright room behind clear glass
+
 _MIRROR_F0 = 0.9
 _LEFT_OUT = (
     "map_ks",
@@ -62,14 +62,11 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """A converted material.
-
-    ``stand_in``: treatment of a transparent surface; with ``pane`` it is removed if flat, else kept."""
+    """A converted material; ``stand_in``: treatment of its surface; ``pane``: remove if flat, else keep."""
 
     slot: str
     material: SlotMaterial
     stand_in: StandIn = "opaque"
-    is_invisible: bool = False
 
 
 def phong_roughness(exponent: float) -> float:
@@ -80,8 +77,8 @@ def phong_roughness(exponent: float) -> float:
 def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False) -> PhongChannels:
     """Channels of a material without textures.
 
-    Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, 1 without a highlight. Metals: D
-    = 0, S = Kd + Ks (at most 0.95); below 0.3 the metal counts as painted, hence as a non-metal.
+    Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, 1 without a highlight. Metals:
+    D = 0, S = Kd + Ks (at most 0.95); those below 0.3 are painted, hence non-metals. Mirrors: S = 0.9, R = 0.
     """
     kd = linear_from_srgb(np.clip(phong.diffuse, 0.0, 1.0))
     ks = np.clip(phong.specular, 0.0, 1.0)
@@ -97,11 +94,10 @@ def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False
 
 
 class PhongConverter:
-    """Converts the materials of one model. ``find_file`` returns the path of an image by its lower-case base
-    name, or None.
+    """Converts the materials of one model; problems are collected for the caller to raise.
 
-    ``hints`` are names from which a material's class may be guessed. Problems are collected for the caller to
-    raise.
+    ``find_file`` returns the path of an image by its lower-case base name, or None. ``hints``: names from
+    which a material's class may be guessed.
     """
 
     def __init__(
@@ -122,7 +118,7 @@ class PhongConverter:
         self._notes: list[str] = []
 
     def convert(self, slot: str, phong: PhongMaterial, *, is_mirror: bool, has_uv: bool) -> ConvertedMaterial:
-        """The material of a slot; ``has_uv``: whether its surface can have textures."""
+        """Convert the material of a slot; ``has_uv``: whether its surface has texture coordinates."""
         self._notes = []
         image = self._image(slot, phong.maps.get("map_kd"))
         stem = image.file.stem if image is not None else ""
@@ -133,7 +129,7 @@ class PhongConverter:
         diffuse, specular = cast(ColorValue, channels.diffuse), cast(ColorValue, channels.specular)
         opacity: ScalarValue | None = None
         if image is not None and not has_uv:
-            self._note(f"{slot}: no texture coordinates, the mean of {image.file.name} stands")
+            self._note(f"{slot}: no texture coordinates, the mean of {image.file.name} is used")
             mean = _color(self.cache.values(image, is_scalar=False).mean(axis=(0, 1), dtype=np.float64))
             image, diffuse = None, mean
         if image is not None:
@@ -147,7 +143,7 @@ class PhongConverter:
                 self._note(f"{slot}: {keyword} left out")
         stand_in = self._stand_in(slot, phong)
         if stand_in == "pane" and image is None:
-            diffuse = _color(np.asarray(diffuse) * phong.opacity + _OPAL * (1 - phong.opacity))
+            diffuse = _color(np.asarray(diffuse) * phong.opacity + OPAL_ALBEDO * (1 - phong.opacity))
         emission = self._emission(slot, phong)
         material = SlotMaterial(
             classes=classes,
@@ -164,8 +160,7 @@ class PhongConverter:
             updates["classes"] = self.known.classes[slot]
         if slot in self.known.replaceable_by:
             updates["replaceable_by"] = self.known.replaceable_by[slot]
-        is_invisible = phong.opacity < _INVISIBLE
-        return ConvertedMaterial(slot, material.model_copy(update=updates), stand_in, is_invisible)
+        return ConvertedMaterial(slot, material.model_copy(update=updates), stand_in)
 
     def _note(self, sentence: str) -> None:
         self._notes.append(self.findings.approximate(sentence))
@@ -178,11 +173,11 @@ class PhongConverter:
         guess = guess_class(slot, stem)
         if guess == "other" and self.hints:
             by_name = guess_class(*self.hints)
-            guess = by_name if by_name != "glass" else guess  # a glass table has one part of glass only
+            guess = by_name if by_name != "glass" else guess  # only the top of a glass table is of glass
         return (guess,)
 
     def _image(self, slot: str, statement: str | None) -> ImageSource | None:
-        """The image of a map statement; options and folders in front of its name are ignored."""
+        """The image of a map statement, without its options and folders; None if it is missing."""
         if not statement:
             return None
         name = _file_name(statement)
@@ -199,7 +194,7 @@ class PhongConverter:
         return None
 
     def _cut_out(self, image: ImageSource, phong: PhongMaterial, slot: str) -> ScalarValue | None:
-        """The alpha of the colour image, or the image of ``map_d``, if any of it is transparent."""
+        """Opacity from the alpha of the colour image or from ``map_d``; None if it is opaque throughout."""
         mask: ImageSource | None = None
         pixels = self.cache.pixels(image.file)
         if pixels.shape[2] in (2, 4):
@@ -214,9 +209,7 @@ class PhongConverter:
         return None if float(values.min()) >= _OPAQUE else mask
 
     def _stand_in(self, slot: str, phong: PhongMaterial) -> StandIn:
-        """Replacement of a surface of uniform transparency: refused by name, or converted according to the
-        options.
-        """
+        """Treatment, by the options, of a surface of uniform opacity; a refused one becomes a problem."""
         if phong.opacity >= _OPAQUE:
             return "opaque"
         if phong.opacity < _INVISIBLE:
@@ -248,10 +241,9 @@ class PhongConverter:
 
 
 def _file_name(statement: str) -> str:
-    """The last component of a map's path.
+    """Last component of the path in a map statement.
 
-    Options come first, and a name may contain blanks, so that it is everything after the last option and its
-    numbers.
+    The path, which may contain blanks, is everything after the last option and its arguments.
     """
     words = statement.replace("\\", "/").split()
     while len(words) > 1 and words[0].startswith("-"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Progress and summary of an import of hundreds of pieces: a bar, and a table at the end."""
+"""Progress bar and summary table of an import of furniture catalogues."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 
 class ImportWatch:
-    """A progress bar for each catalogue, and a summary of all of them at the end of the import, also after an
-    error.
+    """Context that shows a progress bar for each catalogue and, at the end or after an error, a summary.
 
     Nothing is shown, and rich is not loaded, until the first step is reported.
     """
@@ -40,7 +39,7 @@ class ImportWatch:
         self._bars.__exit__(kind, error, traceback)
         self._print_summary()
         if kind is KeyboardInterrupt:
-            print("interrupted; the same command goes on where it stopped")
+            print("interrupted; run the same command again to continue")
 
     def step(self, path: Path, step: Step, total: int) -> None:
         """Report one finished piece of the catalogue at ``path``, which has ``total`` pieces."""
@@ -57,7 +56,7 @@ class ImportWatch:
 
         from datagen.foundation.console import table_console
 
-        table = Table("category", "imported", "there already", "refused")
+        table = Table("category", "imported", "already present", "refused")
         by_category: dict[str, Counter[str]] = {}
         for step in self.steps:
             by_category.setdefault(step.category or "unknown", Counter())[step.outcome] += 1

@@ -660,7 +660,7 @@ def test_refusals(quad: Quad, tmp_path: Path) -> None:
     (tmp_path / "letters" / "dear.txt").write_text("do not lose")
     with pytest.raises(InputError, match="other files"):
         write_view(quad.asset, tmp_path / "letters")
-    with pytest.raises(InputError, match="nothing there"):
+    with pytest.raises(InputError, match="no such file or folder"):
         write_view(tmp_path / "nowhere", tmp_path / "page")
     assert not (tmp_path / "page").exists()
     material = next((REPOSITORY / "scenes" / "library").glob("*/oak*"), None)

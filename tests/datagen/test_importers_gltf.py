@@ -295,7 +295,7 @@ def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str) -> None:
     [
         (
             lambda d: d["nodes"].append({"children": [1]}) or d["scenes"][0].update(nodes=[1]),
-            "inside itself",
+            "two parents or a cycle",
         ),
         (lambda d: d["accessors"][0].update(count=10_000), "10000 entries"),
         (lambda d: d["accessors"][0].update(bufferView=99), "an index below"),
@@ -442,7 +442,7 @@ def test_sources_are_found_and_unknown_ones_refused(tmp_path: Path, shared_data:
     (tmp_path / "notes.txt").write_text("x")
     with pytest.raises(InputError, match="a Mitsuba scene"):
         find_sources(tmp_path / "notes.txt")
-    with pytest.raises(InputError, match="nothing there"):
+    with pytest.raises(InputError, match="no such file or folder"):
         find_sources(tmp_path / "absent")
     with pytest.raises(InputError, match="no id where several"):
         import_asset(shared_data / "textures" / "ambientcg", tmp_path, ImportOptions(asset_id="x"))

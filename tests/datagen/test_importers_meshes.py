@@ -234,7 +234,7 @@ def test_what_blender_reads_is_imported(from_blender: Path, tmp_path: Path, suff
 @pytest.mark.bpy
 def test_what_blender_cannot_read_is_told(from_blender: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.fbx").write_bytes(b"Kaydara FBX Binary  \0\x1a\0" + bytes(200))
-    with pytest.raises(InputError, match=r"broken.fbx: Blender: .*; expected a file that it reads"):
+    with pytest.raises(InputError, match=r"broken.fbx: Blender: .*; expected a file that it can read"):
         import_asset(tmp_path / "broken.fbx", tmp_path / "library", OPTIONS)
 
 

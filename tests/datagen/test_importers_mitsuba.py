@@ -99,7 +99,7 @@ def test_variables_includes_and_old_names(tmp_path: Path) -> None:
     ("body", "message"),
     [
         ('<include filename="../x.xml"/>', "inside the scene's folder"),
-        ('<include filename="scene.xml"/>', "round in a circle"),
+        ('<include filename="scene.xml"/>', "includes without cycles"),
         ('<shape type="cube"><ref id="nothing"/></shape>', "'nothing'; expected the id"),
         ('<bsdf type="twosided" id="a"><ref id="a"/></bsdf>', "a reference to itself"),
         ('<bsdf type="diffuse"><float name="x" value="nan"/></bsdf>', "1 finite numbers"),

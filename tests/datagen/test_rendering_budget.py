@@ -67,7 +67,7 @@ def test_a_quality_becomes_numbers_that_read_back_as_themselves(tmp_path: Path) 
         ({"quality": "reference", "firefly_clamp": 9}, "no firefly_clamp with quality reference"),
         ({"path_samples": 3, "max_rel_mse": 0.1}, "either path_samples, a fixed number, or max_rel_mse"),
         ({"path_samples": 3, "max_path_samples": 8}, "either path_samples, a fixed number, or max_path_sam"),
-        ({"max_path_samples": 8}, "max_path_samples only beside max_rel_mse or quality"),
+        ({"max_path_samples": 8}, "max_path_samples only with max_rel_mse or quality"),
         ({"max_depth": 3, "max_energy_left": 0.1}, "either max_depth or max_energy_left"),
         ({"quality": "best"}, "'draft', 'standard' or 'reference'"),
         ({"max_rel_mse": 0.0}, "greater than 0"),

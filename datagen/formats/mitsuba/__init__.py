@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba 3 scene files: the part of their syntax that importers and captures share."""
+"""Reader of Mitsuba scene files, for importers and captures."""

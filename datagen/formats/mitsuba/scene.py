@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba 3 XML (versions 0.5 to 3.x) as a tree of plain nodes: variables, includes, aliases and references
-resolved, camelCase names of old files converted to current ones, transforms as matrices.
+"""Parser of Mitsuba XML scenes (versions 0.5 to 3.x) into plain nodes: variables, includes, aliases and
+references are resolved, camelCase names of old files converted to snake_case, transforms become matrices.
 
-Nothing is interpreted here; the meaning of a plugin is up to the modules that use the tree. DOCTYPE and
-entities are refused, and so are includes outside the scene's folder and circular includes. References turn
-the tree into a graph, whose expanded size is counted before any of it is expanded.
+Plugins are interpreted by the modules that use the nodes. DOCTYPE, entities, circular includes and includes
+outside the scene's folder are refused. References turn the tree into a graph, whose expanded size is counted
+before any of it is expanded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MAX_XML_BYTES = 256 << 20
 
 @dataclass
 class SceneNode:
-    """A plugin instance. ``values`` holds plain properties, ``children`` nested plugins by name.
+    """A plugin instance. ``values``: plain properties by name; ``children``: (name, nested plugin).
 
     Colours are float triples, transforms (4, 4) float64 arrays, points and vectors float triples. ``where``
     names the node in messages (``bsdf "Glass"``).
@@ -49,11 +49,11 @@ class SceneNode:
     where: str = ""
 
     def child(self, *names: str) -> SceneNode | None:
-        """The nested plugin with one of these names."""
+        """The first nested plugin with one of ``names``, or None."""
         return next((node for name, node in self.children if name in names), None)
 
     def children_of(self, tag: str) -> list[SceneNode]:
-        """Nested plugins with a tag, in the order of the file."""
+        """Nested plugins with the XML tag ``tag``, in the order of the file."""
         return [node for _, node in self.children if node.tag == tag]
 
     def get(self, name: str, default: Any = None) -> Any:
@@ -81,13 +81,14 @@ def parse_scene(
 ) -> MitsubaScene:
     """Parse a scene file; includes may come from its folder and from the ``allowed`` folders.
 
-    Raises :class:`InputError` with every problem.
+    ``defines``: values of variables (``$name``), which override the file's. Raises :class:`InputError` with
+    every problem.
     """
     return _Parser(path, dict(defines or {}), budget or Budget(path), allowed).parse()
 
 
 def snake_case(name: str) -> str:
-    """Converts ``intIOR`` to ``int_ior``, ``toWorld`` to ``to_world``; current names stay unchanged."""
+    """Convert ``intIOR`` to ``int_ior``, ``toWorld`` to ``to_world``; current names stay unchanged."""
     return re.sub(r"(?<=[a-z0-9])([A-Z]+)", lambda m: "_" + m.group(1), name).lower()
 
 
@@ -145,7 +146,7 @@ class _Parser:
     # structure
 
     def fill(self, node: SceneNode, element: ElementTree.Element, stack: tuple[Path, ...]) -> None:
-        """Read the contents of an element; ``stack`` are the files that include it, the outermost first."""
+        """Read an element's content into ``node``; ``stack``: chain of including files, outermost first."""
         self.depth += 1
         self.budget.check_depth(self.depth, node.where)
         for child in element:
@@ -188,7 +189,7 @@ class _Parser:
         self.fill(node, element, stack)
         if identity:
             if identity in self.by_id:
-                self.problem(node.where, "an id that is taken", "ids that occur once")
+                self.problem(node.where, "a duplicate id", "unique ids")
             self.by_id[identity] = node
         return node
 
@@ -198,7 +199,7 @@ class _Parser:
             expected = "a file inside the scene's folder"
             self.problem("include", f"{name!r} ({fault})", expected, "copy the file there")
         elif target in stack:
-            self.problem("include", repr(name), "includes that do not go round in a circle")
+            self.problem("include", repr(name), "includes without cycles")
         else:
             self.budget.spend("references", 1, f"include {name!r}")
             if target in self.loaded:
@@ -242,13 +243,13 @@ class _Parser:
                     rest.pop()
                 elif id(child) in above:
                     raise input_error(
-                        self.path, child.where, "a reference to itself", "references without circles"
+                        self.path, child.where, "a reference to itself", "references without cycles"
                     )
                 else:
                     path.append(child)
                     above.add(id(child))
                     rest.append(iter(child.children))
-        # nodes that only serve as targets of references are not expanded
+        # nodes that are only targets of references are not expanded
         used = [
             (sizes[id(node)], node.where)
             for _, node in scene.children
@@ -330,7 +331,7 @@ class _Parser:
         return [self.numbers(node, name, attributes.get(a, str(default)), (1,))[0] for a in "xyz"]
 
     def transform(self, element: ElementTree.Element, node: SceneNode) -> NDArray[np.float64]:
-        """Transform from operations in the order of the file, each applied after those before it."""
+        """(4, 4) matrix of a ``<transform>``, whose operations apply in the order of the file."""
         matrix = np.eye(4)
         for child in element:
             attributes = {k: self.substitute(v, node) for k, v in child.attrib.items()}
@@ -360,7 +361,7 @@ class _Parser:
                 )
             matrix = step @ matrix
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-20:
-            # flat transforms exist (a rectangle scaled to nothing); shapes report them by name
+            # not an error yet: rectangles may be scaled to zero; the shape importers report it
             node.values.setdefault("_singular_transform", True)
         return matrix
 
@@ -376,7 +377,7 @@ def _rotation(axis: list[float], angle_rad: float) -> NDArray[np.float64]:
 
 
 def _look_at(origin: NDArray[Any], target: NDArray[Any], up: NDArray[Any]) -> NDArray[np.float64]:
-    """Mitsuba's ``lookat``: z towards the target, x = up x z (to the left), y up."""
+    """(4, 4) matrix of Mitsuba's ``lookat``: z towards the target, x = up x z (to the left), y up."""
     forward = (target - origin) / max(float(np.linalg.norm(target - origin)), 1e-30)
     left = np.cross(up, forward)
     left /= max(float(np.linalg.norm(left)), 1e-30)

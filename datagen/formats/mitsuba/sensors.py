@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba sensors as cameras.
+"""Conversion of Mitsuba sensors to cameras.
 
 ``asset_from_source`` is the rotation to Z up times the unit scale.
 """
@@ -19,12 +19,11 @@ from datagen.foundation.axes import unit_vector
 from datagen.foundation.findings import Findings
 
 MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Mitsuba's camera has x to the left and y upwards; ours has x to the right and y downwards. Both look along
-+z."""
+"""From the project's camera frame (x right, y down, z forward) to Mitsuba's (x left, y up, z forward)."""
 
 
 def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
-    """Up axis of a scene by its first sensor's upward direction; y if there is none."""
+    """Up axis of a scene: the axis closest to its first sensor's up direction; y without a sensor."""
     for sensor in scene.all_of("sensor"):
         up = np.asarray(sensor.get("to_world", np.eye(4)))[:3, 1]
         return "z" if abs(up[2]) > abs(up[1]) else "y"
@@ -34,7 +33,7 @@ def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
 def camera_of(
     node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
 ) -> AssetCamera:
-    """A perspective sensor as a camera; apertures and crops are omitted with a note."""
+    """Pinhole camera of a sensor; aperture, crop and mirroring are dropped and added to ``findings``."""
     film = next(iter(node.children_of("film")), SceneNode("film", "hdrfilm"))
     width, height = int(film.get("width", 768)), int(film.get("height", 576))
     name = node.id or f"camera_{number}"

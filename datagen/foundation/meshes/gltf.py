@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree, without
-interpretation.
+"""Reader of glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree.
 
 Buffers and images may be files beside the document, data URIs or parts of the binary; files outside the
 document's folder are refused, and so are Draco and unknown required extensions.
@@ -48,13 +47,13 @@ MAX_FILE_BYTES = 2 << 30
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TRIANGLE_MODES = (4, 5, 6)  # list, strip, fan
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_MISFITS = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, ArithmeticError)
+_MALFORMED = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, ArithmeticError)
 _IMAGE_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
 
 
 @dataclass(frozen=True)
 class PlacedNode:
-    """A node of the default scene with its transform from the node's frame to the document's."""
+    """A node of the default scene; ``root`` is the index of its root node, ``scene_from_node`` (4, 4)."""
 
     index: int
     root: int
@@ -67,9 +66,9 @@ class PlacedNode:
 
 
 class GltfFile:
-    """An opened document. Use as a context manager: embedded images are in a temporary folder.
+    """An opened document. Use as a context manager, which removes temporary files of embedded images.
 
-    Python errors in its context, which malformed trees can cause in many places, become :class:`InputError`.
+    The context converts Python errors, which malformed trees cause in many places, to :class:`InputError`.
     Referenced files must be in the document's folder or in the ``allowed`` folders.
     """
 
@@ -103,7 +102,7 @@ class GltfFile:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self._temporary is not None:
             self._temporary.cleanup()
-        if isinstance(error, _MISFITS) and not isinstance(error, InputError):
+        if isinstance(error, _MALFORMED) and not isinstance(error, InputError):
             raise self.error("", repr(error)[:200], "a readable glTF file") from None
 
     def error(
@@ -122,7 +121,7 @@ class GltfFile:
         if key not in self._lists:
             value = self._list(key)
             if not all(isinstance(v, dict) for v in value):
-                raise self.error(key, "something else", "a list of objects")
+                raise self.error(key, "a list with other values", "a list of objects")
             self._lists[key] = value
         return self._lists[key]
 
@@ -192,6 +191,7 @@ class GltfFile:
         return named_file(self.folder, unquote(uri), self.path, user, self.allowed, remedy)
 
     def buffer(self, index: int) -> bytes:
+        """Content of entry ``index`` of ``buffers``. Raises :class:`InputError` if missing or cut short."""
         if index not in self._buffers:
             entry = self.item("buffers", index, "bufferViews")
             if "uri" not in entry:
@@ -234,7 +234,7 @@ class GltfFile:
         return data[start : start + int(entry["byteLength"])]
 
     def count(self, index: object, user: str) -> int:
-        """Number of an accessor's entries, without reading it."""
+        """Stated number of an accessor's entries. Raises :class:`InputError` if it is implausible."""
         count = self.item("accessors", index, user).get("count")
         if not isinstance(count, int) or not 0 <= count <= 3 * self.budget.allowed("triangles"):
             expected = f"0 to {3 * self.budget.allowed('triangles')}"
@@ -269,7 +269,7 @@ class GltfFile:
         if "bufferView" in entry:
             values = self._strided(entry, kind, width, count, f"accessors[{index}]")
         else:
-            self.count(index, user)  # zeros, which take no space in the file
+            self.count(index, user)  # an accessor without data is all zeros
             values = np.zeros((count, width), kind)
         if "sparse" in entry:
             values = self._sparse(entry["sparse"], values, kind, width, f"accessors[{index}].sparse")
@@ -356,30 +356,26 @@ class GltfFile:
             while rest:
                 index, outer, depth = rest.pop()
                 node = self.item("nodes", index, "nodes")
-                if index in seen:  # forty nodes with two parents each would expand to a million million
-                    raise self.error(f"nodes[{index}]", "inside itself or two others", "a tree of nodes")
+                if index in seen:  # 40 nodes with two parents each would expand to 10^12
+                    raise self.error(f"nodes[{index}]", "two parents or a cycle", "a tree of nodes")
                 seen.add(index)
                 self.budget.spend("nodes", 1, f"nodes[{index}]")
                 self.budget.check_depth(depth, f"nodes[{index}]")
                 with np.errstate(over="ignore", invalid="ignore"):
                     matrix = outer @ self._local_matrix(index, node)
                 if not np.isfinite(matrix).all():
-                    raise self.error(f"nodes[{index}]", "transforms without end", "finite transforms")
+                    raise self.error(f"nodes[{index}]", "an infinite transform", "finite transforms")
                 yield PlacedNode(index, root, node, matrix)
                 children = _indices(node.get("children", []))
                 rest.extend((child, matrix, depth + 1) for child in reversed(children))
 
-    def placed_primitives(self, nodes: Sequence[PlacedNode]) -> int:
-        """Number of primitives in the meshes of nodes, each counted once per placement.
-
-        Their total is charged to the budget before any of them is read.
-        """
+    def placed_primitives(self, nodes: Sequence[PlacedNode]) -> None:
+        """Charge the primitives of the meshes of ``nodes`` to the budget, once per placement, unread."""
         for index, buffer in enumerate(self.items("buffers")):
             content = self.resource(str(buffer.get("uri", "data:,")), f"buffers[{index}].uri")
             if isinstance(content, Path) and content.is_file():
                 self.budget.hold_file(content)
         weights: dict[object, tuple[int, int]] = {}  # per mesh: primitives, triangles
-        total = 0
         for placed in nodes:
             if "mesh" not in placed.node:
                 continue
@@ -389,10 +385,9 @@ class GltfFile:
                 known = [p for p in primitives if p.get("mode", 4) in TRIANGLE_MODES]
                 weights[key] = len(known), sum(self.weight(p, f"meshes[{key}]") for p in known)
             num_primitives, num_triangles = weights[key]
-            total += num_primitives
+
             self.budget.spend("instances", num_primitives, f"node {placed.name!r}")
             self.budget.spend("triangles", num_triangles, f"node {placed.name!r}")
-        return total
 
     def _local_matrix(self, index: int, node: dict[str, Any]) -> NDArray[np.float64]:
         for key, count in (("matrix", 16), ("rotation", 4), ("scale", 3), ("translation", 3)):
@@ -429,7 +424,7 @@ def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
-    """Triangles (M, 3) by ``mode``: 4 is a list, 5 a strip, 6 a fan."""
+    """Triangles (M, 3) of a list (``mode`` 4), strip (5) or fan (6) of vertex indices (K,)."""
     if mode == 4 or len(indices) < 3:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
     k = np.arange(max(0, len(indices) - 2))

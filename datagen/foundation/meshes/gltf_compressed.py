@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compressed parts of glTF files: buffer views of meshopt and images of Basis Universal (extra ``gltf``).
+"""Decoders of compressed glTF content: meshopt buffer views, Basis Universal images (extra ``gltf``).
 
 Sizes are checked against the import's budget before anything is decoded.
 """
@@ -40,9 +40,10 @@ def meshopt_of(view: dict[str, Any]) -> tuple[str, dict[str, Any]] | None:
 def unpack_meshopt(
     data: bytes, name: str, extension: dict[str, Any], budget: Budget, where: Path, field: str
 ) -> bytes:
-    """The decompressed bytes of a buffer view from its compressed ``data``.
+    """Decompress the ``data`` of a buffer view.
 
-    ``name`` and ``extension`` are from :func:`meshopt_of`. Raises :class:`InputError`.
+    ``name`` and ``extension`` are from :func:`meshopt_of`. Raises :class:`InputError` for damaged data or
+    if the package ``meshopt`` is not installed.
     """
     _require("meshopt", where, field, name, "uncompressed data")
     import meshopt

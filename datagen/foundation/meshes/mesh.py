@@ -34,9 +34,7 @@ class Mesh:
         return max(len(self.faces), -(-len(self.positions) // 3))
 
     def transformed(self, target_from_source: NDArray[np.float64]) -> Mesh:
-        """The mesh under an affine (4, 4) transform; normals are transformed by the inverse transpose, the
-        winding is kept.
-        """
+        """The mesh under an affine (4, 4) transform; normals use its inverse transpose, faces are kept."""
         linear = np.asarray(target_from_source, dtype=np.float64)[:3, :3]
         offset = np.asarray(target_from_source, dtype=np.float64)[:3, 3]
         positions = self.positions.astype(np.float64) @ linear.T + offset
@@ -59,7 +57,7 @@ class Mesh:
         return areas
 
     def uv_per_m(self) -> float | None:
-        """Median over the surface of sqrt(UV area / area), in UV units per metre; None without usable UVs."""
+        """Area-weighted median of sqrt(UV area / area), in UV units per metre; None without usable UVs."""
         if self.uv is None:
             return None
         corners = self.uv.astype(np.float64)[self.faces]
@@ -77,7 +75,7 @@ class Mesh:
 
 @dataclass(frozen=True)
 class MeshFaults:
-    """Result of :func:`inspect_mesh`: counts of triangles, edges or vertices."""
+    """Result of :func:`inspect_mesh`; ``total``, ``degenerate`` and ``bad_indices`` count triangles."""
 
     is_empty: bool = False
     non_finite: int = 0
@@ -133,9 +131,7 @@ def inspect_mesh(mesh: Mesh) -> MeshFaults:
 
 
 def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Distinct positions (K, 3) and, for each vertex, the index of its position (N,); positions are compared
-    exactly.
-    """
+    """Distinct positions (K, 3), compared exactly, and the index into them of each vertex (N,)."""
     positions = np.ascontiguousarray(mesh.positions, dtype=np.float32) + np.float32(0.0)  # -0.0 becomes 0.0
     keys = positions.view(np.dtype((np.void, 12))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -161,7 +157,7 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
                 mesh.faces[:, k], weights=(unit * angle)[:, axis], minlength=len(total)
             )
     size = np.linalg.norm(total, axis=1)
-    lost = size < 1e-6  # radians: remains of normals that cancel up to rounding
+    lost = size < 1e-6  # the normals cancel up to rounding
     normals = total / np.maximum(size, 1e-300)[:, None]
     if lost.any():
         touching = np.flatnonzero(lost[mesh.faces].any(axis=1) & (length[:, 0] > 0))
@@ -175,11 +171,11 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with normals that are safe for a renderer, and the number of corners that were changed.
+    """The mesh with normals that are safe for a renderer, and the number of normals that were replaced.
 
     Vertices whose normal is missing, zero or NaN get smooth normals. A normal in the plane of its
     triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, which leaves no shading
-    frame: that corner gets the triangle's own normal.
+    frame: that corner gets the triangle's normal.
     """
     if mesh.normals is None:
         mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
@@ -200,9 +196,7 @@ def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
-    """Mask (M, 3) of corners whose normal lies in the plane of their triangle; False for triangles without
-    area.
-    """
+    """Mask (M, 3) of corners with a normal in the plane of their triangle, if the triangle has an area."""
     if mesh.normals is None:
         return np.zeros(mesh.faces.shape, dtype=bool)
     corners = mesh.triangles()
@@ -211,12 +205,12 @@ def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
     normals = mesh.normals.astype(np.float64)[mesh.faces]
     size = np.linalg.norm(normals, axis=2)
     along = np.abs((normals * cross[:, None]).sum(axis=2))
-    lies: NDArray[np.bool_] = (along < LYING_COSINE * length * size) & (length > 0)
-    return lies
+    in_plane: NDArray[np.bool_] = (along < LYING_COSINE * length * size) & (length > 0)
+    return in_plane
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:
-    """The mesh with unshared vertices and the triangle's own normal at each of its corners."""
+    """The mesh with unshared vertices and the triangle's normal at each of its corners."""
     corners = mesh.triangles()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -231,9 +225,7 @@ def flat_shaded(mesh: Mesh) -> Mesh:
 
 
 def compacted(mesh: Mesh) -> Mesh:
-    """The mesh with vertices shared wherever position, normal and UV agree exactly, without unused
-    vertices.
-    """
+    """The mesh without unused vertices, with vertices of equal position, normal and UV merged."""
     columns = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)
     keys = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
@@ -263,7 +255,7 @@ def without_degenerate(mesh: Mesh) -> Mesh:
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
-    """One mesh from several; normals and UVs are kept only if every mesh has them."""
+    """Concatenate meshes; normals and UVs are kept only if every mesh has them."""
     starts = np.cumsum([0] + [len(m.positions) for m in meshes[:-1]])
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]).astype(np.int32)
     normals = [m.normals for m in meshes if m.normals is not None]

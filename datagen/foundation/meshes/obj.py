@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Wavefront OBJ files as one mesh: positions, texture coordinates, normals; polygons become fans.
+"""Reader of a Wavefront OBJ file as one mesh; polygons are split into fans of triangles.
 
 Groups, materials and lines are ignored, as in Mitsuba's loader. v of a texture coordinate points up.
 """
@@ -16,12 +16,11 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
 
-# lines are converted to numbers at once: as strings they take ten times the memory of the file
-_BLOCK = 1 << 16
+_BLOCK = 1 << 16  # lines split into words at once, which take ten times the memory of the lines
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """An OBJ file; vertices are the distinct (position, uv, normal) triples. Raises :class:`InputError`."""
+    """Read a file. Vertices are distinct (position, uv, normal) triples. Raises :class:`InputError`."""
     budget = budget or Budget(path)
     try:
         budget.hold_file(path)
@@ -55,7 +54,7 @@ def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
 
 
 def _table(lines: list[bytes], width: int) -> NDArray[np.float64]:
-    """Numbers after the keyword, the first ``width`` of each line, (K, width)."""
+    """The first ``width`` numbers after the keyword of each of K lines, (K, width)."""
     blocks = [_block(lines[k : k + _BLOCK], width) for k in range(0, len(lines), _BLOCK)]
     return np.concatenate(blocks) if blocks else np.zeros((0, width))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PLY files: the triangle meshes of asset packages, read and written.
+"""Reader and writer of PLY files, the triangle meshes of asset packages.
 
 Letters: N vertices, M triangles. Packages contain binary little-endian PLY; v of a texture coordinate points
 up (see ``datagen.formats.asset``).
@@ -17,7 +17,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.meshes.mesh import Mesh
 
-MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before any data is read
+MAX_VERTICES = 200_000_000  # headers that state more are refused before any data is read
 _MAX_HEADER_BYTES = 64 * 1024
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -50,7 +50,7 @@ def encode_ply(mesh: Mesh) -> bytes:
 
 
 def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read a PLY file; see :func:`decode_ply`."""
+    """Read a PLY file. Raises :class:`InputError` as :func:`decode_ply` and for an unreadable file."""
     budget = budget or Budget(path)
     try:
         budget.hold_file(path)
@@ -61,7 +61,7 @@ def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
 
 
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
-    """A :class:`Mesh` from PLY bytes (little-endian binary or ASCII; polygons are split into fans).
+    """Decode PLY bytes (little-endian binary or ASCII); polygons are split into fans of triangles.
 
     ``budget``: the budget of the enclosing import. Raises :class:`InputError` if the file is truncated, of
     another format or without positions. Indices and finiteness are checked by :func:`inspect_mesh`.
@@ -99,9 +99,8 @@ def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> 
     return mesh
 
 
-_Element = tuple[
-    str, int, list[tuple[str, str, str]]
-]  # name, count, [(property, type, list count type or "")]
+# name, count, [(property, type, type of a list's count or "")]
+_Element = tuple[str, int, list[tuple[str, str, str]]]
 
 
 def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
@@ -128,7 +127,7 @@ def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
                 where, "header", line.strip()[:80], f"a PLY header line ({error})", _PLY_REMEDY
             ) from None
         except ValueError as error:
-            if hasattr(error, "problems"):
+            if isinstance(error, InputError):
                 raise
             raise input_error(where, "header", line.strip()[:80], "a number", _PLY_REMEDY) from None
     return form, elements
@@ -142,14 +141,14 @@ def _read_binary(
     for name, count, properties in elements:
         lists = [p for p in properties if p[2]]
         if lists and (name != "face" or len(lists) != 1):
-            raise input_error(where, f"element {name}", "lists", "lists in 'face' alone", _PLY_REMEDY)
+            raise input_error(where, f"element {name}", "lists", "lists only in 'face'", _PLY_REMEDY)
         dtype = [
             (p, f"<{kind}") if not size else (p, [("n", f"<{size}"), ("i", f"<{kind}", (3,))])
             for p, kind, size in properties
         ]
         names = [p for p, _, _ in properties]
         if not names or len(set(names)) != len(names):
-            raise input_error(where, f"element {name}", names, "properties that differ", _PLY_REMEDY)
+            raise input_error(where, f"element {name}", names, "distinct properties", _PLY_REMEDY)
         record = np.dtype(dtype)
         if offset + count * record.itemsize <= len(body):
             table = np.frombuffer(body, record, count, offset)
@@ -175,7 +174,7 @@ def _read_polygons(
     where: str | Path,
     budget: Budget,
 ) -> tuple[dict[str, NDArray[Any]], int]:
-    """Faces of mixed size, as fans of triangles. Slow path."""
+    """Faces of any size as fans of triangles, and the offset after them; the slow path."""
     triangles: list[tuple[int, int, int]] = []
     most = budget.allowed("triangles")
     try:
@@ -185,7 +184,7 @@ def _read_polygons(
                     offset += np.dtype(kind).itemsize
                     continue
                 num = int(np.frombuffer(body, f"<{size}", 1, offset)[0])
-                if num < 0:  # numpy would read -1 as "everything"
+                if num < 0:  # numpy would read -1 as all remaining values
                     raise ValueError
                 offset += np.dtype(size).itemsize
                 corners = np.frombuffer(body, f"<{kind}", num, offset).tolist()
@@ -223,6 +222,6 @@ def _read_ascii(
         raise
     except (StopIteration, ValueError, IndexError):
         raise input_error(
-            where, "body", "numbers missing or unreadable", "the entries of the header"
+            where, "body", "numbers missing or unreadable", "the numbers that the header states"
         ) from None
     return tables
