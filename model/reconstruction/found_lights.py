@@ -158,6 +158,12 @@ class FoundLights:
         return rows
 
 
+def as_color(values: NDArray) -> Color:
+    """An array (3,) as a colour."""
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
+
+
 def _product(radiance: Color, gain: Color | None) -> Color:
     if gain is None:
         return radiance
@@ -186,7 +192,7 @@ def lights_text(rows: list[dict[str, Any]]) -> str:
     if not rows:
         return "no light was found"
     lines = [
-        f"{'light':<12}{'place (m)':>20}{'area (m2)':>11}{'radiance (R G B)':>24}{'power (R G B)':>24}"
+        f"{'light':<12}{'centre (m)':>20}{'area (m2)':>11}{'radiance (R G B)':>24}{'power (R G B)':>24}"
         f"{'gain (R G B)':>20}"
     ]
     for row in rows:

@@ -26,7 +26,7 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
-from model.reconstruction.found_lights import SKY, Color, FoundLights, RadianceSamples
+from model.reconstruction.found_lights import SKY, Color, FoundLights, RadianceSamples, as_color
 
 PATHS, MAX_DEPTH = 256, 24
 """Paths per sample and light, and their maximum number of segments."""
@@ -81,7 +81,7 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
     if after >= before:
         return None
     solved = _solved(transport, photographed, scale).round(4)
-    gains = {slot: _color(gain) for slots, gain in zip(groups, solved, strict=True) for slot in slots}
+    gains = {slot: as_color(gain) for slots, gain in zip(groups, solved, strict=True) for slot in slots}
     return Balance(lights.with_gains(gains), gains, float(before), float(after))
 
 
@@ -212,8 +212,3 @@ def _solved(transport: NDArray, photographed: NDArray, scale: NDArray) -> NDArra
         return np.concatenate([data.ravel() / NOISE, (gains / GAIN_SPREAD).ravel(), color.ravel()])
 
     return np.exp(least_squares(residuals, np.zeros(np.prod(shape))).x).reshape(shape)
-
-
-def _color(values: NDArray) -> Color:
-    red, green, blue = (float(value) for value in values)
-    return red, green, blue

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datagen.formats.capture import GeometryPart
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.light.emitters import Emitters
-from model.reconstruction.found_lights import Color, FoundLamp
+from model.reconstruction.found_lights import FoundLamp, as_color
 
 
 def found_lamps(emitters: Emitters, mesh: Mesh, parts: Sequence[GeometryPart]) -> tuple[FoundLamp, ...]:
@@ -52,9 +52,4 @@ def _lamp(
     total = float(area.sum())
     middle = mesh.triangles()[faces].mean(axis=1)
     place = (middle * area[:, None]).sum(axis=0) / max(total, 1e-30)
-    return FoundLamp(slot, faces, side, _color(radiance), _color(place), total, is_named)
-
-
-def _color(values: NDArray) -> Color:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+    return FoundLamp(slot, faces, side, as_color(radiance), as_color(place), total, is_named)

@@ -20,7 +20,7 @@ from datagen.light.background import Background, box_squares
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels
 from datagen.multiview.visibility import vectors_from_rows
-from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
+from model.reconstruction.found_lights import FoundPatch, Rectangle, as_color
 from model.reconstruction.light.rectangles import cover, cut
 
 FINE = 96
@@ -250,8 +250,8 @@ def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatc
     place = share @ np.stack([rectangle.corners().mean(axis=0) for rectangle in rectangles])
     radiance = share @ np.array([rectangle.radiance for rectangle in rectangles])
     scale = area_m2 / float(area.sum())
-    sending = tuple(replace(r, radiance=_color(scale * np.array(r.radiance))) for r in rectangles)
-    return FoundPatch("", sending, _color(place), area_m2, _color(radiance))
+    sending = tuple(replace(r, radiance=as_color(scale * np.array(r.radiance))) for r in rectangles)
+    return FoundPatch("", sending, as_color(place), area_m2, as_color(radiance))
 
 
 def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:
@@ -270,9 +270,4 @@ def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, 
     u[first], v[second] = rows * plane.square_m[0], columns * plane.square_m[1]
     if (np.cross(u, v)[plane.axis] > 0) == is_upper:  # the winding must point inwards
         u, v = v, u
-    return Rectangle(_color(origin), _color(u), _color(v), _color(radiance))
-
-
-def _color(values: NDArray) -> Color:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+    return Rectangle(as_color(origin), as_color(u), as_color(v), as_color(radiance))

@@ -18,7 +18,7 @@ from datagen.foundation.color import luminance
 from datagen.light.bright_cells import adjacent_cells, apart_by_side
 from datagen.light.cells import cell_indices
 from datagen.light.lighting import Lit
-from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
+from model.reconstruction.found_lights import FoundPatch, Rectangle, as_color
 from model.reconstruction.light.rectangles import cover, cut
 
 EXCESS = 2.5
@@ -120,13 +120,10 @@ def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: L
     middle = surfels.position_m[surfel].mean(axis=0)
     return FoundPatch(
         "",
-        tuple(Rectangle(_color(o), _color(u), _color(v), _color(scale * r)) for o, u, v, r in rectangles),
-        _color(middle),
+        tuple(
+            Rectangle(as_color(o), as_color(u), as_color(v), as_color(scale * r)) for o, u, v, r in rectangles
+        ),
+        as_color(middle),
         area_m2,
-        _color(mean),
+        as_color(mean),
     )
-
-
-def _color(values: NDArray) -> Color:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
