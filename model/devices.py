@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The device of the networks, as named by the user."""
+"""The option ``--device``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datagen.foundation.errors import input_error
 
 
 def parse_device(text: str) -> torch.device:
-    """The torch device of a name: ``cpu``, ``cuda`` or ``cuda:1``.
+    """Torch device with the name ``text``: ``cpu``, ``cuda`` or ``cuda:1``.
 
     Raises :class:`InputError` for other names, and for a GPU that this machine or this build of torch does
     not have.
