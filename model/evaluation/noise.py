@@ -20,23 +20,21 @@ SURE = 2.0  # standard errors: smaller differences count as none
 
 
 def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Standard error of the (weighted) mean of values (V,) by 2,000 resamples of the views; nan for one
-    view.
-    """
+    """Standard error of the (weighted) mean of values (V,), by bootstrap; NaN for fewer than two values."""
     values = np.asarray(values, np.float64)
     if len(values) < 2:
         return float("nan")
     share = np.ones(len(values)) if weights is None else np.asarray(weights, np.float64)
     drawn = np.random.default_rng(_SEED).integers(0, len(values), (_RESAMPLES, len(values)))
     means = (values * share)[drawn].sum(axis=1) / np.maximum(share[drawn].sum(axis=1), 1e-30)
-    # the variance of a resample is smaller by this factor
+    # the bootstrap underestimates the variance by this factor
     return float(means.std() * np.sqrt(len(values) / (len(values) - 1)))
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over views, and its standard errors from the choice of views and from the renderer's seed (nan
-    and 0 where unknown).
+    """A mean over views, and its standard errors from the choice of views (NaN if unknown) and from the
+    renderer's seed (0 if unknown).
     """
 
     mean: float
@@ -51,7 +49,7 @@ class Figure:
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
-    """The mean of a figure over views, from its values and its ``spread`` between two seeds."""
+    """Mean of a figure's ``values`` over views; ``spread``: standard deviation of a view's value by seed."""
     return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
 
 
