@@ -31,15 +31,15 @@ PHASE_TRACKS: dict[PhaseName, tuple[TrackName, ...]] = {
 
 
 class PhaseConfig(StrictModel):
-    """One stage of the schedule: ``epochs`` passes over the data, or exactly ``steps`` optimiser steps."""
+    """One phase of the schedule: ``epochs`` passes over the data, or exactly ``steps`` optimiser steps."""
 
     name: PhaseName
     epochs: int | None = Field(default=None, ge=1)
     steps: int | None = Field(default=None, ge=1)
     learning_rate: float | None = Field(default=None, gt=0)
-    """None uses the run's."""
+    """None: the run's rate."""
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """None uses the run's."""
+    """None: the run's rate."""
 
     @model_validator(mode="after")
     def _one_length(self) -> PhaseConfig:
@@ -79,15 +79,15 @@ class DataConfig(StrictModel):
     grows with the square root of radiance, as photon noise does."""
     light_color_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel,
-    with u uniform between minus and plus this: channels of light do not mix, so that this is a room with
-    other colours. 0 leaves both out."""
+    with u uniform between minus and plus this: channels of light do not mix, so the result is a room with
+    other colours. 0: neither."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
     """
     workers: int = Field(default=1, ge=0)
     """Loader processes per rank; 0 decodes in the training process."""
     on_bad_view: Literal["refuse", "skip"] = "refuse"
-    """``skip`` leaves bad views out of the loss and counts them."""
+    """``refuse`` raises for an invalid view, ``skip`` excludes it from the loss and counts its crops."""
 
 
 class ValidationConfig(StrictModel):
@@ -123,8 +123,7 @@ class TrainingConfig(StrictModel):
     clipping. At a high rate one steep batch can push outputs into the flat part of tanh, from which no
     gradient leads back."""
     average_decay: float = Field(default=0.0, ge=0, lt=1)
-    """Validation and checkpoints use weights averaged over the last steps, about 1 / (1 - average_decay) of
-    them; 0: the last step's weights."""
+    """Validation and checkpoints use weights averaged over about the last 1 / (1 - average_decay) steps."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the networks' activations; losses and weights stay float32."""
     channels_last: bool = False
@@ -149,8 +148,8 @@ class TrainingConfig(StrictModel):
 def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Merge ``over`` into ``base``.
 
-    A custom network in ``over`` replaces the network of ``base`` with all settings, and the phases of its
-    tracks become one, as long as the first.
+    A custom network in ``over`` replaces all network settings of ``base``; the phases ``diffuse`` and
+    ``specular`` become a phase ``joint`` with the settings of the first phase.
     """
     network = over.get("network")
     if isinstance(network, dict) and network.get("factory") is not None:
@@ -196,8 +195,9 @@ def _read_mapping(path: Path) -> dict[str, Any]:
 def resolve_config(
     preset: str | None = None, file: Path | None = None, overrides: dict[str, Any] | None = None
 ) -> TrainingConfig:
-    """The configuration of a preset (default ``paper``), overridden by a YAML file, then by nested
-    ``overrides``.
+    """Configuration of a preset (default ``paper``), changed by a YAML file, then by nested ``overrides``.
+
+    Raises :class:`InputError` for unknown keys and invalid values.
     """
     preset = preset or "paper"
     if preset not in PRESETS:
@@ -222,7 +222,7 @@ def parse_overrides(items: list[str]) -> dict[str, Any]:
     for item in items:
         key, separator, text = item.partition("=")
         if not separator or not all(key.split(".")):
-            raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2", "write it so")
+            raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2", "write it in this form")
         try:
             value = yaml.safe_load(text)
         except yaml.YAMLError as error:

@@ -27,7 +27,7 @@ from model.training.weight_average import WeightAverage
 
 
 class TrackModule(nn.Module):
-    """The tracks that a phase trains, wrapped so that ranks exchange only their gradients."""
+    """The tracks that a phase trains, wrapped such that ranks exchange only their gradients."""
 
     def __init__(self, network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str):
         super().__init__()
@@ -46,7 +46,7 @@ class Phase:
     """One phase ready to run: its networks, optimiser, data and loss."""
 
     def __init__(self, context: TrainingContext, index: int, num_steps: int | None = None):
-        """``num_steps`` replaces the configuration's, for measurements without data."""
+        """``num_steps`` replaces the number in the configuration, for measurements without data."""
         config, models = context.config, context.models
         self.config = config.phases[index]
         self.index = index
@@ -86,9 +86,7 @@ class Phase:
         return self.context.plan(self.index, 0).steps_per_epoch
 
     def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
-        """Batches from step ``start`` to the phase's end. Errors in loader processes are raised without their
-        tracebacks.
-        """
+        """Batches from step ``start`` to the phase's end; errors of loaders are raised without traceback."""
         plan = self.context.plan(self.index, start, self.num_steps)
         workers, pin = self.context.config.data.workers, self.context.device.type == "cuda"
         try:
@@ -101,7 +99,7 @@ class Phase:
             raise InputError(Problem(where, got=rest)) from None
 
     def averaged_weights(self) -> AbstractContextManager[None]:
-        """Context in which the networks have the averaged weights that checkpoints store."""
+        """Context in which the networks have the averaged weights, if configured."""
         return self.average.applied() if self.average else nullcontext()
 
     def gradient_sync(self, is_last: bool) -> AbstractContextManager[Any]:

@@ -16,14 +16,7 @@ from model.events import Event, Listeners
 from model.networks import encode_color
 
 CSV_FILE = "log.csv"
-_COLUMNS = (
-    "step",
-    "phase",
-    "epoch",
-    "kind",
-    "name",
-    "value",
-)
+_COLUMNS = ("step", "phase", "epoch", "kind", "name", "value")
 
 
 class RunLog:
@@ -62,15 +55,8 @@ class RunLog:
         name = f"{kind}/{phase}"
         self.listeners.tell(Event("train", "scalars", self.folder, name, step, dict(values)))
         for name, value in values.items():
-            row = {
-                "step": step,
-                "phase": phase,
-                "epoch": epoch,
-                "kind": kind,
-                "name": name,
-                "value": repr(value),
-            }
-            self._writer.writerow(row)
+            cells = (step, phase, epoch, kind, name, repr(value))
+            self._writer.writerow(dict(zip(_COLUMNS, cells, strict=True)))
             if self._board is not None:
                 self._board.add_scalar(f"{kind}/{phase}/{name}", value, step)
 
@@ -97,7 +83,7 @@ class RunLog:
 
 
 def read_log(folder: Path, kind: str, name: str, phase: str | None = None) -> list[tuple[int, float]]:
-    """(step, value) rows of one figure of a run's CSV."""
+    """Rows (step, value) of the figure ``name`` in a run's CSV, of all phases or of ``phase``."""
     with (folder / CSV_FILE).open(newline="", encoding="utf-8") as file:
         return [
             (int(row["step"]), float(row["value"]))
