@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's built-in
-``roughplastic``.
+"""Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's ``roughplastic``.
 
 The same room (walls, 20 objects, a lamp and a window) is rendered with each BSDF in turn, in one process; the
 ratio is taken between two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians

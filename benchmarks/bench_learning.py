@@ -133,7 +133,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("datasets", type=Path, nargs="+", metavar="DATASET")
     parser.add_argument(
-        "--judge", type=Path, metavar="DATASET", help="dataset whose validation views are judged"
+        "--judge", type=Path, metavar="DATASET", help="dataset of the judged validation views"
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--preset", default="small")

@@ -47,7 +47,7 @@ TEXTURE_PX = 512
 
 
 def write_library(root: Path) -> Library:
-    """Write a library with a room, a box of 3,000 faces and twelve textured materials."""
+    """Write a library with a room, a box and twelve textured materials."""
     rng = np.random.default_rng(0)
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "floor"),

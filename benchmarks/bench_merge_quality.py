@@ -73,7 +73,7 @@ class Room:
     auto: int
 
     def merged(self, maps: Maps, size: int, folder: Path | None, weights: Weights = "none") -> Atlas:
-        """The maps of all views as an atlas, filled."""
+        """Merge the maps of all views into an atlas of ``size`` texels per side, and fill it."""
         regions = smooth_regions(self.traced.geometry.mesh)
         views = map_views(self.traced.views, maps)
         merger = MapMerger(views, MergeOptions(weights=weights), None, regions)
@@ -171,7 +171,7 @@ def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeo
 
 
 def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None) -> Room:
-    """Read, trace and unwrap; only the first ``num_views``, if given."""
+    """Read, trace and unwrap a rendered capture, or its first ``num_views`` views."""
     capture = read_capture(shard, CaptureOptions(library=tuple(library)))
     capture = replace(capture, views=capture.views[:num_views])
     traced = trace_capture(capture)
@@ -215,7 +215,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 
 def print_seams(room: Room, checkpoint: Path) -> None:
-    """Print the rows of a room."""
+    """Print a row of steps and errors for each choice of weights."""
     maps = predictions(room, checkpoint, InferOptions(weights="all"))
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:
@@ -236,7 +236,7 @@ def main() -> None:
     parser.add_argument("shards", nargs="+", type=Path)
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])
-    parser.add_argument("--views", type=int, help="only the first so many")
+    parser.add_argument("--views", type=int, help="number of views, from the first")
     parser.add_argument("--sizes", default="0.25x,0.5x,1x,2x")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

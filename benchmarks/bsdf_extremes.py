@@ -74,9 +74,7 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Print the maximum error of the slopes' distribution function, and seconds for 4e6 samples, by number of
-    Newton steps.
-    """
+    """Print the maximum error of the slopes' CDF, and seconds for 4e6 samples, by Newton steps."""
     import drjit as dr
     import mitsuba as mi
 
@@ -219,7 +217,7 @@ def _random_direction(rng: Any) -> Any:
 
 
 class _LaneTexture:
-    """Replaces a texture: one value per lane, unchanged."""
+    """Replacement of a texture, with one value per lane."""
 
     def __init__(self, make: Callable[[], Any]):
         self.value = make()
@@ -250,7 +248,7 @@ def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
     si = dr.zeros(mi.SurfaceInteraction3f, num)
     si.wi = _random_direction(rng)
     wo = _random_direction(rng)
-    # A third of the light directions lie in the lobe: the mirror direction, jittered by 10^-4 ... 1.
+    # A third of the light directions are in the lobe: the mirror direction, jittered by 10^-4 ... 1.
     size = dr.exp(dr.lerp(np.log(1e-4), 0.0, rng.next_float32()))
     jitter = mi.Vector3f(*(size * (rng.next_float32() - 0.5) for _ in range(3)))
     mirrored = dr.normalize(mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z) + jitter)

@@ -248,12 +248,10 @@ def survivors(results: dict[str, dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("targets", nargs="*", help=f"of {', '.join(TARGETS)}; none for all")
-    parser.add_argument("--number", type=int, help="mutants of each target, instead of the target's own")
+    parser.add_argument("targets", nargs="*", help=f"some of {', '.join(TARGETS)}; default: all")
+    parser.add_argument("--number", type=int, help="number of mutants per target; default: the target's")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--again", action="store_true", help="try those once more that survived and are not equivalent"
-    )
+    parser.add_argument("--again", action="store_true", help="try surviving mutants again, unless equivalent")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "mutation")
     parser.add_argument("--out", type=Path, default=Path("mutation.json"))
     parser.add_argument("--list", action="store_true", help="print the survivors")

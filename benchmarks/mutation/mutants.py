@@ -67,7 +67,7 @@ UNWRAPPED = ("clip", "sqrt", "abs", "square", "normalize", "detach", "log", "exp
 UNCHAINED = ("clamp_min", "clamp_max", "sqrt", "cumsum")
 """Methods that a mutant replaces by their object."""
 WORDS = ("Problem", "input_error", "InputError", "ValueError", "RuntimeError", "print", "filterwarnings")
-"""Calls whose arguments only word a message."""
+"""Calls whose arguments only form a message."""
 SMALLEST = 1e-5  # smaller numbers guard against rounding; their mutants would change nothing
 
 
