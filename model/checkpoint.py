@@ -41,7 +41,7 @@ class DataRecord(StrictModel):
 
 
 class CheckpointCard(StrictModel):
-    """Content and provenance of a checkpoint.
+    """Metadata of a checkpoint: architecture and provenance.
 
     ``loss`` names the terms and the perceptual distance of the training; ``phase`` and ``step`` are the
     training's state when the checkpoint was saved; ``metrics`` its validation figures by name; ``training``

@@ -32,8 +32,7 @@ class _Block(nn.Sequential):
 
 
 class ConfidenceNet(nn.Module):
-    """Confidence (B, 1, H, W) in [0, 1] of a map with ``map_channels`` channels; its maximum is 1 in each
-    image.
+    """Network for the confidence (B, 1, H, W) in [0, 1], maximum 1 per image, of a map of ``map_channels``.
 
     The layers are two stride-2 downsamplings and a 3x3 convolution; upsampling, concatenation with the first
     downsampling and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.

@@ -71,7 +71,7 @@ class Listeners:
 
 
 def load_listeners(names: Iterable[str]) -> Listeners:
-    """Import listeners by name, ``MODULE:FUNCTION``; modules in the working directory are found, too.
+    """Import listeners by name, ``MODULE:FUNCTION``; modules may be in the working directory.
 
     Raises :class:`InputError` that lists every name that is not a function.
     """

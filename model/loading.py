@@ -44,8 +44,8 @@ class ViewStream(IterableDataset[dict[str, Any]]):
     ``split``: None for all views; individually given shards are included whatever their split. ``crop_px``:
     side of the ``crops_per_view`` crops of each view; with None and views of several sizes, a loader needs
     ``batch_size`` 1. Crops are shuffled within groups of eight views. ``rank`` and ``num_ranks`` come from
-    ``torch.distributed`` if it is running; all ranks yield equally many samples; the last few views of an
-    epoch may be dropped for this. Raises :class:`InputError` for paths that are not datasets, if there are no
+    ``torch.distributed`` if it is running; all ranks yield the same number of samples, so the last few views
+    of an epoch may be dropped. Raises :class:`InputError` for paths that are not datasets, if there are no
     views, and for damaged views, with shard and view.
     """
 
@@ -78,7 +78,7 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             where = ", ".join(map(str, sources))
             got = f"{len(self.places)} views of split {split}"
             raise input_error(where, "views", got, f"at least one for each of {self.num_ranks} ranks")
-        # In shared memory, so that persistent loader processes see the change of the epoch.
+        # In shared memory, so that a new epoch reaches persistent loader processes.
         self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
 
     def set_epoch(self, epoch: int) -> None:

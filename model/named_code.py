@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Import of custom code by name; modules in the working directory are found, too."""
+"""Import of custom code by name; modules may be in the working directory."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def track_inputs(track: TrackName, config: NetworkConfig) -> tuple[str, ...]:
 
 
 def input_channels(name: str) -> int:
-    """Channels of an input."""
+    """Number of channels of the input ``name``."""
     return 1 if name == "known_share" else 3
 
 
@@ -120,8 +120,8 @@ def track_channels(track: TrackName, config: NetworkConfig) -> int:
 
 
 def blend_reflectance(outputs: Tensor, reflectance: Tensor) -> Tensor:
-    """D (B, 3, H, W) in [0, 1]: recorded ``reflectance`` (B, 3, H, W), blended with the diffuse track's
-    ``outputs`` (B, 7, H, W) in [0, 1], which are D, the share of the reflectance, and its gain.
+    """Blend recorded ``reflectance`` (B, 3, H, W) and the diffuse track's ``outputs`` (B, 7, H, W) in [0, 1]
+    (D, share and gain of the reflectance): D (B, 3, H, W) in [0, 1].
     """
     base, share, gain = outputs.split(_BLEND_CHANNELS, dim=1)
     scale = torch.exp2(_MAX_GAIN_STOPS * (2.0 * gain - 1.0))
@@ -144,7 +144,7 @@ def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor
     """
     if depth_max_m is None:
         depth_max_m = depth_z_m.amax(dim=(1, 2, 3))
-    scale = depth_max_m.reshape(-1, 1, 1, 1).clamp_min(1e-6)  # a view without any surface
+    scale = depth_max_m.reshape(-1, 1, 1, 1).clamp_min(1e-6)  # a view without surface would divide by 0
     return (2.0 * depth_z_m / scale - 1.0).expand(-1, 3, -1, -1)
 
 
@@ -190,7 +190,7 @@ def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
 
 
 class _GlobalLink(nn.Module):
-    """Link of the global track to a layer: linear maps that add g to it, and its mean to g."""
+    """Global track at a layer: ``add`` maps g to a summand, ``update`` maps g and the mean to the next g."""
 
     def __init__(self, global_channels: int, layer_channels: int, has_update: bool):
         super().__init__()

@@ -166,7 +166,7 @@ def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
     """Integral of a unit-amplitude lobe over the hemisphere around a pole at the angle beta to its axis.
 
     Meder and Bruederlin 2018: blend of the integrals of the upper and the lower hemisphere, with their fitted
-    sigmoid; written with expm1 so that no sharpness overflows.
+    sigmoid; written with expm1, which avoids overflow.
     """
     lam = sharpness
     t = torch.sqrt(lam) * ((1.6988 * lam + 10.8438) * lam) / ((lam + 6.2201) * lam + 10.2415)
@@ -218,7 +218,7 @@ def shade_spherical_gaussians(
     visible = smith_g1_over_cos(cos_o, dot(tangent_o, tangent_o), alpha) ** 2 * (0.25 * cos_o)
     lobe_axis = 2.0 * cos_o * normal - view_dir
     lobe_sharpness = 0.5 / (alpha * alpha * cos_o.clamp_min(0.1))
-    # 1/(pi alpha^2) may reach 3e5; it is multiplied by the inner product, which falls as fast, first
+    # 1/(pi alpha^2) reaches 3e5; it is first multiplied by the inner product, which falls as fast
     lobe_amplitude = 1.0 / (math.pi * alpha * alpha)
     trailing = (1,) * (normal.dim() - 2)
     specular = torch.zeros_like(diffuse_albedo)

@@ -133,7 +133,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
         elif name in PRESETS:
             found.append(PRESETS[name])
         else:
-            raise ValueError(f"expected {EACH}, {', '.join(PRESETS)} or faults of your own, not {name!r}")
+            raise ValueError(f"expected {EACH}, {', '.join(PRESETS)} or custom faults, not {name!r}")
     known = [camera.name for camera in found]
     if len(set(known)) != len(known):
         raise ValueError("expected every camera to have its own name")

@@ -191,10 +191,10 @@ def _judge(
     forget_peak()
     before_s = processor_s()
 
-    def say(stage: str, number: int, total: int) -> None:
+    def report(stage: str, number: int, total: int) -> None:
         tell(f"{name}, {base.label}: {stage}", number, total)
 
-    measured = _measure(suite, scene, method, camera, folder, lpips, say)
+    measured = _measure(suite, scene, method, camera, folder, lpips, report)
     measured |= {
         "folder": str(folder),
         "peak_memory_mb": round(peak_mb(), 1),
@@ -236,8 +236,8 @@ def _measure(
     renders, images, merged = {}, {}, MapMeasures()
     spread: dict[str, dict[str, float]] = {}
     for light, scenery in sceneries.items():
-        said = told(tell, f"render, {light}")
-        first, again = renderings_of(suite, scene, method, light, scenery, said)
+        progress = told(tell, f"render, {light}")
+        first, again = renderings_of(suite, scene, method, light, scenery, progress)
         renders[light] = str(first.folder)
         if light == INSERTED:
             continue

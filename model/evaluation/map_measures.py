@@ -35,10 +35,11 @@ QUARTERS = 4
 
 @dataclass
 class MapMeasures:
-    """Accumulates errors over views.
+    """Accumulates errors over views, from which methods compute the results.
 
-    Results: ``mse``, ``figures``, ``by_kind`` and ``calibration``. ``views``: mean squared errors of every
-    view by name, and its number of ``pixels``.
+    ``squared`` and ``pixels``: sums of squared errors and numbers of pixels by kind of surface; ``views``:
+    each view's mean squared errors by map, and its number of ``pixels``; ``num_surface``: number of true
+    surface pixels.
     """
 
     squared: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -173,7 +174,7 @@ def _eight_bits(values: NDArray) -> NDArray[np.float64]:
 def measures_of_others(
     maps: Mapping[str, NDArray], truth: JudgedView, rendered: JudgedView | None = None
 ) -> dict[str, float]:
-    """``kd``, ``a_prime`` and ``roughness`` of one view in dB.
+    """PSNR of ``kd``, ``a_prime`` and ``roughness`` of one view in dB.
 
     A rendered view whose truth shows an emitter also has the IoU of the emitters' pixels and the mean squared
     difference of ln(1 + emission).

@@ -43,7 +43,7 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure with its noise as text."""
+        """Text such as "21.5 ± 0.3"; without the error if it is unknown."""
         error = np.hypot(self.by_views, self.by_seed)
         return f"{self.mean:.1f}" if np.isnan(error) else f"{self.mean:.1f} ± {error:.1f}"
 
@@ -92,9 +92,10 @@ def difference(
     spreads: tuple[float, float] = (0.0, 0.0),
     weights: Mapping[str, float] | None = None,
 ) -> Difference | None:
-    """Difference of two methods' means over the views that both have; None if they share fewer than two.
+    """Difference of two means over the views in ``other`` and ``this``; None for fewer than two such views.
 
-    ``spreads``: seed spread of a single view's figure, for each method; ``weights``: weights of the views.
+    ``spreads``: standard deviations of a view's figure by seed, in ``other`` and ``this``; ``weights``: by
+    view.
     """
     names = [name for name in other if name in this]
     if len(names) < 2:

@@ -67,7 +67,7 @@ class OpenedScene:
         return self.root.parents[1] / "geometries"
 
     def view(self, name: str) -> CaptureView:
-        """A view of the capture."""
+        """The view of the capture with this name."""
         return next(view for view in self.capture.views if view.name == name)
 
     def surfaces(self, name: str) -> ViewSurfaces:
@@ -79,11 +79,11 @@ class OpenedScene:
         return self._surfaces[name]
 
     def views_of(self, light: str) -> tuple[str, ...]:
-        """The views rendered under a light."""
+        """Names of the views rendered under a light."""
         return (self.figure_views["input"],) if light == INSERTED else (*self.inputs, *self.novel)
 
     def input_capture(self) -> Capture:
-        """The photographs available to methods."""
+        """Capture of the photographs available to methods."""
         inputs = set(self.prepared.input_names)
         return replace(self.capture, views=tuple(v for v in self.capture.views if v.name in inputs))
 

@@ -42,7 +42,7 @@ def page_html(
     rows: Mapping[str, list[Row]],
     truths: Mapping[str, Mapping[str, JudgedView]],
 ) -> str:
-    """The page as HTML. ``rows`` and ``truths``, the true views under own light, are by scene."""
+    """The page as HTML. ``rows`` and ``truths``, true views under the scene's own light, are by scene."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)

@@ -87,7 +87,7 @@ def walk_between(
 def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) -> list[Camera]:
     """``count`` cameras evenly spaced between two of ``cameras``, ends excluded.
 
-    Of all pairs with a free path and a small angle between them, the pair farthest apart is used.
+    Of all pairs with a free path and a small angle between them, the most distant one is used.
     """
     if count == 0:
         return []

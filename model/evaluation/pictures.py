@@ -55,7 +55,7 @@ RELIGHTING = ("original light", "modified light", "inserted object", "novel view
 
 
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
-    """Rows of the truth and of each method. ``stored``: the judged true views under the scene's own light."""
+    """Rows of the truth and of each method. ``stored``: the judged true views under own light, by name."""
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
     truth["own"] = stored
     if "recovered" in scene.exposures:

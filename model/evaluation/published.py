@@ -30,8 +30,8 @@ class PublishedMaps:
 class PublishedScene:
     """Published figures of a scene.
 
-    ``images``: PSNR in dB and DSSIM by method; ``minutes``: statistics, prediction, texturing (one of three
-    maps) on a Xeon 5218 with a Quadro RTX 5000.
+    ``images``: PSNR in dB and DSSIM by method; ``minutes``: of statistics, prediction and the texturing of
+    one of three maps, on a Xeon 5218 with a Quadro RTX 5000.
     """
 
     num_views: int

@@ -53,7 +53,7 @@ def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
 
 
 def stored_view(view: CaptureView) -> JudgedView:
-    """Judged view of a view of a rendered capture."""
+    """Judged view with the stored buffers of a rendered capture's view."""
     return judged_view(view.source.read_maps(BUFFERS))
 
 

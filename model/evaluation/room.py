@@ -202,7 +202,7 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
 
 
 def _key(scene: TestScene) -> str:
-    """Hash of everything that affects the pixels, except versions of libraries and the source's own files."""
+    """Hash of everything that affects pixels, except library versions and files that the source refers to."""
     parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes"})
     if not scene.is_drawn:  # they do not affect the pixels
         del parts["configuration"], parts["imports"]

@@ -84,7 +84,7 @@ class TruthMethod(_Method):
     @model_validator(mode="after")
     def _has_its_own_geometry(self) -> TruthMethod:
         if self.geometry is not None:
-            raise ValueError("expected no geometry: the truth is rendered as it is")
+            raise ValueError("expected no geometry, as the truth is rendered with its own")
         return self
 
 

@@ -117,7 +117,7 @@ def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
     """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
 
     The draw is a point of a disc in a frame that rotates with each pixel's original view direction and keeps
-    the camera's x axis, so that the new directions vary smoothly over the image, as from one camera.
+    the camera's x axis, so the new directions vary smoothly over the image, as from one camera.
     """
     original = normalize(-geometry.position)
     uv = draws.uniform(2).to(original)
@@ -153,7 +153,7 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
     """A view, and a point light in the mirror direction of that view at a random anchor pixel.
 
     The light is exp N(0.5, 0.75) scene scales away from the anchor. Its intensity gives radiance 1 to a white
-    Lambertian surface at the anchor that faces the light, so that exposure does not depend on the distance.
+    Lambertian surface at the anchor that faces the light, so exposure does not depend on the distance.
     """
     view_dir = sample_views(geometry, draws)
     anchor = _anchor_pixels(geometry, draws)
@@ -171,7 +171,7 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
 def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaCondition:
     """A view, and 5 spherical Gaussians uniformly distributed on the hemisphere behind the camera.
 
-    Visible surfaces face the camera, so that light must come from its side (z <= 0). Sharpness is log-uniform
+    Visible surfaces face the camera, so light must come from its side (z <= 0). Sharpness is log-uniform
     between 2 and 200, and colours are uniform; the lobes' integrals are scaled to sum, averaged over
     channels, to pi.
     """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Configuration of a training run: presets, files and flags.
 
-Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved beside the
-output before work starts.
+Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved in the run's
+folder before work starts.
 """
 
 from __future__ import annotations
@@ -67,20 +67,20 @@ class DataConfig(StrictModel):
     crops_per_view: int = Field(default=7, ge=1)
     flips: bool = True
     exposure_jitter_stops: float = Field(default=0.5, ge=0, le=4)
-    """Each crop's exposure is multiplied by 2^u, with u uniform between minus and plus this."""
+    """Each crop's exposure is multiplied by 2^u, with u uniform between minus and plus this value."""
     spread_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's minimum over views is divided, and its maximum multiplied, by 2^u with independent u
-    uniform from 0 to this: noise, and errors of cameras and of geometry, only ever widen this range."""
+    uniform from 0 to this value: noise, and errors of cameras and of geometry, only ever widen this range."""
     light_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's reflectance and mirror images are multiplied by one 2^u, with u uniform between minus and
-    plus this: errors of geometry and exposure scale the recorded light."""
+    plus this value: errors of geometry and exposure scale the recorded light."""
     noise: float = Field(default=0.0, ge=0, le=1)
     """Maximum relative deviation of a crop's Gaussian noise in ``beauty`` at an exposed radiance of 1; it
     grows with the square root of radiance, as photon noise does."""
     light_color_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel,
-    with u uniform between minus and plus this: channels of light do not mix, so the result is a room with
-    other colours. 0: neither."""
+    with u uniform between minus and plus this value: channels of light do not mix, so the result is a room
+    with other colours. 0: neither."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
     """
@@ -116,7 +116,7 @@ class TrainingConfig(StrictModel):
     accumulation: int = Field(default=1, ge=1)
     learning_rate: float = Field(default=2e-5, gt=0)
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """Each phase's rate falls to this along half a cosine; None keeps it constant."""
+    """Learning rate at the end of each phase, reached along half a cosine; None: constant rate."""
     adam_betas: tuple[float, float] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
     """Gradients with a larger norm, over all weights that a phase trains, are scaled down to it; None: no

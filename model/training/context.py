@@ -27,7 +27,7 @@ _INIT_PURPOSE = 0x11
 
 
 class Ranks:
-    """This process's rank among the processes that train together; one rank without ``torchrun``."""
+    """The ranks of ``torchrun``, and this process's own; a single rank without ``torchrun``."""
 
     def __init__(self) -> None:
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -154,8 +154,8 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
 def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tensor]:
     """Weights of ``wider``, replaced by the weights of ``network`` where both have them.
 
-    Weights of new inputs are 0, so that the outputs of ``network`` are unchanged until training changes them.
-    New outputs keep the random weights of ``wider``, and do not affect the others.
+    Weights of new inputs are 0, so the outputs of ``network`` are unchanged before training. New outputs keep
+    the random weights of ``wider``, and do not affect the others.
     """
     weights, own = dict(network.state_dict()), wider.state_dict()
     for track in TRACK_OUTPUTS:

@@ -189,7 +189,7 @@ class BatchPlan(Sampler[list[int]]):
                 "training data",
                 "crops",
                 order.epoch_length,
-                f"at least {step}, one step's",
+                f"at least {step}, those of one step",
                 "use more views, more crops per view, or a smaller batch",
             )
 

@@ -23,7 +23,7 @@ from model.training.stopwatch import Stopwatch
 
 
 def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) -> dict[str, Tensor]:
-    """Batch of crops of ``size`` pixels squared, with all tensors that training reads: a plane 2 m away."""
+    """``batch`` crops, ``size`` pixels wide, with all tensors that training reads: a plane 2 m away."""
     generator = torch.Generator().manual_seed(seed)
 
     def smooth(channels: int) -> Tensor:

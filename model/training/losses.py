@@ -109,7 +109,7 @@ class MaterialLoss(nn.Module):
         generator: torch.Generator,
         stopwatch: Stopwatch | None = None,
     ) -> LossTerms:
-        """Terms of a batch; ``predicted`` may lack maps.
+        """Loss of a batch of crops; maps that are missing in ``predicted`` have no terms.
 
         ``draws`` provides each image's views and lights, the CPU ``generator`` the perceptual metric's
         transforms. ``stopwatch`` measures ``render`` and ``perceptual``.

@@ -38,10 +38,10 @@ _PERMUTATIONS = tuple(permutations(range(3)))
 
 @dataclass(frozen=True)
 class Transform:
-    """One draw: box downscaling by ``scale`` after an offset, then per-image shifts, flips, channel mixes,
-    gains.
+    """A random transform: box downscaling after an offset, then shifts, flips, channel orders and gains.
 
-    ``scale`` and ``transpose`` are shared by the batch; the rest is per image.
+    ``scale``, ``scale_offset`` and ``transpose`` are shared by the batch; the rest is per image, ``gains``
+    (B, 3).
     """
 
     scale: int
@@ -132,8 +132,8 @@ class VggFeatures(nn.Module):
     def dropout_masks(self, images: Tensor, generator: torch.Generator) -> list[Tensor]:
         """Dropout masks of 1 % for the input of each convolution, one tensor per convolution.
 
-        The masks have as many elements as the network has activations and are therefore drawn on the images'
-        device, by a generator seeded from the CPU's.
+        They have as many elements as VGG has activations and are therefore drawn on the images' device, by a
+        generator that is seeded by ``generator`` on the CPU.
         """
         seed = int(torch.randint(0, 2**62, (1,), generator=generator))
         on_device = torch.Generator(device=images.device).manual_seed(seed)
@@ -189,7 +189,7 @@ class Elpips(nn.Module):
 class LpipsVgg:
     """Plain LPIPS-VGG with the heads of the ``lpips`` package.
 
-    The computation has two steps because one image is often compared with many.
+    Features and distance are separate because one image is often compared with many.
     """
 
     def __init__(self, layers: list[Convolution]):

@@ -33,7 +33,7 @@ class TrackModule(nn.Module):
         super().__init__()
         self.tracks, self.precision = tracks, precision
         self.trained = nn.ModuleList(network.trained(tracks))
-        self._network = [network]  # in a list, so that the other track is not registered as a submodule
+        self._network = [network]  # in a list, which prevents registration of the other track
 
     def forward(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Maps by name, (B, 3 or 1, S, S)."""
@@ -73,7 +73,7 @@ class Phase:
         )
 
     def learning_rate(self, step: int) -> float:
-        """The rate of a step of the phase, counted from 0: constant, or half a cosine to the final rate."""
+        """Learning rate of step ``step`` from 0: constant, or along half a cosine to the final rate."""
         first = self.config.learning_rate or self.context.config.learning_rate
         last = self.config.final_learning_rate or self.context.config.final_learning_rate
         if last is None:
@@ -109,7 +109,7 @@ class Phase:
         return nullcontext()
 
     def terms(self, batch: dict[str, Tensor], generator: torch.Generator) -> LossTerms:
-        """Loss of one micro-batch."""
+        """Loss of one micro-batch; ``generator`` draws the perceptual metric's transforms."""
         context = self.context
         truth = {name: batch[name] for name in MATERIAL_MAPS}
         watch = context.stopwatch

@@ -51,7 +51,7 @@ class RunLog:
         self.close()
 
     def scalars(self, step: int, phase: str, epoch: int, kind: str, values: Mapping[str, float]) -> None:
-        """Record figures by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
+        """Record the figures ``values`` by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
         name = f"{kind}/{phase}"
         self.listeners.tell(Event("train", "scalars", self.folder, name, step, dict(values)))
         for name, value in values.items():

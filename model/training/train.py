@@ -32,7 +32,7 @@ _STEP_PURPOSE = 0x57
 
 
 class Trainer:
-    """One run, from a new or an interrupted folder to ``final.safetensors``."""
+    """Trains a run, in a new folder or that of an interrupted run, up to ``final.safetensors``."""
 
     def __init__(
         self,

@@ -28,7 +28,7 @@ Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 
 @dataclass
 class MapErrors:
-    """Sums of squared and absolute errors over surface pixels and channels, by map."""
+    """Sums, by map, of squared and absolute errors over surface pixels and channels, and their numbers."""
 
     squared: dict[str, float] = field(default_factory=dict)
     absolute: dict[str, float] = field(default_factory=dict)

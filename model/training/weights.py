@@ -137,7 +137,7 @@ def _checked(layers: list[Convolution], where: str | Path, known_file: bool = Fa
 
 
 def values_sha256(layers: list[Convolution]) -> str:
-    """Hash of all weights and biases as little-endian float32 in layer order."""
+    """SHA-256 of all weights and biases as little-endian float32 in layer order, in hexadecimal."""
     digest = hashlib.sha256()
     for layer in layers:
         for tensor in (layer.weight, layer.bias):
@@ -162,7 +162,7 @@ def layers_from_tree(tree: dict[str, Any], where: str | Path) -> list[Convolutio
 
 
 def load_vgg(path: Path) -> list[Convolution]:
-    """VGG16's 13 convolutions from the project's safetensors file or a torchvision ``.pth`` file, checked."""
+    """VGG16's 13 convolutions from the project's safetensors file or torchvision's .pth file, checked."""
     if path.suffix == ".safetensors":
         from safetensors.torch import load_file
 
@@ -267,7 +267,7 @@ class Heads:
 
 
 def load_elpips_heads(path: Path) -> Heads:
-    """The 14 vectors ``layer_00`` ... ``layer_13`` of an .npz file, never unpickled."""
+    """E-LPIPS' 14 vectors ``layer_00`` ... of an .npz file, never unpickled; raises :class:`InputError`."""
     widths = (3, *VGG_CHANNELS)
     vectors = []
     try:
