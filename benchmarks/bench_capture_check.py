@@ -125,18 +125,18 @@ def main() -> None:
                 found = warned_views(check_capture(wrong))
                 counts[change.__name__] += len(names)
                 counts[f"found {change.__name__}"] += len(names & found)
-                counts[f"beside {change.__name__}"] += len(capture.views) - len(names)
-                counts[f"false beside {change.__name__}"] += len(found - names)
+                counts[f"correct with {change.__name__}"] += len(capture.views) - len(names)
+                counts[f"false with {change.__name__}"] += len(found - names)
             mistaken, offset = moved(capture, rng, 0.02)
             report = check_capture(mistaken)
             counts["moved"] += 1
-            counts["views named beside moved"] += len(warned_views(report))
+            counts["views warned with moved"] += len(warned_views(report))
             if report.offset_m is not None:
                 counts["found moved"] += 1
                 errors.append(float(np.linalg.norm(np.array(report.offset_m) - offset)))
             report = check_capture(enlarged(capture, 1.02))
             counts["enlarged"] += 1
-            counts["views named beside enlarged"] += len(warned_views(report))
+            counts["views warned with enlarged"] += len(warned_views(report))
             if report.scale != 1:
                 counts["found enlarged"] += 1
                 scales.append(abs(report.scale - 1.02))

@@ -20,11 +20,11 @@ and no error control.
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images by the same renderer, because the materials differ by more
 than the target error (the agreement of the two is measured and reported; if it is poor, the exit code is 1).
-The references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so that the
-energy removed by these counts as an error. Cycles' sample count is found by doubling until the error is at
-most ours and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count,
-with Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest of the three
-or, if none reaches the error, the nearest to it.
+The references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so the energy
+removed by these counts as an error. Cycles' sample count is found by doubling until the error is at most ours
+and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count, with
+Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest of the three or, if
+none reaches the error, the nearest to it.
 
 Every step is stored in --out and skipped if it exists: the same command resumes. ``--cycles-views N`` renders
 N views with Cycles and extrapolates to 40 views as the fixed part + 40 x the median of a view.
@@ -195,7 +195,7 @@ class Comparison:
 
     @staticmethod
     def agreement(pairs: dict[str, Any]) -> dict[str, Any]:
-        """Difference of the two references: ratio of means (cycles : ours), correlation of blurred images."""
+        """Ratio of means (cycles : ours) and correlation of the renderers' blurred references, by view."""
         ratios, correlations = [], []
         for view, (a, b) in pairs["ours"].items():
             ours, cycles = luminance(0.5 * (a + b)), luminance(0.5 * sum(pairs["cycles"][view]))
@@ -365,7 +365,7 @@ def interpolated(curve: dict[int, float], target: float) -> int:
 def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
     """Seconds of the fixed part, of a view and of ``views``; the fixed part includes the first view's excess.
 
-    Processor seconds are split between fixed part and views in the same way as wall seconds.
+    Processor seconds of ``views`` are scaled like wall seconds. ``run`` is a result of ``Comparison.cycles``.
     """
     a_view = statistics.median(run["views_s"][1:])
     leaving = run["wall_s"] - run["start_s"] - sum(run["views_s"])

@@ -6,7 +6,7 @@
     python -m benchmarks.bench_infer --capture SHARD --views 160 --size 640x384 --atlas 16384
 
 Without ``--capture`` the capture is an analytic room of 24 triangles with a block in it: its geometry costs
-nothing, so that the work per pixel, view and texel is measured. With a rendered capture and ``--views`` its
+nothing, so the work per pixel, view and texel is measured. With a rendered capture and ``--views`` its
 cameras are used in turn, moved by up to 0.3 m and rotated by up to 20 degrees; their images are the capture's
 true albedo, lit from the camera: any number of photographs of the same room, without rendering. Weights are
 random unless ``--checkpoint`` is given; time does not depend on weights except in the solver, whose grid
@@ -99,7 +99,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
         )
         seen = room.traced.geometry.trace_view(camera)
         if (seen.depth_z_m < 0.3).mean() > 0.1:
-            continue  # inside something
+            continue  # inside an object
         uv = pixel_uv(room.traced.geometry.mesh, room.mesh, camera, seen)
         on_surface = ~np.isnan(uv[..., 0])
         cosine = -(seen.normal_world * camera.ray_directions()).sum(axis=-1, keepdims=True)

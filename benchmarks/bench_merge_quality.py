@@ -60,8 +60,9 @@ MAX_SIDE = 4096
 class Room:
     """A rendered capture, traced and unwrapped.
 
-    ``uv`` (H, W, 2) of each view's pixels, NaN off the surface; ``truth``, the views' true maps; ``auto``,
-    the side of the atlas that follows from the views' pixel density.
+    ``sides``: as returned by :func:`seen_sides`; ``uv``: UVs (H, W, 2) of each view's pixels, NaN off the
+    surface; ``truth``: the views' true maps; ``auto``: side of the atlas by the views' pixel density, in
+    texels.
     """
 
     capture: Capture
@@ -104,7 +105,7 @@ class Room:
 
     @property
     def num_pixels(self) -> int:
-        """Surface pixels of all views."""
+        """Number of surface pixels of all views."""
         return sum(int((~np.isnan(uv[..., 0])).sum()) for uv in self.uv)
 
 

@@ -6,8 +6,8 @@
 
 Speed: 40 views of 640x384, 12 best; kernels and oracle run in turn on the same views. Growth: seconds per
 view for 10, 20, 40 and 80 views, in turn, with a straight line fitted. Accuracy (for a scene with textures):
-colours are the diffuse reflectance, which does not depend on the view direction, so that ideally minimum,
-median and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by pair.
+colours are the diffuse reflectance, which does not depend on the view direction, so ideally minimum, median
+and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by pair.
 
 Writes JSON with medians and interquartile ranges to --out, and a summary to the terminal.
 """
@@ -96,7 +96,7 @@ def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsVi
 def place_cameras(
     scene, base: np.ndarray, up: np.ndarray, count: int, width: int, height: int
 ) -> list[Camera]:
-    """``base`` and views from free positions around it, towards points visible from it."""
+    """``count`` cameras: ``base`` (4, 4), and poses around it, directed at points visible from it."""
     import mitsuba as mi
 
     rng = np.random.default_rng(0)

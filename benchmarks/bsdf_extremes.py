@@ -117,7 +117,7 @@ def _angle_transport(specular: float, roughness: float, num_bins: int, num_slope
     """K[o, i]: share of the energy that arrives in angle bin i and leaves through the specular lobe into bin
     o.
 
-    Bins have equal projected solid angle, so that the diffuse term adds the same number everywhere.
+    Bins have equal projected solid angle, so the diffuse term adds the same number everywhere.
     """
     edges = np.sqrt(np.linspace(0, 1, num_bins + 1))
     alpha = float(oracle.alpha_from_roughness(np.float64(roughness)))
@@ -190,7 +190,7 @@ def print_energy() -> None:
 
 
 def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
-    """Half of the lanes uniform in [0, 1], a quarter exactly 0 or 1, a quarter of the wild values."""
+    """Random values: half uniform in [0, 1], a quarter exactly 0 or 1, a quarter from ``wild``."""
     import drjit as dr
     import mitsuba as mi
 
@@ -202,7 +202,7 @@ def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
 
 
 def _random_direction(rng: Any) -> Any:
-    """Angles uniform, log-uniform from the horizon down to 1e-6 rad on either side, or exactly special."""
+    """Random directions: uniform angles, log-uniform to 1e-6 rad from the horizon, horizon and pole."""
     import drjit as dr
     import mitsuba as mi
 

@@ -181,7 +181,7 @@ class EndToEnd:
             view.name: read_image(rendered / f"{view.name}.exr")[..., :3].astype(np.float32)
             for view in configuration.cameras
         }
-        exposure = exposure_for(np.stack(list(linear.values())))  # the same for all, as set by hand
+        exposure = exposure_for(np.stack(list(linear.values())))  # one for all views, as set by hand
         for number, view in enumerate(configuration.cameras):
             pixels = self._developed(linear[view.name], exposure, number, view)
             (images / f"{view.name}.jpg").write_bytes(jpeg(pixels, view.camera()))

@@ -179,7 +179,7 @@ def look_through(scene: Any, camera: dict[str, Any], scale: float) -> None:
 
 
 def render(arguments: argparse.Namespace) -> None:
-    """Render views one after the other; the times are written to ``times.json``."""
+    """Render views in turn, and write the times to ``times.json``."""
     import bpy
 
     bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)

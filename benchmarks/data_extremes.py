@@ -119,7 +119,7 @@ def spread_of_alike_views(num_views: int) -> float:
 
 
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """Views of the boxes from positions near the usual cameras, each rendered anew."""
+    """Views with random colours of the boxes, from random positions near the usual cameras."""
     rng = np.random.default_rng(3)
     base = make_views((size,))
     found = []
@@ -169,7 +169,7 @@ def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, f
     """Largest and median relative difference of a pixel from the room of scale 1 and radiance 1, for each
     case.
 
-    The random numbers are the same, so that differences come from rounding. Near the light's edge, one of a
+    The random numbers are the same, so differences come from rounding. Near the light's edge, one of a
     pixel's 64 paths may hit the light in one room and miss it in the other.
     """
     expected = lit_floor(1.0, 1.0)

@@ -7,7 +7,7 @@ For each target (targets.py) the tests run once with line tracing; then a seeded
 those lines is tried, each with the tests that run its line, fastest first, until one fails. Everything
 happens in a copy of the project below ``--work``. Results are written after each mutant to ``--out``; the
 same command resumes after them, and ``--again`` repeats the survivors. A mutant is identified by its
-statement and its function, so that results remain valid when other code changes.
+statement and its function, so results remain valid when other code changes.
 
 ``--list`` prints the survivors, ``--table`` the counts in Markdown; both try nothing.
 """
@@ -189,7 +189,7 @@ def attempt(
     path = copy.root / module
     source, times = path.read_text(), path.stat()
     usual = sum(tests[name]["seconds"] for name in names)
-    if "@compiled" in source:  # functions compiled with an inlined copy would not be renewed
+    if "@compiled" in source:  # callers that inline a changed function must be recompiled
         shutil.rmtree(copy.work / "numba", ignore_errors=True)
         usual += 30.0
     start = time.perf_counter()
