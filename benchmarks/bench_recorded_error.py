@@ -7,8 +7,8 @@
 Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The true
 error is measured as in `datagen verify --recheck`: four independent parts of plain paths of up to 65
 segments, here with shadow rays through the windows, which has the same expectation. Parts are stored in
---cache, so an interrupted command resumes. A view whose true error has a standard error above a quarter
-counts as *not known*.
+--cache, so an interrupted command resumes. A view counts as *not known* if the standard error of its true
+error exceeds a quarter of it.
 """
 
 from __future__ import annotations

@@ -96,9 +96,9 @@ class ValidationConfig(StrictModel):
     num_views: int = Field(default=40, ge=0)
     """Maximum number of views of the validation split, evenly spaced; 0 turns validation off."""
     num_panels: int = Field(default=4, ge=0)
-    """Views shown as image panels."""
+    """Number of views logged as image panels."""
     every_steps: int | None = Field(default=None, ge=1)
-    """Also validate after this many steps, for long epochs."""
+    """Interval of additional validations in steps, for long epochs."""
 
 
 class TrainingConfig(StrictModel):
