@@ -76,8 +76,8 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Median wall seconds of 5 passes of 32 x 32 pixels with one path each, with a recorded and with a new
-    Dr.Jit kernel.
+    """Median wall seconds of a pass with one path in each of 32 x 32 cells of the image, with a new recording
+    of Dr.Jit's kernel and with a replayed one.
 
     Both would take equally long if recordings were not reused.
     """
