@@ -173,7 +173,7 @@ class Comparison:
     # ---------------------------------------------------------------- errors
 
     def references(self) -> dict[str, Any]:
-        """Two converged images of each error view, by both renderers."""
+        """Two converged images (H, W, 3) of each error view, by renderer and view."""
         samples = str(self.arguments.reference_samples)
         out = self.folder / f"our_references_{samples}"
         views = [str(v) for v in self.error_views]
@@ -211,7 +211,7 @@ class Comparison:
         }
 
     def cycles_error(self, name: str, pairs: dict[int, Any]) -> float:
-        """Mean error of Cycles' images in ``folder/name`` over the existing error views."""
+        """Mean error of Cycles' images in ``folder/name`` over those error views that exist."""
         found = {v: self.folder / name / f"view_{v:03}.exr" for v in self.error_views}
         return float(
             np.mean(
@@ -299,7 +299,7 @@ class Comparison:
         return images, records, manifest.num_bytes
 
     def run(self) -> dict[str, Any]:
-        """Run all steps."""
+        """Run all steps; returns the result, which is also the content of ``bench_cycles.json``."""
         arguments = self.arguments
         self.prepare()
         pairs = self.references()

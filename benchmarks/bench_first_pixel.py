@@ -95,7 +95,7 @@ def passes(renderer: Any) -> dict[str, float]:
 
 
 def planned_folder(cache: Path, size: tuple[int, int], views: int, configurations: int = 1) -> Path:
-    """A folder with the measured configurations, planned once."""
+    """A folder with the measured configurations, planned if it is missing."""
     from datagen.formats.base import canonical_json
     from datagen.formats.recipe import ObjectRecipe, Recipe
 

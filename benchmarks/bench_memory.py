@@ -67,7 +67,7 @@ def write_library(root: Path) -> Library:
 
 
 def draw_configuration(library: Library, index: int, views: int, size: tuple[int, int]) -> Configuration:
-    """Configuration ``index`` with random numbers, poses and scales of objects, materials and lights."""
+    """Configuration ``index``: a random number of objects at random poses, random materials and lights."""
     rng = np.random.default_rng(1000 + index)
 
     def assignment() -> MaterialAssignment:

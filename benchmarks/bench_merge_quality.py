@@ -198,7 +198,7 @@ def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
 
 
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:
-    """Sums of squared errors by row of the table and by map."""
+    """Sums of squared errors by row of the table (``what``: weights or sizes) and by map."""
     rows: dict[str, dict[str, float]] = {}
     if what == "weights":
         maps = predictions(room, checkpoint, InferOptions(weights="all"))

@@ -34,7 +34,7 @@ SLACK, TIME_SLACK = 1.25, 1.5
 
 
 def planned_folder(out: Path, configurations: int) -> Path:
-    """A folder with configurations of the bundled library, planned once."""
+    """A folder with configurations of the bundled library, planned if it is missing."""
     folder = out / "plan"
     if not (folder / "plan.json").is_file():
         out.mkdir(parents=True, exist_ok=True)

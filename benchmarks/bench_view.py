@@ -59,7 +59,7 @@ def converted(scene: str, cache: Path) -> Library:
 
 
 def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator[Camera]:
-    """Yield the scene's camera, widened to 61 degrees, then rotated by up to 0.5 rad, moved up to 0.2 m."""
+    """Yield the scene's camera, widened to 61 degrees, then random ones within 0.5 rad and 0.2 m of it."""
     pose = np.array(environment.cameras[0].asset_from_camera)
     focal = 0.85 * size[0]
     rng = np.random.default_rng(1)

@@ -184,7 +184,7 @@ def _fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
 
 
 def write_grid(pictures: list[NDArray[np.uint8]], columns: int, size: tuple[int, int], path: Path) -> None:
-    """Write a JPEG of pictures in rows, separated by 4 white pixels; ``size`` (width, height) of each."""
+    """Write pictures of ``size`` (width, height) in rows, with 4 white pixels between them, as JPEG."""
     gap, rows = 4, -(-len(pictures) // columns)
     sheet = Image.new("RGB", (columns * (size[0] + gap) - gap, rows * (size[1] + gap) - gap), "white")
     for k, picture in enumerate(pictures):

@@ -74,7 +74,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str, share: int = 1) -> Iterator[None]:
-        """Time a block, which counts as ``share`` entries."""
+        """Time a block; its times divided by ``share`` are recorded."""
         wall, cpu = time.perf_counter(), cpu_seconds()
         yield
         self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)

@@ -29,7 +29,7 @@ CLOCK_SHARE = 10.0
 
 
 def serve() -> None:
-    """Answer requests until the input ends."""
+    """Answer requests on standard input until it ends."""
     for name in LIBRARIES:
         with suppress(ImportError):  # an optional module
             importlib.import_module(name)

@@ -26,7 +26,7 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 
 def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """Import ``sources`` into the library ``folder``, once; returns (``folder``,), or () without sources."""
+    """Import ``sources`` into ``folder`` if it is missing; returns (``folder``,), or () without sources."""
     if not sources:
         return ()
     if not folder.is_dir():

@@ -119,7 +119,7 @@ def _noise(result: SuiteResult) -> Table:
 
 
 def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
-    """Rows (light, views, PSNR with its noise)."""
+    """(light, set of views, PSNR in dB with its noise) for each light and set that has views."""
     found = []
     for light in LIGHTS:
         for views in VIEW_SETS:

@@ -49,7 +49,7 @@ class Figure:
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
-    """Mean of a figure's ``values`` over views; ``spread``: standard deviation of a view's value by seed."""
+    """Mean of a figure's ``values`` over views; ``spread``: standard deviation of a value by seed."""
     return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
 
 

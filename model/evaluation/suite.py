@@ -71,13 +71,13 @@ class MapsMethod(_Method):
 
 
 class OracleMethod(_Method):
-    """The true maps, merged, which measures the loss from merging and from the atlas's resolution."""
+    """The true maps, merged, to measure the loss from merging and from the atlas's resolution."""
 
     kind: Literal["oracle"]
 
 
 class TruthMethod(_Method):
-    """The scene itself, rendered again, which measures the effect of noise."""
+    """The scene itself, rendered again, to measure the effect of noise."""
 
     kind: Literal["truth"]
 

@@ -330,7 +330,7 @@ def view_sample(
 
 
 def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) -> dict[str, Tensor]:
-    """Mirror the whole scene: flip pixels, and change the sign of x or y of normals and positions."""
+    """Mirror the scene: flip pixels, and change the sign of x (horizontal) or y of normals and positions."""
     for axis, component, wanted in ((-1, 0, horizontal), (-2, 1, vertical)):
         if wanted:
             sample = {n: v.flip(axis) if v.dim() == 3 else v for n, v in sample.items()}

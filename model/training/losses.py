@@ -53,7 +53,7 @@ class LossConfig(StrictModel):
 
 
 def encode_log(image: Tensor) -> Tensor:
-    """ln(0.1 + I)."""
+    """ln(0.1 + I) of an image I, of any shape."""
     return torch.log(image + _LOG_OFFSET)
 
 

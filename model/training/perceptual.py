@@ -165,7 +165,7 @@ def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor
 
 
 class Elpips(nn.Module):
-    """E-LPIPS on VGG16, with its 14 heads and average pooling, or LPIPS' 5 heads and max pooling."""
+    """E-LPIPS (B,) on VGG16, with its 14 heads and average pooling or LPIPS' 5 heads and max pooling."""
 
     def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):
         """``precision`` is the number format of VGG's activations; distances are summed in float32."""

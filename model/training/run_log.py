@@ -61,7 +61,7 @@ class RunLog:
                 self._board.add_scalar(f"{kind}/{phase}/{name}", value, step)
 
     def panel(self, step: int, name: str, image: Tensor) -> None:
-        """Record an image (3, H, W) in [0, 1]."""
+        """Record an ``image`` (3, H, W) in [0, 1] as ``name``."""
         if self.listeners:
             pixels = (255.0 * image.clamp(0, 1) + 0.5).byte().permute(1, 2, 0).cpu().numpy()
             self.listeners.tell(Event("train", "image", self.folder, name, step, image=pixels))

@@ -19,7 +19,7 @@ class Stopwatch:
 
     @contextmanager
     def section(self, name: str) -> Iterator[None]:
-        """Add the time spent inside to ``name``."""
+        """Context whose duration is added to ``name``."""
         start = self._now()
         try:
             yield
