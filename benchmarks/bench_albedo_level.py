@@ -5,8 +5,8 @@
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
 of their photographs with the suite's networks, for all photographs or for the first ``--views``. ``--clip``:
-share of the pixels that are first raised to the sensor's limit. Errors are over all surface pixels; "best
-gain" is the factor for the room that minimises them.
+share of the pixels that a simulated sensor clips before. Errors are over all surface pixels; "best gain" is
+the factor for the room that minimises them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COLUMNS = (
 
 
 def captured(scene: TestScene, cache: Path) -> Capture:
-    """The photographs of a scene."""
+    """Capture of a scene's photographs, without novel views."""
     prepared = prepare_scene(scene, cache)
     options = CaptureOptions(library=prepared.library, max_width_px=scene.resolution[0])
     capture = read_capture(prepared.capture, options)
@@ -45,7 +45,7 @@ def captured(scene: TestScene, cache: Path) -> Capture:
 
 
 def predicted(traced: TracedCapture, checkpoint: Path) -> Iterator[dict[str, NDArray]]:
-    """Maps (H, W, C) by name, one view after another."""
+    """Yield each view's maps (H, W, C), by name."""
     views = traced.statistics
     predictor = Predictor(load_checkpoint(checkpoint, "cpu"), capture_exposure(views), PredictOptions())
     gathered = compute_statistics(views, StatisticsOptions())
@@ -54,7 +54,7 @@ def predicted(traced: TracedCapture, checkpoint: Path) -> Iterator[dict[str, NDA
 
 
 def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
-    """One line of the table."""
+    """Table row of a capture and a network; a share ``clip`` of the pixels is clipped."""
     traced = trace_capture(capture)
     region_of_face = smooth_regions(traced.geometry.mesh)
     if clip:
@@ -87,9 +87,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("suite", type=Path)
     parser.add_argument("--cache", type=Path, required=True)
-    parser.add_argument("--views", type=int, nargs="*", default=[0], help="the first so many; 0 all")
+    parser.add_argument("--views", type=int, nargs="*", default=[0], help="numbers of photographs; 0: all")
     parser.add_argument("--clip", type=float, default=0.0)
-    parser.add_argument("--always", action="store_true", help="correct with too little evidence, too")
+    parser.add_argument("--always", action="store_true", help="also correct with too little evidence")
     arguments = parser.parse_args()
     select_variant()
     if arguments.always:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's built-in
-``roughplastic``.
+"""Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's ``roughplastic``.
 
-The same room (walls, 20 objects, a lamp and a window) is rendered with each BSDF in turn, in one process; the
+The same room (walls, 19 objects, a lamp and a window) is rendered with each BSDF in turn, in one process; the
 ratio is taken between two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians
 and quartiles; the target is a median ratio of at most 1.10.
 """
@@ -61,7 +60,7 @@ def _material(variant: str, index: int) -> dict[str, Any]:
 
 
 def make_room(variant: str, width: int, height: int) -> Any:
-    """A 6 x 6 x 3 m room with 20 objects, each with its own material."""
+    """A room of 6 x 6 x 3 m with 19 objects; walls and objects have different materials."""
     import mitsuba as mi
 
     transform = mi.ScalarTransform4f

@@ -31,9 +31,7 @@ from model.reconstruction.check.capture_check import CheckReport, check_capture
 def changed(
     capture: Capture, rng: np.random.Generator, change: Callable[[NDArray, np.random.Generator], NDArray]
 ) -> tuple[Capture, set[str]]:
-    """The capture with one view in five at another pose, and the names of these views; ``change`` multiplies
-    world_from_camera from the right.
-    """
+    """The capture with one view in five moved by ``change`` in camera space, and the names of these views."""
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)
     views = list(capture.views)
     for index in wrong:
@@ -43,7 +41,7 @@ def changed(
 
 
 def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The pose (4, 4) rotated by 1 degree about an axis across the view."""
+    """The identity ``matrix`` (4, 4), rotated by 1 degree about a random axis across the view."""
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
@@ -51,22 +49,22 @@ def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
 
 
 def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The pose (4, 4) rolled by 2 degrees."""
-    way = rng.choice([-1.0, 1.0])
-    matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, np.radians(2.0) * way]).as_matrix()
+    """The identity ``matrix`` (4, 4), rolled by 2 degrees."""
+    angle = np.radians(2.0) * rng.choice([-1.0, 1.0])
+    matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     return matrix
 
 
 def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The pose (4, 4) moved by 10 cm along the view."""
+    """The identity ``matrix`` (4, 4), moved by 10 cm along the view."""
     matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
     return matrix
 
 
 def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Capture, np.ndarray]:
     """The capture with its mesh moved in a random direction, and the offset (3,) in metres."""
-    way = rng.normal(size=3)
-    offset = metres * way / np.linalg.norm(way)
+    direction = rng.normal(size=3)
+    offset = metres * direction / np.linalg.norm(direction)
     matrix = np.eye(4)
     matrix[:3, 3] = offset
     geometry = replace(capture.geometry, mesh=capture.geometry.mesh.transformed(matrix))
@@ -84,9 +82,7 @@ def enlarged(capture: Capture, factor: float) -> Capture:
 
 
 def snapped(capture: Capture, grid_m: float) -> Capture:
-    """The capture with every vertex snapped to a grid, like coarse retopology; lamps become ordinary
-    surface.
-    """
+    """The capture with vertices snapped to a grid, like coarse retopology; lamps become plain surface."""
     mesh = capture.geometry.mesh
     positions = (np.round(mesh.positions / grid_m) * grid_m).astype(np.float32)
     made = without_degenerate(Mesh(positions, mesh.faces))
@@ -104,7 +100,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("shards", type=Path, nargs="+")
     parser.add_argument("--library", type=Path, action="append", default=[])
-    parser.add_argument("--trials", type=int, default=4, help="of each kind and capture")
+    parser.add_argument("--trials", type=int, default=4, help="trials of each change per capture")
     parser.add_argument("--snap", type=float, help="move the mesh's vertices to a grid of this many metres")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -129,18 +125,18 @@ def main() -> None:
                 found = warned_views(check_capture(wrong))
                 counts[change.__name__] += len(names)
                 counts[f"found {change.__name__}"] += len(names & found)
-                counts[f"beside {change.__name__}"] += len(capture.views) - len(names)
-                counts[f"false beside {change.__name__}"] += len(found - names)
+                counts[f"correct with {change.__name__}"] += len(capture.views) - len(names)
+                counts[f"false with {change.__name__}"] += len(found - names)
             mistaken, offset = moved(capture, rng, 0.02)
             report = check_capture(mistaken)
             counts["moved"] += 1
-            counts["views named beside moved"] += len(warned_views(report))
+            counts["views warned with moved"] += len(warned_views(report))
             if report.offset_m is not None:
                 counts["found moved"] += 1
                 errors.append(float(np.linalg.norm(np.array(report.offset_m) - offset)))
             report = check_capture(enlarged(capture, 1.02))
             counts["enlarged"] += 1
-            counts["views named beside enlarged"] += len(warned_views(report))
+            counts["views warned with enlarged"] += len(warned_views(report))
             if report.scale != 1:
                 counts["found enlarged"] += 1
                 scales.append(abs(report.scale - 1.02))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Equal-error comparison with Blender's Cycles: one configuration of the bundled library, complete costs.
 
-    python -m benchmarks.bench_cycles                      40 views of 640x384 at `standard`; quiet hours
+    python -m benchmarks.bench_cycles                      40 views of 640x384 at `standard`; takes hours
     python -m benchmarks.bench_cycles --size 160 96 --cycles-views 3 --error-views 2              18 minutes
     python -m benchmarks.bench_cycles --seed 2023          another room
     python -m benchmarks.bench_cycles --cycles-views 40    Cycles renders every view instead of a sample
@@ -20,11 +20,11 @@ and no error control.
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images by the same renderer, because the materials differ by more
 than the target error (the agreement of the two is measured and reported; if it is poor, the exit code is 1).
-The references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so that the
-energy removed by these counts as an error. Cycles' sample count is found by doubling until the error is at
-most ours and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count,
-with Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest of the three
-or, if none reaches the error, the nearest to it.
+The references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so the energy
+removed by these counts as an error. Cycles' sample count is found by doubling until the error is at most ours
+and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count, with
+Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest of the three or, if
+none reaches the error, the nearest to it.
 
 Every step is stored in --out and skipped if it exists: the same command resumes. ``--cycles-views N`` renders
 N views with Cycles and extrapolates to 40 views as the fixed part + 40 x the median of a view.
@@ -66,12 +66,12 @@ FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
 """Neither a clamp nor rougher surfaces after a diffuse bounce, as in our references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
-"""Ways to run Cycles, with their options."""
+"""Samplings of Cycles, with their options."""
 MIN_TIMED = 3  # views; the first includes the scene's cost, and the median of the others is a view's cost
 
 
 def recipe_of(arguments: argparse.Namespace) -> Recipe:
-    """The configuration that is rendered."""
+    """Recipe of the configuration that is rendered."""
     return Recipe(
         name="cycles",
         seed=arguments.seed,
@@ -84,7 +84,7 @@ def recipe_of(arguments: argparse.Namespace) -> Recipe:
 
 
 def step(path: Path, make: Callable[[], Any]) -> Any:
-    """The JSON at ``path``, computed now if missing."""
+    """Read the JSON at ``path``, which is the result of ``make`` if it was missing."""
     if not path.is_file():
         result = make()
         partial = path.with_suffix(".partial")
@@ -173,7 +173,7 @@ class Comparison:
     # ---------------------------------------------------------------- errors
 
     def references(self) -> dict[str, Any]:
-        """Two converged images of each error view, by both renderers."""
+        """Two converged images (H, W, 3) of each error view, by renderer and view."""
         samples = str(self.arguments.reference_samples)
         out = self.folder / f"our_references_{samples}"
         views = [str(v) for v in self.error_views]
@@ -195,7 +195,7 @@ class Comparison:
 
     @staticmethod
     def agreement(pairs: dict[str, Any]) -> dict[str, Any]:
-        """Difference of the two references: ratio of means (cycles : ours), correlation of blurred images."""
+        """Ratio of means (cycles : ours) and correlation of the renderers' blurred references, by view."""
         ratios, correlations = [], []
         for view, (a, b) in pairs["ours"].items():
             ours, cycles = luminance(0.5 * (a + b)), luminance(0.5 * sum(pairs["cycles"][view]))
@@ -211,7 +211,7 @@ class Comparison:
         }
 
     def cycles_error(self, name: str, pairs: dict[int, Any]) -> float:
-        """Mean error of Cycles' images in ``folder/name`` over the existing error views."""
+        """Mean error of Cycles' images in ``folder/name`` over those error views that exist."""
         found = {v: self.folder / name / f"view_{v:03}.exr" for v in self.error_views}
         return float(
             np.mean(
@@ -246,9 +246,7 @@ class Comparison:
     def cycles_samples(
         self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
     ) -> tuple[int | None, dict[int, float]]:
-        """Smallest sample count that reaches error ``target``, None if the ceiling does not; and the
-        curve.
-        """
+        """Smallest sample count that reaches error ``target``, None if none does; and error by count."""
         curve: dict[int, float] = {}
         samples = FIRST_SAMPLES
         while samples <= self.arguments.max_cycles_samples:
@@ -264,7 +262,7 @@ class Comparison:
     # ---------------------------------------------------------------- time
 
     def ours(self, name: str, *, is_cold: bool) -> dict[str, Any]:
-        """Run ``datagen run --unit`` on a fresh copy of the plan."""
+        """Run ``datagen run --unit`` on a new copy of the plan; returns its times."""
         root = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -301,7 +299,7 @@ class Comparison:
         return images, records, manifest.num_bytes
 
     def run(self) -> dict[str, Any]:
-        """Run all steps."""
+        """Run all steps; returns the result, which is also the content of ``bench_cycles.json``."""
         arguments = self.arguments
         self.prepare()
         pairs = self.references()
@@ -348,15 +346,13 @@ def rank(cycles: dict[str, Any]) -> tuple[float, ...]:
 
 
 def agrees(agreement: dict[str, Any]) -> bool:
-    """Whether converged images of both renderers show the same room under the same light."""
+    """Whether converged images of both renderers agree in brightness and structure."""
     ratios, correlations = agreement["ratio_of_means"], agreement["correlation"]
     return all(0.8 < ratio < 1.25 for ratio in ratios) and min(correlations) > 0.85
 
 
 def interpolated(curve: dict[int, float], target: float) -> int:
-    """Sample count at which the last two points of a decreasing curve cross ``target``, interpolated in
-    logarithms.
-    """
+    """Sample count at which a decreasing curve crosses ``target``, by its last two points, in logarithms."""
     *before, high = sorted(curve)
     if not before:
         return high
@@ -367,10 +363,9 @@ def interpolated(curve: dict[int, float], target: float) -> int:
 
 
 def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
-    """Fixed part, cost of a view and total for ``views``; the excess of the first view belongs to the fixed
-    part.
+    """Seconds of the fixed part, of a view and of ``views``; the fixed part includes the first view's excess.
 
-    Processor seconds are split between fixed part and views in the same way as wall seconds.
+    Processor seconds of ``views`` are scaled like wall seconds. ``run`` is a result of ``Comparison.cycles``.
     """
     a_view = statistics.median(run["views_s"][1:])
     leaving = run["wall_s"] - run["start_s"] - sum(run["views_s"])
@@ -439,14 +434,18 @@ def main() -> None:
     """Parse, measure, write ``bench_cycles.json`` and ``bench_cycles.md``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quality", choices=tuple(QUALITIES), default="standard")
-    parser.add_argument("--seed", type=int, default=2022, help="of the recipe: which room it is")
+    parser.add_argument(
+        "--seed", type=int, default=2022, help="seed of the recipe, which determines the room"
+    )
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
-    parser.add_argument("--cycles-views", type=int, default=8, help="views that Cycles renders for its time")
+    parser.add_argument("--cycles-views", type=int, default=8, help="views rendered by Cycles for timing")
     parser.add_argument("--error-views", type=int, default=3)
-    parser.add_argument("--reference-samples", type=int, default=1024, help="paths a pixel in each of two")
+    parser.add_argument(
+        "--reference-samples", type=int, default=1024, help="paths per pixel in each of two references"
+    )
     parser.add_argument("--max-cycles-samples", type=int, default=1024)
-    parser.add_argument("--repeats", type=int, default=1, help="runs of ours with kernels cached")
+    parser.add_argument("--repeats", type=int, default=1, help="runs of our renderer with cached kernels")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "cycles")
     arguments = parser.parse_args()
     result = Comparison(arguments).run()
@@ -455,7 +454,7 @@ def main() -> None:
     (arguments.out / "bench_cycles.md").write_text(text + "\n", encoding="utf-8")
     print(text)
     if not agrees(result["agreement"]):
-        print("the two do not show the same room: their times are not to be compared", file=sys.stderr)
+        print("the converged images differ too much: the times are not comparable", file=sys.stderr)
         raise SystemExit(1)
 
 

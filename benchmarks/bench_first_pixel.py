@@ -76,17 +76,17 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Wall seconds of a pass with one path for each of 1,024 cells, with a recorded Dr.Jit kernel and with a
-    new recording; medians of 5.
+    """Median wall seconds of a pass with one path in each of 32 x 32 cells of the image, with a new recording
+    of Dr.Jit's kernel and with a replayed one.
 
-    If recordings could not be reused, every pass would take as long as with a new recording.
+    Both would take equally long if recordings were not reused.
     """
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}
-    for name in ("recorded anew", "played again"):
+    for name in ("new recording", "replayed"):
         seconds = []
         for seed in range(5):
-            if name == "recorded anew":
+            if name == "new recording":
                 renderer.tracer.forget_recordings()
             one_pass = partial(renderer.tracer.accumulate, sensor, 1, seed, grid=(32, 32))
             seconds.append(timed(one_pass).wall)
@@ -95,7 +95,7 @@ def passes(renderer: Any) -> dict[str, float]:
 
 
 def planned_folder(cache: Path, size: tuple[int, int], views: int, configurations: int = 1) -> Path:
-    """A folder with the measured configurations, planned once."""
+    """A folder with the measured configurations, planned if it is missing."""
     from datagen.formats.base import canonical_json
     from datagen.formats.recipe import ObjectRecipe, Recipe
 
@@ -120,7 +120,7 @@ def planned_folder(cache: Path, size: tuple[int, int], views: int, configuration
 def run_once(folder: Path, is_cold: bool, profile: Path | None) -> dict[str, Any]:
     """Wall and processor seconds of one process, by stage and in total."""
     with tempfile.TemporaryDirectory() as home:
-        environment = {**os.environ, **({"HOME": home} if is_cold else {})}  # kernels lie in ~/.drjit
+        environment = {**os.environ, **({"HOME": home} if is_cold else {})}  # kernels are in ~/.drjit
         command = [sys.executable, "-m", "benchmarks.bench_first_pixel", "--child", str(folder)]
         if profile is not None:
             command += ["--profile-to", str(profile)]

@@ -6,13 +6,13 @@
     python -m benchmarks.bench_infer --capture SHARD --views 160 --size 640x384 --atlas 16384
 
 Without ``--capture`` the capture is an analytic room of 24 triangles with a block in it: its geometry costs
-nothing, so that the work per pixel, view and texel is measured. With a rendered capture and ``--views`` its
-cameras are used in turn, moved by up to 0.3 m and rotated by up to 20 degrees; their images look up the
-capture's true albedo, shaded from the camera: any number of photographs of the same room, without rendering.
-Weights are random unless ``--checkpoint`` is given; time does not depend on weights except in the solver,
-whose grid follows the predicted albedo. Writes JSON with ``--json``.
+nothing, so the work per pixel, view and texel is measured. With a rendered capture and ``--views`` its
+cameras are used in turn, moved by up to 0.3 m and rotated by up to 20 degrees; their images are the capture's
+true albedo, lit from the camera: any number of photographs of the same room, without rendering. Weights are
+random unless ``--checkpoint`` is given; time does not depend on weights except in the solver, whose grid
+follows the predicted albedo. Writes JSON with ``--json``.
 
-Memory is counted twice: memory of the process itself, and all resident memory, including pages of the atlas's
+Memory is given as that of the process itself, and as all resident memory, including pages of the atlas's
 files that the system may drop at any time.
 """
 
@@ -55,7 +55,7 @@ STAGES = {
 
 
 def random_checkpoint(folder: Path) -> Path:
-    """Both tracks and the confidence networks at their full size, untrained."""
+    """Write a checkpoint of untrained networks of full size to ``folder``; returns its path."""
     torch.manual_seed(0)
     card = CheckpointCard(network=NetworkConfig(), loss="none", phase="untrained", step=0)
     path = folder / "random.safetensors"
@@ -77,7 +77,7 @@ class _Shot:
 
 
 def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, int]) -> Capture:
-    """``num`` views of ``size`` (width, height) of a rendered capture's room."""
+    """A rendered capture's room with ``num`` other views of ``size`` (width, height)."""
     select_variant()
     room = open_room(shard, library)
     albedo = room.merged(room.truth, min(room.auto, 4096), None).maps["diffuse_albedo"]
@@ -99,7 +99,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
         )
         seen = room.traced.geometry.trace_view(camera)
         if (seen.depth_z_m < 0.3).mean() > 0.1:
-            continue  # inside something
+            continue  # inside an object
         uv = pixel_uv(room.traced.geometry.mesh, room.mesh, camera, seen)
         on_surface = ~np.isnan(uv[..., 0])
         cosine = -(seen.normal_world * camera.ray_directions()).sum(axis=-1, keepdims=True)
@@ -144,13 +144,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])
-    parser.add_argument("--views", type=int, help="24 without --capture, else all that it has")
+    parser.add_argument("--views", type=int, help="number of views; default: 24, or all of --capture")
     parser.add_argument("--size", default="640x384")
     parser.add_argument("--atlas", default="auto")
     parser.add_argument("--precision", default="auto", choices=("auto", "float32", "bfloat16"))
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--no-exr", action="store_true")
-    parser.add_argument("--scratch", type=Path, help="where the result is made and thrown away")
+    parser.add_argument("--scratch", type=Path, help="folder of the temporary result")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     width, height = (int(side) for side in arguments.size.split("x"))

@@ -45,7 +45,7 @@ Rows = dict[str, dict[str, float]]
 
 
 def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
-    """The validation views, or the views of one dataset folder; ``SystemExit`` if there are none."""
+    """The validation views, of the dataset folder ``judge`` if given; ``SystemExit`` if there are none."""
     root = judge.resolve() if judge else Path("/")
     places = [place for place in data.validation if place.shard.resolve().is_relative_to(root)]
     if not places:
@@ -133,7 +133,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("datasets", type=Path, nargs="+", metavar="DATASET")
     parser.add_argument(
-        "--judge", type=Path, metavar="DATASET", help="dataset whose validation views are judged"
+        "--judge", type=Path, metavar="DATASET", help="dataset of the judged validation views"
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--preset", default="small")

@@ -93,9 +93,7 @@ def _index_of(index: DatasetIndex, shards: list[ShardRecord], assets: dict) -> D
 
 
 def short_run(config: TrainingConfig, steps: int) -> TrainingConfig:
-    """The configuration with ``steps`` steps for each track and no later phases, validated only at the
-    end.
-    """
+    """The configuration with ``steps`` steps for each track, no later phases and no validation."""
     phases = tuple(PhaseConfig(name=track, steps=steps) for track in TRACKS)
     validation = config.validation.model_copy(update={"num_views": 0})
     return config.model_copy(update={"phases": phases, "validation": validation})
@@ -111,7 +109,7 @@ def measure(config: TrainingConfig, dataset: Path, out: Path) -> dict[str, float
 
 
 def constant(config: TrainingConfig, dataset: Path) -> dict[str, float]:
-    """Metrics of the mean of the training maps."""
+    """Metrics, on the validation views, of the mean of the training maps."""
     data = open_data([dataset], config.network, config.data.crop_px)
     names, device = buffer_names(config.network), torch.device("cpu")
     means = mean_maps(whole_views(spread(data.train, 80), names, device))
@@ -163,13 +161,15 @@ def main() -> None:
     parser.add_argument("--preset", default="small")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--judge", type=Path, metavar="DATASET", help="whose validation views judge")
+    parser.add_argument(
+        "--judge", type=Path, metavar="DATASET", help="dataset of the judged validation views"
+    )
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     config = short_run(resolve_config(args.preset, None, parse_overrides(args.set)), args.steps)
     judge, start = args.judge or args.datasets[0], time.process_time()
     if len({dataset.name for dataset in args.datasets}) < len(args.datasets):
-        parser.error("datasets of one name would share their points; rename a folder")
+        parser.error("datasets of the same name would share results; rename a folder")
     curves: dict[str, dict[int, dict[str, float]]] = {}
     parts: list[Path] = []
     for dataset in args.datasets:
@@ -177,7 +177,7 @@ def main() -> None:
             place = args.out / f"{dataset.name}-{count}"
             parts.append(part_of(dataset, count, judge, place / "data"))
             curves.setdefault(dataset.name, {})[count] = measure(config, parts[-1], place / "run")
-    # relative to the largest count of the first dataset
+    # the training mean of the largest count of the first dataset
     baseline = constant(config, parts[len(args.counts) - 1])
     table = as_table(curves, baseline)
     print(table)

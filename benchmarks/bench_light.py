@@ -56,7 +56,7 @@ ALONG = 3
 
 
 def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
-    """Mean squared errors of D, S and R by kind of surface."""
+    """Table cells: mean squared errors of D, S and R by kind of surface."""
     stacks = [
         np.concatenate([np.concatenate([m[n][::ALONG, ::ALONG].reshape(-1, m[n].shape[2]) for n in NAMES], 1)
                         for m in of]).astype(np.float64)
@@ -79,9 +79,7 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
 
 
 def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
-    """Write a sheet of evenly spaced views: D from the network, from light and from the truth, R from light
-    and from the truth.
-    """
+    """Write a sheet of three views, as described above."""
     from PIL import Image
 
     def tile(maps: dict[str, NDArray], name: str) -> NDArray:
@@ -131,11 +129,11 @@ def main() -> None:
     )
     parser.add_argument("suite", type=Path)
     parser.add_argument("--cache", type=Path, required=True)
-    parser.add_argument("--rooms", nargs="*", help="scenes of the suite, all unless named")
-    parser.add_argument("--views", type=int, nargs="*", default=[4096], help="the first so many photographs")
+    parser.add_argument("--rooms", nargs="*", help="scenes of the suite; default: all")
+    parser.add_argument("--views", type=int, nargs="*", default=[4096], help="numbers of photographs")
     parser.add_argument("--sheet", type=Path, help="folder for pictures")
-    parser.add_argument("--worse-mesh", action="store_true", help="judge with geometry that is off")
-    parser.add_argument("--ablate", action="store_true", help="rows without one step each")
+    parser.add_argument("--worse-mesh", action="store_true", help="use an inaccurate mesh")
+    parser.add_argument("--ablate", action="store_true", help="a row for each omitted step")
     parser.add_argument("--checkpoint", type=Path, default=bundled_checkpoint())
     options = parser.parse_args()
     select_variant()

@@ -38,7 +38,7 @@ def _reflectance(bsdf: Any) -> Any:
 
 
 def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, Any]:
-    """The scene with cook_torrance everywhere, and its sensor at the given size with a box filter."""
+    """The scene with cook_torrance everywhere, shapes ``merged`` or not, and a sensor with a box filter."""
     import mitsuba as mi
 
     scene = mi.load_file(str(path), optimize=merged)

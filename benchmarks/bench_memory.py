@@ -3,10 +3,10 @@
 
     python benchmarks/bench_memory.py [--configurations 20] [--views 10] [--size 96 64]
 
-Each configuration is a room of another size, with new random objects, textured materials, lights and
-adjustments, so that scenes, textures and kernels all differ. Resident memory is read after each
-configuration, once all possible memory has been freed. Growth is counted from --warm-up configurations on,
-when libraries are loaded and caches filled; the limit is 100 MB.
+Each configuration has new random objects, textured materials, lights and colour adjustments, so scenes,
+textures and kernels all differ. Resident memory is read after each configuration, once all possible memory
+has been freed. Growth is counted from --warm-up configurations on, when libraries are loaded and caches
+filled; the limit is 100 MB.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ TEXTURE_PX = 512
 
 
 def write_library(root: Path) -> Library:
-    """Write a library with a room, a box of 3,000 faces and twelve textured materials."""
+    """Write a library with a room, a box and twelve textured materials."""
     rng = np.random.default_rng(0)
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "floor"),
@@ -67,7 +67,7 @@ def write_library(root: Path) -> Library:
 
 
 def draw_configuration(library: Library, index: int, views: int, size: tuple[int, int]) -> Configuration:
-    """Configuration ``index``, with its own scales, materials, colours, lights and number of objects."""
+    """Configuration ``index``: a random number of objects at random poses, random materials and lights."""
     rng = np.random.default_rng(1000 + index)
 
     def assignment() -> MaterialAssignment:
@@ -122,7 +122,7 @@ def draw_configuration(library: Library, index: int, views: int, size: tuple[int
 
 
 def resident_mb() -> float:
-    """Resident memory of this process."""
+    """Resident memory of this process in megabytes."""
     return psutil.Process().memory_info().rss / 1e6
 
 

@@ -60,8 +60,9 @@ MAX_SIDE = 4096
 class Room:
     """A rendered capture, traced and unwrapped.
 
-    ``uv`` (H, W, 2) of each view's pixels, NaN off the surface; ``truth``, the views' true maps; ``auto``,
-    the side of the atlas that follows from the views' pixel density.
+    ``sides``: as returned by :func:`seen_sides`; ``uv``: UVs (H, W, 2) of each view's pixels, NaN off the
+    surface; ``truth``: the views' true maps; ``auto``: side of the atlas by the views' pixel density, in
+    texels.
     """
 
     capture: Capture
@@ -73,7 +74,7 @@ class Room:
     auto: int
 
     def merged(self, maps: Maps, size: int, folder: Path | None, weights: Weights = "none") -> Atlas:
-        """The maps of all views as an atlas, filled."""
+        """Merge the maps of all views into an atlas of ``size`` texels per side, and fill it."""
         regions = smooth_regions(self.traced.geometry.mesh)
         views = map_views(self.traced.views, maps)
         merger = MapMerger(views, MergeOptions(weights=weights), None, regions)
@@ -104,7 +105,7 @@ class Room:
 
     @property
     def num_pixels(self) -> int:
-        """Surface pixels of all views."""
+        """Number of surface pixels of all views."""
         return sum(int((~np.isnan(uv[..., 0])).sum()) for uv in self.uv)
 
 
@@ -171,7 +172,7 @@ def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeo
 
 
 def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None) -> Room:
-    """Read, trace and unwrap; only the first ``num_views``, if given."""
+    """Read, trace and unwrap a rendered capture, or its first ``num_views`` views."""
     capture = read_capture(shard, CaptureOptions(library=tuple(library)))
     capture = replace(capture, views=capture.views[:num_views])
     traced = trace_capture(capture)
@@ -197,7 +198,7 @@ def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
 
 
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:
-    """Sums of squared errors by row of the table and by map."""
+    """Sums of squared errors by row of the table (``what``: weights or sizes) and by map."""
     rows: dict[str, dict[str, float]] = {}
     if what == "weights":
         maps = predictions(room, checkpoint, InferOptions(weights="all"))
@@ -215,7 +216,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 
 def print_seams(room: Room, checkpoint: Path) -> None:
-    """Print the rows of a room."""
+    """Print a row of steps and errors for each choice of weights."""
     maps = predictions(room, checkpoint, InferOptions(weights="all"))
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:
@@ -236,7 +237,7 @@ def main() -> None:
     parser.add_argument("shards", nargs="+", type=Path)
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])
-    parser.add_argument("--views", type=int, help="only the first so many")
+    parser.add_argument("--views", type=int, help="number of views, from the first")
     parser.add_argument("--sizes", default="0.25x,0.5x,1x,2x")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

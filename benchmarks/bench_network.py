@@ -108,9 +108,7 @@ def synthetic_view() -> bytes:
 
 
 def measure_decoding(config: TrainingConfig, repeats: int) -> dict[str, float]:
-    """Seconds to read and decode a view in one process, and the number of crops per second that it
-    delivers.
-    """
+    """Seconds to read and decode a view in one process, and the resulting number of crops per second."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "view.exr"
         path.write_bytes(synthetic_view())

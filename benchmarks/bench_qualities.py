@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks that the named qualities lie on the Pareto front of error and time (docs/decisions/0071).
+"""Checks that the named qualities are on the Pareto front of error and time (docs/decisions/0071).
 
     python -m benchmarks.bench_qualities                      3 rooms, 4 views of 320x192
     python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
@@ -34,7 +34,7 @@ SLACK, TIME_SLACK = 1.25, 1.5
 
 
 def planned_folder(out: Path, configurations: int) -> Path:
-    """A folder with configurations of the bundled library, planned once."""
+    """A folder with configurations of the bundled library, planned if it is missing."""
     folder = out / "plan"
     if not (folder / "plan.json").is_file():
         out.mkdir(parents=True, exist_ok=True)
@@ -68,8 +68,10 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=(320, 192))
     parser.add_argument("--reference-samples", type=int, default=512)
     parser.add_argument("--reference", action="store_true", help="also the quality `reference`")
-    parser.add_argument("--slack", type=float, default=SLACK, help="of light paths")
-    parser.add_argument("--time-slack", type=float, default=TIME_SLACK, help="of processor time")
+    parser.add_argument("--slack", type=float, default=SLACK, help="allowed excess of light paths")
+    parser.add_argument(
+        "--time-slack", type=float, default=TIME_SLACK, help="allowed excess of processor time"
+    )
     parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "qualities")
     arguments = parser.parse_args()
     qualities = "quality=draft,standard" + (",reference" if arguments.reference else "")

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compares the recorded error of views with their true error: `standard` against plain paths, ten rooms, four
-views each.
+"""Compares the recorded error of views with their true error, in ten rooms with four views each.
 
     python -m benchmarks.bench_recorded_error                      96x64: references, views, figures, picture
     python -m benchmarks.bench_recorded_error --size 320 192 --views 1 --samples 128
@@ -8,8 +7,8 @@ views each.
 Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The true
 error is measured as in `datagen verify --recheck`: four independent parts of plain paths of up to 65
 segments, here with shadow rays through the windows, which has the same expectation. Parts are stored in
---cache, so that an interrupted command resumes. A view whose true error has a standard error above a quarter
-counts as *not known*.
+--cache, so an interrupted command resumes. A view counts as *not known* if the standard error of its true
+error exceeds a quarter of it.
 """
 
 from __future__ import annotations
@@ -46,9 +45,7 @@ IMAGE = Path(__file__).resolve().parents[1] / "docs" / "images" / "recorded_erro
 
 @dataclass(frozen=True)
 class Point:
-    """A view: recorded and true exposed relMSE, the standard error of the true relMSE, and the error of
-    brightness.
-    """
+    """A view: recorded and true exposed relMSE, standard error of the true one, and brightness error."""
 
     room: str
     view: int
@@ -66,7 +63,7 @@ class Point:
 
 
 def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tuple[Configuration, Library]:
-    """Configuration and library of a room."""
+    """Configuration of a room with ``views`` cameras of ``size`` (width, height), and its library."""
     if name in IMPORTED:
         library = converted(FOLDERS.get(name, name), cache)
         return configuration_of(library, views, size), library
@@ -98,7 +95,7 @@ def references(
 
 
 def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
-    """Every view of a room."""
+    """Yield a point for each view of a room."""
     size = (arguments.size[0], arguments.size[1])
     configuration, library = room_named(room, arguments.views, size, arguments.cache)
     recipe = parse_model(RenderRecipe, {"quality": arguments.quality}, "recipe")
@@ -167,7 +164,7 @@ def main() -> None:
     parser.add_argument("--rooms", nargs="+", choices=BUNDLED + IMPORTED, default=BUNDLED + IMPORTED)
     parser.add_argument("--size", type=int, nargs=2, default=(96, 64))
     parser.add_argument("--views", type=int, default=4)
-    parser.add_argument("--samples", type=int, default=1024, help=f"plain paths a pixel, in {PARTS} parts")
+    parser.add_argument("--samples", type=int, default=1024, help=f"plain paths per pixel, in {PARTS} parts")
     parser.add_argument("--quality", choices=("draft", "standard"), default="standard")
     parser.add_argument("--cache", type=Path, default=RESULTS)
     parser.add_argument("--out", type=Path, default=RESULTS / "bench_recorded_error.json")

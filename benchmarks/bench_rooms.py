@@ -72,7 +72,7 @@ def _range(values: Sequence[float]) -> list[float]:
 
 
 def main() -> None:
-    """Measure, print and, if asked, write."""
+    """Measure, print and, given ``--json``, write."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Savings from the sky guide (docs/decisions/0073): variance and time, room by room.
+"""Savings from the sky guide (docs/decisions/0073): variance and time in each room.
 
     python -m benchmarks.bench_sky_guide                  6 rooms, 4 views of 160x96; 4 minutes
 
@@ -51,8 +51,7 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
         reference = np.mean([image for found in images.values() for image in found], axis=0)
         for name, found in images.items():
             pairs = zip(found[::2], found[1::2], strict=True)
-            # (a - b)^2 / 2 over reference^2 + epsilon: both images are shifted so that their difference is
-            # kept
+            # the relMSE of these images is the mean of (a - b)^2 / 2 over reference^2 + epsilon
             differences = [reference + (a - b) / np.sqrt(2.0) for a, b in pairs]
             variances[name] += [relative_mse(image, reference, exposed=True) for image in differences]
     tracer.use_sky_guide(guide)

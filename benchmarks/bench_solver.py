@@ -4,8 +4,8 @@
     python -m benchmarks.bench_solver [--threads 2] [--repeats 15] [--device cpu] [--out results.json]
 
 Two guides: ``room`` has 60 flat regions with shading, texture and weak noise, like a predicted albedo;
-``noise`` is a white-noise albedo, so that nearly every pixel falls into its own cell. Prints medians and
-writes JSON.
+``noise`` has ten times the noise, which spreads the pixels over many more cells. Prints medians and writes
+JSON.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 640, 384
 
 
 def make_guide(kind: str) -> torch.Tensor:
-    """A synthetic albedo (1, 3, 384, 640)."""
+    """Synthetic albedo (1, 3, 384, 640) of the ``kind`` room or noise."""
     generator = torch.Generator().manual_seed(0)
     regions = torch.rand(1, 3, 6, 10, generator=generator)
     guide = 0.1 + 0.7 * torch.nn.functional.interpolate(regions, size=(HEIGHT, WIDTH))

@@ -6,8 +6,8 @@
 
 Speed: 40 views of 640x384, 12 best; kernels and oracle run in turn on the same views. Growth: seconds per
 view for 10, 20, 40 and 80 views, in turn, with a straight line fitted. Accuracy (for a scene with textures):
-colours are the diffuse reflectance, which does not depend on the view direction, so that ideally minimum,
-median and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by pair.
+colours are the diffuse reflectance, which does not depend on the view direction, so ideally minimum, median
+and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by pair.
 
 Writes JSON with medians and interquartile ranges to --out, and a summary to the terminal.
 """
@@ -29,7 +29,7 @@ from oracles.statistics import OracleOptions, statistics_vectorized
 
 
 def furnished_room():
-    """A closed room with thirty boxes, and a camera's pose inside it."""
+    """A closed room with at most thirty boxes, the pose (4, 4) of a camera in it, and the up direction."""
     import mitsuba as mi
 
     rng = np.random.default_rng(7)
@@ -46,7 +46,7 @@ def furnished_room():
 
 
 def scene_from_file(path: Path):
-    """A Mitsuba scene, its first sensor's pose, and the world axis nearest to that sensor's up direction."""
+    """A Mitsuba scene, its first sensor's pose (4, 4), and the world axis nearest to its up direction."""
     import mitsuba as mi
 
     scene = mi.load_file(str(path))
@@ -96,7 +96,7 @@ def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsVi
 def place_cameras(
     scene, base: np.ndarray, up: np.ndarray, count: int, width: int, height: int
 ) -> list[Camera]:
-    """``base`` and views from free positions around it, towards points visible from it."""
+    """``count`` cameras: ``base`` (4, 4), and poses around it, directed at points visible from it."""
     import mitsuba as mi
 
     rng = np.random.default_rng(0)
@@ -127,7 +127,7 @@ def place_cameras(
 
 
 def seconds_a_view(views: list[StatisticsView], options: StatisticsOptions, scene=None) -> float:
-    """Complete time per view: packing, upload, kernels, download."""
+    """Wall seconds per view, with packing, upload, kernels and download."""
     return timed(lambda: list(compute_statistics(views, options, scene))).wall / len(views)
 
 
@@ -214,7 +214,9 @@ def main() -> None:
     )
     parser.add_argument("--scene", type=Path, help="a Mitsuba scene instead of the room of boxes")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384), metavar=("WIDTH", "HEIGHT"))
-    parser.add_argument("--views", type=int, default=80, help="the first 40 of them serve all but growth")
+    parser.add_argument(
+        "--views", type=int, default=80, help="number of views; all but growth use the first 40"
+    )
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--variant", default=None)
     parser.add_argument("--out", type=Path, default=Path("bench_statistics.json"))

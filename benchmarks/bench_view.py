@@ -50,7 +50,7 @@ SAMPLES_A_CHUNK = 64
 
 
 def converted(scene: str, cache: Path) -> Library:
-    """The library with the imported scene, made on first use."""
+    """Library with the imported scene, in the folder ``cache``; imported on first use."""
     folder = cache / "library" / scene
     if not (folder / "environments").is_dir():
         source = SHARED_DATA / "scenes" / scene / "scene.xml"
@@ -59,7 +59,7 @@ def converted(scene: str, cache: Path) -> Library:
 
 
 def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator[Camera]:
-    """The scene's own camera, widened to 61 degrees; then turned by up to 0.5 rad, shifted by up to 0.2 m."""
+    """Yield the scene's camera, widened to 61 degrees, then random ones within 0.5 rad and 0.2 m of it."""
     pose = np.array(environment.cameras[0].asset_from_camera)
     focal = 0.85 * size[0]
     rng = np.random.default_rng(1)
@@ -102,7 +102,7 @@ def lit_views(
 
 
 def configuration_of(library: Library, count: int, size: tuple[int, int]) -> Configuration:
-    """The imported room with its own lights."""
+    """Configuration of the imported room with its own lights and ``count`` views."""
     (package,) = library.select("environment", for_training=False)
     environment = package.asset
     assert isinstance(environment, EnvironmentAsset)
@@ -154,7 +154,7 @@ def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) 
 
 
 def measure(renderer: SceneRenderer, configuration: Configuration, compression: str) -> dict[str, Any]:
-    """Times of the stages, which run one after the other to be measured separately."""
+    """Times of the stages, which run one after the other, and the size of the files."""
     watch = Stopwatch()
     count = len(configuration.cameras)
     renderer.render_view(0)  # warm-up: compiles kernels
@@ -238,7 +238,9 @@ def main() -> None:
     parser.add_argument("--auxiliary-samples", type=int, default=64)
     parser.add_argument("--max-depth", type=int, default=8)
     parser.add_argument("--reference-views", type=int, nargs="*", default=[0, 1])
-    parser.add_argument("--reference-samples", type=int, default=256, help="paths a pixel in each of two")
+    parser.add_argument(
+        "--reference-samples", type=int, default=256, help="paths per pixel in each of two references"
+    )
     parser.add_argument("--compression", default="zip")
     parser.add_argument("--overlap", action="store_true")
     parser.add_argument("--cache", type=Path, default=RESULTS)

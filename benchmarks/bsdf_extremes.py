@@ -74,9 +74,7 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Print the maximum error of the slopes' distribution function, and seconds for 4e6 samples, by number of
-    Newton steps.
-    """
+    """Print the maximum error of the slopes' CDF, and seconds for 4e6 samples, by Newton steps."""
     import drjit as dr
     import mitsuba as mi
 
@@ -119,7 +117,7 @@ def _angle_transport(specular: float, roughness: float, num_bins: int, num_slope
     """K[o, i]: share of the energy that arrives in angle bin i and leaves through the specular lobe into bin
     o.
 
-    Bins have equal projected solid angle, so that the diffuse term adds the same number everywhere.
+    Bins have equal projected solid angle, so the diffuse term adds the same number everywhere.
     """
     edges = np.sqrt(np.linspace(0, 1, num_bins + 1))
     alpha = float(oracle.alpha_from_roughness(np.float64(roughness)))
@@ -192,7 +190,7 @@ def print_energy() -> None:
 
 
 def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
-    """Half of the lanes uniform in [0, 1], a quarter exactly 0 or 1, a quarter of the wild values."""
+    """Random values: half uniform in [0, 1], a quarter exactly 0 or 1, a quarter from ``wild``."""
     import drjit as dr
     import mitsuba as mi
 
@@ -204,7 +202,7 @@ def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
 
 
 def _random_direction(rng: Any) -> Any:
-    """Angles uniform, log-uniform from the horizon down to 1e-6 rad on either side, or exactly special."""
+    """Random directions: uniform angles, log-uniform to 1e-6 rad from the horizon, horizon and pole."""
     import drjit as dr
     import mitsuba as mi
 
@@ -219,7 +217,7 @@ def _random_direction(rng: Any) -> Any:
 
 
 class _LaneTexture:
-    """Replaces a texture: one value per lane, unchanged."""
+    """Replacement of a texture, with one value per lane."""
 
     def __init__(self, make: Callable[[], Any]):
         self.value = make()
@@ -250,7 +248,7 @@ def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
     si = dr.zeros(mi.SurfaceInteraction3f, num)
     si.wi = _random_direction(rng)
     wo = _random_direction(rng)
-    # A third of the light directions lie in the lobe: the mirror direction, jittered by 10^-4 ... 1.
+    # A third of the light directions are in the lobe: the mirror direction, jittered by 10^-4 ... 1.
     size = dr.exp(dr.lerp(np.log(1e-4), 0.0, rng.next_float32()))
     jitter = mi.Vector3f(*(size * (rng.next_float32() - 0.5) for _ in range(3)))
     mirrored = dr.normalize(mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z) + jitter)

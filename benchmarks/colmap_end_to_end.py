@@ -3,7 +3,7 @@
 
     python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/measurements.md: 20 minutes
     python -m benchmarks.colmap_end_to_end --out DIR --cameras true    with the true cameras, without COLMAP
-    python -m benchmarks.colmap_end_to_end --out DIR --faults phone --mesh colmap    without anything true
+    python -m benchmarks.colmap_end_to_end --out DIR --faults phone --mesh colmap    without true input
 
 1. The study of the bundled library, which is not in the training data of the bundled checkpoint, with
    objects, ceiling light and daylight; cameras on a walk around its middle, looking across.
@@ -15,7 +15,7 @@
    ``--faults`` develops with a preset of model/evaluation/camera_faults.py instead.
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs, or the surface through COLMAP's
    points of `materials photos`.
-5. ``materials infer``, with the check before it.
+5. ``materials infer``, including its check.
 6. Atlas and truth are rendered as maps from every third true camera and compared where both show the same
    surface (depth within 5 %). Baselines are a constant, each map's own mean, which is the best possible
    constant, and the photographs themselves as diffuse albedo.
@@ -85,9 +85,9 @@ def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
     made = []
     for k in range(num):
         angle = 2 * np.pi * k / num
-        way = np.array([np.cos(angle), np.sin(angle), 0.0])
-        eye = np.array([-0.15, -0.27, 1.3 if k % 2 else 1.75]) + way * [0.85, 0.85, 0]
-        target = np.array([-0.15, -0.27, 0.85 if k % 2 else 1.0]) - 1.0 * way
+        outwards = np.array([np.cos(angle), np.sin(angle), 0.0])
+        eye = np.array([-0.15, -0.27, 1.3 if k % 2 else 1.75]) + outwards * [0.85, 0.85, 0]
+        target = np.array([-0.15, -0.27, 0.85 if k % 2 else 1.0]) - 1.0 * outwards
         camera = Camera(width, height, focal, focal, width / 2, height / 2, look_at(eye, target))
         made.append(ViewCamera.from_camera(f"view-{k:03d}", camera))
     return made
@@ -181,7 +181,7 @@ class EndToEnd:
             view.name: read_image(rendered / f"{view.name}.exr")[..., :3].astype(np.float32)
             for view in configuration.cameras
         }
-        exposure = exposure_for(np.stack(list(linear.values())))  # the same for all, as set by hand
+        exposure = exposure_for(np.stack(list(linear.values())))  # one for all views, as set by hand
         for number, view in enumerate(configuration.cameras):
             pixels = self._developed(linear[view.name], exposure, number, view)
             (images / f"{view.name}.jpg").write_bytes(jpeg(pixels, view.camera()))
@@ -199,7 +199,7 @@ class EndToEnd:
     # ---------------------------------------------------------------- cameras
 
     def calibrate(self) -> None:
-        """COLMAP's model in the room's frame, or the true cameras, with the photographs."""
+        """Write a capture of the photographs, with COLMAP's cameras in the room's frame or the true ones."""
         if self.capture.is_dir():
             return
         partial = self.capture.with_name(f"{self.capture.name}-partial")
@@ -369,7 +369,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--views", type=int, default=30)
     parser.add_argument("--size", type=int, nargs=2, default=(576, 384))
-    parser.add_argument("--samples", type=int, default=14, help="of Cycles")
+    parser.add_argument("--samples", type=int, default=14, help="paths per pixel of Cycles")
     parser.add_argument("--triangles", type=int, default=20000)
     parser.add_argument("--cameras", choices=("colmap", "true"), default="colmap")
     parser.add_argument("--atlas", default="2048")

@@ -46,7 +46,7 @@ MAX_DEPTH = 65
 def compare_scene(
     folder: Path, library_folder: Path, width_px: int, num_samples: int, pictures: Path | None = None
 ) -> dict:
-    """Agreement of one scene's original and converted renderings, with seconds."""
+    """Agreement of one scene's original and converted renderings, and seconds of the import."""
     name = folder.name
     start = time.perf_counter()
     options = ImportOptions(dielectric="replace", unit_scale=UNIT_SCALES.get(name, 1.0), overwrite=True)
@@ -107,7 +107,7 @@ def table(results: list[dict]) -> str:
 def main() -> None:
     default = Path(__file__).resolve().parents[2] / "shared" / "data" / "scenes"
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=default, help="folder that holds the scenes")
+    parser.add_argument("--data", type=Path, default=default, help="folder that contains the scenes")
     parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
     parser.add_argument("--width", type=int, default=240)
     parser.add_argument("--samples", type=int, default=256)
@@ -120,7 +120,7 @@ def main() -> None:
         for name in arguments.scenes:
             scene = arguments.data / name
             if not (scene / "scene.xml").is_file():
-                print(f"{scene}: not there, left out", file=sys.stderr)
+                print(f"{scene}: missing, left out", file=sys.stderr)
                 continue
             results.append(
                 compare_scene(scene, Path(folder), arguments.width, arguments.samples, arguments.pictures)

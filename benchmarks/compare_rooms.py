@@ -5,7 +5,7 @@
 
 DATASET is a dataset folder; an imported SHARD is the tar of a capture with ground truth, such as `materials
 evaluate` renders for the scenes of a suite. Surface pixels of ``--views`` evenly spaced views per room are
-counted; every room has the same weight, so that densities are means over rooms. Luminances and exposures are
+counted; every room has the same weight, so densities are means over rooms. Luminances and exposures are
 relative to the room's median exposure, since each scene has its own unit of radiance.
 
 Writes ``distributions.png`` (D, S, R, luminance, exposure), ``beside.jpg`` (imported rooms left, generated
@@ -49,9 +49,10 @@ _LOGARITHMIC = ("brightest channel of S", "luminance, exposed", "exposure / room
 class RoomFigures:
     """Figures of one room.
 
-    ``densities``: a histogram of sum 1 for each of :data:`BINS`. The other fields are, for each view, its
-    exposure and the clipped shares of all surfaces and of surfaces outside windows, and a picture of the view
-    with most instances.
+    ``densities``: a histogram of sum 1 for each of :data:`BINS`. ``metal_share``, ``gloss_share``: shares of
+    surface pixels with high S and with low R. ``exposures``, ``clipped``, ``clipped_in_room``: by view,
+    exposure and clipped shares of all surfaces and of surfaces outside windows. ``picture``: the view with
+    most instances, (H, W, 3) sRGB.
     """
 
     name: str
@@ -149,7 +150,7 @@ def table(groups: dict[str, list[RoomFigures]]) -> str:
 
 
 def draw(groups: dict[str, list[RoomFigures]], path: Path) -> None:
-    """Draw densities as means over rooms, with a thin line for each imported room."""
+    """Draw densities as means over the rooms of a group, with the range of the middle 80 % of them."""
     matplotlib.use("Agg")
     figure, axes = plt.subplots(1, len(BINS), figsize=(15, 2.9), layout="constrained")
     for axis, (name, bins) in zip(axes, BINS.items(), strict=True):
@@ -183,7 +184,7 @@ def _fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
 
 
 def write_grid(pictures: list[NDArray[np.uint8]], columns: int, size: tuple[int, int], path: Path) -> None:
-    """Pictures in rows, 4 white pixels apart, as JPEG."""
+    """Write pictures of ``size`` (width, height) in rows, with 4 white pixels between them, as JPEG."""
     gap, rows = 4, -(-len(pictures) // columns)
     sheet = Image.new("RGB", (columns * (size[0] + gap) - gap, rows * (size[1] + gap) - gap), "white")
     for k, picture in enumerate(pictures):

@@ -56,7 +56,7 @@ def build(export: Path, out: Path) -> None:
 
 
 def _add_light(light: dict[str, Any]) -> None:
-    """A lamp of equal radiance, intensity or irradiance (units as docs/blender.md)."""
+    """Add a lamp with the radiance, intensity or irradiance of ``light`` (units: docs/blender.md)."""
     import bpy
     from mathutils import Matrix, Vector
 
@@ -165,9 +165,9 @@ def set_up(scene: Any, sampling: Sampling) -> None:
 
 
 def look_through(scene: Any, camera: dict[str, Any], scale: float) -> None:
-    """Place the camera; ``scale`` multiplies the resolution."""
+    """Set the scene's camera and resolution; ``scale`` multiplies the resolution."""
     if abs(camera["fx_px"] / camera["fy_px"] - 1) > 1e-6:
-        raise ValueError(f"camera {camera['name']}: oblong pixels are not set up here")
+        raise ValueError(f"camera {camera['name']}: non-square pixels are not supported")
     width, height = camera["width_px"], camera["height_px"]
     scene.render.resolution_x, scene.render.resolution_y = round(width * scale), round(height * scale)
     lens = scene.camera.data
@@ -179,7 +179,7 @@ def look_through(scene: Any, camera: dict[str, Any], scale: float) -> None:
 
 
 def render(arguments: argparse.Namespace) -> None:
-    """Render views one after the other; the times are written to ``times.json``."""
+    """Render views in turn, and write the times to ``times.json``."""
     import bpy
 
     bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
@@ -214,11 +214,11 @@ def main() -> None:
     command.add_argument("--seed", type=int, default=Sampling.seed)
     command.add_argument("--noisy", action="store_true")
     command.add_argument("--adaptive", action="store_true", help="Cycles' adaptive sampling")
-    command.add_argument("--clamp", type=float, default=Sampling.clamp, help="of indirect light")
+    command.add_argument("--clamp", type=float, default=Sampling.clamp, help="clamp of indirect light")
     command.add_argument(
-        "--filter-glossy", type=float, default=Sampling.filter_glossy, help="after diffuse bounces"
+        "--filter-glossy", type=float, default=Sampling.filter_glossy, help="blur after diffuse bounces"
     )
-    command.add_argument("--scale", type=float, default=1.0, help="of the resolution")
+    command.add_argument("--scale", type=float, default=1.0, help="factor of the resolution")
     arguments = parser.parse_args()
     if arguments.verb == "build":
         build(arguments.export, arguments.out)

@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.cycles_baseline import Sampling, look_through, set_up
 
-OUTSIDE = "room/outside"  # lawn and hedge, which nobody would model
+OUTSIDE = "room/outside"  # lawn and hedge, which no user would model
 _WELD_M = 2e-4
 
 

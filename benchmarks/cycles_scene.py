@@ -5,8 +5,8 @@
     python -m benchmarks.cycles_scene reference FOLDER OUT VIEW... --samples 256
 
 ``export`` writes the whole room as one asset package: every placed part with its assigned material,
-variations applied, UVs scaled, so that readers of packages get exactly the scene that our renderer renders.
-``setup.json`` beside it holds the lights (skies as an equirectangular image and a sun) and the cameras.
+variations applied, UVs scaled, so readers of packages get exactly the scene that our renderer renders.
+``setup.json`` next to it contains the lights (skies as an equirectangular image and a sun) and the cameras.
 """
 
 from __future__ import annotations
@@ -141,9 +141,7 @@ class RoomExport:
 
 
 def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) of a sky or environment light without its sun, in Blender's layout: centre +X, left
-    +Y.
-    """
+    """Radiance (H, W, 3) of a sky or environment without sun, as in Blender: +X in the centre, +Y left."""
     rows, columns = SKY_SIZE
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi
@@ -190,9 +188,7 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
 
 
 def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
-    """Write two independent converged images of each missing view, ``view_000.npz``, without cached
-    irradiance.
-    """
+    """Write two independent converged images per missing view, ``view_000.npz``, all light traced."""
     configuration, library, planned = open_folder(folder)
     recipe = planned.read_recipe().render.model_copy(update={"irradiance_cache": False})
     renderer = SceneRenderer(configuration, library, recipe)

@@ -92,14 +92,14 @@ def scale_of_radiance(factor: float, size: tuple[int, int] = (33, 22)) -> float:
 
 
 def stored_as_half(value: float) -> float:
-    """Errors of radiances after a round trip through a view's file."""
+    """The radiance ``value`` after a round trip through a view's file, which stores half floats."""
     image = np.full((2, 2, 3), value, np.float32)
     stored = to_storage(BUFFERS["beauty"], image)
     return float(decode_view(encode_view({"beauty": stored}))["beauty"][0, 0, 0])
 
 
 def log_round_trip(dtype: Any) -> float:
-    """Largest error of encoding and decoding over [0, 1], for inputs of ``dtype``."""
+    """Largest absolute error of log encoding and decoding over [0, 1], for inputs of ``dtype``."""
     values = np.concatenate([np.linspace(0, 1, 20001), np.geomspace(1e-7, 1, 2001)]).astype(dtype)
     return float(np.abs(linear_from_log(log_from_linear(values)).astype(np.float64) - values).max())
 
@@ -119,7 +119,7 @@ def spread_of_alike_views(num_views: int) -> float:
 
 
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """Views of the boxes from positions near the usual cameras, each rendered anew."""
+    """Views with random colours of the boxes, from random positions near the usual cameras."""
     rng = np.random.default_rng(3)
     base = make_views((size,))
     found = []
@@ -145,9 +145,7 @@ def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[Statist
 
 
 def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
-    """Image (8, 8, 3) of a floor under a square light of ``radiance``, all lengths multiplied by
-    ``metres``.
-    """
+    """Image (8, 8, 3) of a floor under a square light of ``radiance``, with all lengths times ``metres``."""
     size = 10 * metres
     floor = quad([-size / 2, -size / 2, 0], [size, 0, 0], [0, size, 0])
     light = AreaLight(
@@ -171,7 +169,7 @@ def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, f
     """Largest and median relative difference of a pixel from the room of scale 1 and radiance 1, for each
     case.
 
-    The random numbers are the same, so that differences come from rounding. Near the light's edge, one of a
+    The random numbers are the same, so differences come from rounding. Near the light's edge, one of a
     pixel's 64 paths may hit the light in one room and miss it in the other.
     """
     expected = lit_floor(1.0, 1.0)
@@ -219,7 +217,7 @@ def main() -> None:
     rows = [[kind.__name__, log_round_trip(kind)] for kind in (np.float64, np.float32)]
     print(table("Log encoding and back, [0, 1]", ["input", "largest error"], rows))
     rows = [[count, spread_of_alike_views(count)] for count in (1, 2, 12, 300)]
-    print(table("All views alike", ["views", "largest (maximum - minimum) / own colour"], rows))
+    print(table("Identical views", ["views", "largest (maximum - minimum) / own colour"], rows))
 
 
 if __name__ == "__main__":

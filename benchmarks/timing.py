@@ -40,8 +40,8 @@ def timed(action: Action) -> Seconds:
 def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -> dict[str, list[Seconds]]:
     """Times of ``repeats`` calls of each action after ``warm_up`` calls, which compile and fill caches.
 
-    Actions run in turn, in reversed order every other time, so that drift of the machine affects all alike;
-    entries with the same index belong to one turn.
+    Actions run in turn, in reversed order every other time, so drift of the machine affects all of them
+    equally; entries with the same index belong to one turn.
     """
     names = list(actions)
     found: dict[str, list[Seconds]] = {name: [] for name in names}
@@ -54,13 +54,13 @@ def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -
 
 
 def median_seconds(action: Action, repeats: int, clock: str = "wall", warm_up: int = 1) -> float:
-    """Median time of ``action`` by one clock of :class:`Seconds`."""
+    """Median seconds of ``action`` by one ``clock`` of :class:`Seconds`."""
     times = interleaved({"": action}, repeats, warm_up)[""]
     return float(np.median([getattr(seconds, clock) for seconds in times]))
 
 
 def summary(values: list[float], digits: int = 6) -> dict[str, Any]:
-    """Median and interquartile range."""
+    """Median, interquartile range and number of ``values``."""
     low, median, high = (round(float(v), digits) for v in np.percentile(values, [25, 50, 75]))
     return {"median": median, "iqr": [low, high], "repeats": len(values)}
 
@@ -74,7 +74,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str, share: int = 1) -> Iterator[None]:
-        """Time a block, which counts as ``share`` entries."""
+        """Time a block; its times divided by ``share`` are recorded."""
         wall, cpu = time.perf_counter(), cpu_seconds()
         yield
         self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: MIT
 """The fast bilateral solver (Barron and Poole 2016) in torch, with its analytic adjoint.
 
-The solver smooths a map t inside the regions of a guide image, weighting each pixel by its confidence c.
-Letters: P pixels and V occupied cells ("vertices") of all images of a batch together; S (V x P) sums pixels
-into cells, S^T copies cells to pixels; B is the blur over the grid, 10 on the diagonal and 1 for each
-occupied neighbour along x, y, luma and the two chromas; n and m make the blur bistochastic. The system of one
-channel is
+The solver smooths a map t inside the regions of a guide image, weighting each pixel by its confidence c. P
+and V are the numbers of pixels and of occupied grid cells ("vertices") of all images of a batch. S (V x P)
+sums pixels into cells, S^T copies cells to pixels. B (V x V) is the blur over the grid: 10 on the diagonal
+and 1 for each occupied neighbour along x, y, luma and the two chromas. n scales the blur such that the row
+sums m of diag(n) B diag(n) are the numbers of pixels per cell. The system of one channel, with the weight
+lambda of the smoothness term, is
 
     A y = S (c t),   A = lambda (diag(m) - diag(n) B diag(n)) + diag(S c),   filtered = S^T y.
 
-The 10 on B's diagonal cancels against m, so that the smoothness term is stored as the remaining graph
-Laplacian: row i is the sum over neighbours j of n_i n_j (y_i - y_j). Computed from m and B in float32 it
-would have a rounding error of the size of lambda, which is larger than a small confidence.
+The 10 on B's diagonal cancels against m, so the smoothness term is stored as the remaining graph Laplacian:
+row i is the sum over neighbours j of n_i n_j (y_i - y_j). Computed from m and B in float32 it would have a
+rounding error of about lambda, which exceeds a small confidence.
 
-Images of a batch share no cell, so that A is block-diagonal and one solve serves them all.
+Images of a batch share no cell, so A is block-diagonal and one solve serves all of them.
 """
 
 from __future__ import annotations
@@ -40,14 +41,14 @@ _BLUR_DIAGONAL = 10.0  # two per dimension of the grid
 
 
 class SolverConfig(StrictModel):
-    """The solver's parameters."""
+    """Parameters of the bilateral solver."""
 
     sigma_xy: float = Field(default=8.0, gt=0)
     """Side of a cell in pixels."""
     sigma_luma: float = Field(default=8.0, gt=0)
-    """Size of a cell in luma, of 255."""
+    """Size of a cell in luma, whose range is 0 to 255."""
     sigma_chroma: float = Field(default=2.0, gt=0)
-    """Size of a cell in chroma, of 255."""
+    """Size of a cell in chroma, whose range is 0 to 255."""
     smoothness: float = Field(default=300.0, gt=0)
     """lambda: weight of the smoothness term."""
     tolerance: float = Field(default=1e-5, ge=0)
@@ -55,20 +56,21 @@ class SolverConfig(StrictModel):
     max_iterations: int = Field(default=25, ge=1)
     """Maximum number of iterations."""
     num_bistochastize: int = Field(default=10, ge=1)
+    """Number of iterations that compute n."""
     diagonal_floor: float = Field(default=1e-5, gt=0)
-    """Minimum diagonal of the preconditioner."""
+    """Minimum of the diagonal by which the preconditioner divides."""
     confidence_floor: float = Field(default=1e-6, gt=0)
     """Minimum confidence. A region of zero confidence without neighbours would make A singular; with this
-    minimum it keeps its own mean."""
+    minimum it keeps its mean."""
 
 
 @dataclass(frozen=True)
 class BilateralGrid:
-    """Grid cells of the pixels, and their neighbours.
+    """Occupied grid cells of a batch of guide images, and their neighbours.
 
-    ``vertex_of_pixel`` (P,) int64; ``splat_matrix`` (V, P), sparse CSR; ``coupling`` (V, V), sparse CSR with
-    n_i n_j for each pair of neighbours, and ``coupling_sum`` (V, 1) its row sums, float64; ``image_starts``
-    (B+1,) the first vertex of each image.
+    ``vertex_of_pixel`` (P,) int64: cell of each pixel; ``splat_matrix`` (V, P) float32, sparse CSR: S;
+    ``coupling`` (V, V) float64, sparse CSR: n_i n_j for each pair of neighbours; ``coupling_sum`` (V, 1)
+    float64: its row sums; ``image_starts``: index of the first cell of each image, followed by V.
     """
 
     batch: int
@@ -93,13 +95,13 @@ class BilateralGrid:
         return vertices.index_select(0, self.vertex_of_pixel)
 
     def dot(self, a: Tensor, b: Tensor) -> Tensor:
-        """Scalar products of columns, per image: (V, C) x 2 to (B, C)."""
+        """Scalar product per image of each column of ``a`` and ``b``, both (V, C): (B, C)."""
         product = a * b
         starts = self.image_starts
         return torch.stack([product[i:j].sum(dim=0) for i, j in pairwise(starts)])
 
     def per_vertex(self, per_image: Tensor) -> Tensor:
-        """(B, C) repeated for each image's vertices: (V, C)."""
+        """Repeat per-image values (B, C) for the image's cells: (V, C), or (1, C) for a batch of one."""
         if self.batch == 1:
             return per_image
         counts = torch.tensor(self.image_starts, device=per_image.device).diff()
@@ -107,9 +109,7 @@ class BilateralGrid:
 
 
 def guide_yuv(guide: Tensor) -> Tensor:
-    """Guide (B, 3, H, W), linear RGB, divided by each image's maximum, times 255, as luma and two chromas
-    centred at 128.
-    """
+    """Luma and two chromas, centred at 128, (B, 3, H, W) of a linear RGB guide scaled to a maximum of 255."""
     peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide has no edges
     matrix = torch.tensor(_YUV_FROM_RGB, dtype=guide.dtype, device=guide.device)
     yuv = torch.einsum("kc,bchw->bkhw", matrix, guide / peak * 255.0)
@@ -117,7 +117,7 @@ def guide_yuv(guide: Tensor) -> Tensor:
 
 
 def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGrid:
-    """The grid of a guide image (B, 3, H, W), linear RGB >= 0; no gradient flows to the guide."""
+    """Build the grid of guide images (B, 3, H, W), linear RGB >= 0; no gradient flows to them."""
     config = config or SolverConfig()
     with torch.no_grad():
         keys, strides = _cell_keys(guide.detach(), config)
@@ -139,7 +139,7 @@ def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGr
 
 
 def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
-    """One integer per pixel (P,) that sorts by image first, and the stride of each coordinate in it."""
+    """Integer key (P,) of each pixel's cell, and the strides of image, y, x, luma and the chromas in it."""
     batch, _, height, width = guide.shape
     yuv = guide_yuv(guide)
     sigmas = torch.tensor(
@@ -149,7 +149,7 @@ def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
     y = torch.floor(torch.arange(height, device=yuv.device) / config.sigma_xy).to(torch.int64)
     x = torch.floor(torch.arange(width, device=yuv.device) / config.sigma_xy).to(torch.int64)
     coordinates = [y.reshape(1, -1, 1), x.reshape(1, 1, -1), *color.unbind(dim=1)]
-    lows = [int(c.min()) - 1 for c in coordinates]  # a margin of one cell, so that a neighbour never wraps
+    lows = [int(c.min()) - 1 for c in coordinates]  # with a margin of one cell, a neighbour never wraps
     sizes = [int(c.max()) + 2 - low for c, low in zip(coordinates, lows, strict=True)]
     key = torch.arange(batch, device=yuv.device).reshape(-1, 1, 1).expand(batch, height, width)
     for coordinate, low, size in zip(coordinates, lows, sizes, strict=True):
@@ -161,7 +161,7 @@ def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
 
 
 def _splat_matrix(vertex_of_pixel: Tensor, num_vertices: int) -> Tensor:
-    """S as CSR (V, P), float32 ones."""
+    """S (V, P) as a sparse CSR matrix of float32 ones."""
     order = torch.argsort(vertex_of_pixel, stable=True)
     counts = torch.bincount(vertex_of_pixel, minlength=num_vertices)
     starts = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
@@ -172,9 +172,7 @@ def _splat_matrix(vertex_of_pixel: Tensor, num_vertices: int) -> Tensor:
 
 
 def _neighbours(vertices: Tensor, strides: list[int]) -> Tensor:
-    """Indices (2, E) of all ordered pairs of occupied cells that are adjacent in one of the five
-    dimensions.
-    """
+    """Indices (2, E) of all ordered pairs of occupied cells that are adjacent in one of five dimensions."""
     own = torch.arange(len(vertices), device=vertices.device)
     pairs = []
     for stride in strides[1:]:
@@ -187,7 +185,7 @@ def _neighbours(vertices: Tensor, strides: list[int]) -> Tensor:
 
 
 def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
-    """CSR (V, V) with n_i n_j at every pair of neighbours (i, j)."""
+    """Sparse CSR matrix (V, V) with n_i n_j at every pair of neighbours (i, j)."""
     order = torch.argsort(pairs[0] * len(n) + pairs[1])
     rows, columns = pairs[0][order], pairs[1][order]
     starts = torch.searchsorted(rows, torch.arange(len(n) + 1, device=n.device))
@@ -197,9 +195,7 @@ def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class SolveReport:
-    """Convergence of a solve: number of iterations, and the maximum residual over images and channels,
-    relative to b.
-    """
+    """Number of iterations of a solve, and its maximum residual relative to the right-hand side."""
 
     iterations: int
     residual: float
@@ -208,9 +204,10 @@ class SolveReport:
 def solve(
     grid: BilateralGrid, config: SolverConfig, weights: Tensor, rhs: Tensor, start: Tensor
 ) -> tuple[Tensor, SolveReport]:
-    """Solve A y = rhs for y by preconditioned conjugate gradients; all are (V, C), ``weights`` is S c.
+    """Solve A y = ``rhs`` for y (V, C) by preconditioned conjugate gradients.
 
-    Every (image, channel) is a separate system; converged systems are not updated while others continue.
+    ``weights`` (V, C) is S c, ``start`` (V, C) the initial y. Every (image, channel) is a separate system;
+    converged systems are not updated while others continue.
     """
     dtype = rhs.dtype
     coupling = grid.coupling.to(dtype) * config.smoothness
@@ -245,7 +242,7 @@ def solve(
 
 
 class _Filter(torch.autograd.Function):
-    """Forward solve and its adjoint: z = A^-1 S g; dL/dt = c S^T z; dL/dc = S^T z (t - x)."""
+    """Solve for x = S^T y. For its gradient g: z = A^-1 S g; dL/dt = c S^T z; dL/dc = S^T z (t - x)."""
 
     @staticmethod
     def forward(
@@ -274,11 +271,11 @@ class _Filter(torch.autograd.Function):
 def bilateral_solve(
     target: Tensor, confidence: Tensor, grid: BilateralGrid, config: SolverConfig | None = None
 ) -> Tensor:
-    """Filter ``target`` (B, C, H, W) by ``confidence`` (B, C or 1, H, W) >= 0 over a guide's grid.
+    """Smooth ``target`` (B, C, H, W), weighted by ``confidence`` (B, C or 1, H, W) >= 0, over a guide's grid.
 
-    Differentiable in target and confidence. Solves in float64 whatever the target's type: lambda against a
-    small confidence makes A too ill-conditioned for float32, and the solve is limited by memory, not by
-    arithmetic. Raises ``ValueError`` if the shapes do not match the grid's guide.
+    Differentiable in target and confidence. Solves in float64: with a small confidence, A is too
+    ill-conditioned for float32, and memory bandwidth limits the speed, not arithmetic. Raises ``ValueError``
+    if the shapes do not match the grid's guide.
     """
     config = config or SolverConfig()
     batch, channels, height, width = target.shape

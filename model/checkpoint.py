@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints: weights as safetensors, and their metadata as JSON beside and inside the file.
+"""Checkpoints: weights as safetensors, with metadata as JSON in the file's header and in a separate file.
 
-``NAME.safetensors`` holds the tensors ``network.*`` (both tracks) and, once trained, ``confidence.*``; its
-header and ``NAME.json`` hold the same :class:`CheckpointCard`. Nothing is pickled. Reading builds the
+``NAME.safetensors`` contains the tensors ``network.*`` (both tracks) and, once trained, ``confidence.*``; its
+header and ``NAME.json`` contain the same :class:`CheckpointCard`. Nothing is pickled. Reading builds the
 networks from the card on the meta device, compares every name and shape with the file, and only then
 allocates memory.
 """
@@ -31,17 +31,17 @@ _REMEDY = "train or fetch the checkpoint again"
 
 
 class DataRecord(StrictModel):
-    """A dataset used in training: its name and the SHA-256 of its index, which names every shard."""
+    """A dataset used in training; the index, whose SHA-256 identifies it, lists the hashes of all shards."""
 
     name: str
     index_sha256: str
     num_views: int = Field(ge=0)
     assets: dict[str, str] = {}
-    """SHA-256 of every asset used by its configurations, by id."""
+    """SHA-256 of every asset used by its configurations, by asset id."""
 
 
 class CheckpointCard(StrictModel):
-    """Content and provenance of a checkpoint.
+    """Metadata of a checkpoint: architecture and provenance.
 
     ``loss`` names the terms and the perceptual distance of the training; ``phase`` and ``step`` are the
     training's state when the checkpoint was saved; ``metrics`` its validation figures by name; ``training``
@@ -80,7 +80,7 @@ def software_versions() -> dict[str, str]:
 
 
 def bundled_checkpoint() -> Path:
-    """The bundled checkpoint; its model card is ``docs/model-card.md``."""
+    """Path of the bundled checkpoint; its model card is ``docs/model-card.md``."""
     return Path(__file__).parent / "checkpoints" / "small.safetensors"
 
 
@@ -91,7 +91,7 @@ def save_checkpoint(
     confidence: ConfidenceNets | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> None:
-    """Write ``path`` (.safetensors) and the JSON beside it; both appear whole or not at all."""
+    """Write the weights to ``path`` (.safetensors) and the card as JSON next to it, each atomically."""
     from safetensors.torch import save
 
     card = card.model_copy(update={"has_confidence": confidence is not None})
@@ -106,7 +106,7 @@ def save_checkpoint(
 
 
 def read_card(path: Path) -> CheckpointCard:
-    """The card of a checkpoint, from its file's header."""
+    """Read the card in a checkpoint's header. Raises :class:`InputError` as :func:`load_checkpoint`."""
     return _open(path)[0]
 
 
@@ -131,7 +131,7 @@ def _open(path: Path) -> tuple[CheckpointCard, dict[str, tuple[int, ...]]]:
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoint:
-    """Networks of a checkpoint on ``device``, ready for inference.
+    """Load a checkpoint's networks onto ``device``, in eval mode.
 
     Raises :class:`InputError` if the file is damaged, is not a checkpoint, is of another version, has tensors
     other than its configuration requires, or contains NaN or Inf.
@@ -139,7 +139,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
     from safetensors.torch import load_file
 
     card, shapes = _open(path)
-    is_own = card.network.factory is not None  # the constructor may compute with its values: not on meta
+    is_own = card.network.factory is not None  # its constructor may read values, which meta tensors lack
     with torch.device("cpu" if is_own else "meta"):
         modules: dict[str, nn.Module] = {"network": make_network(card.network)}
     with torch.device("meta"):

@@ -40,16 +40,18 @@ def _materials(version: VersionOption = False) -> None:
 @app.command()
 def train(
     data: Annotated[list[Path], typer.Argument(help="Dataset folders (with index.json).")],
-    out: Annotated[Path, typer.Option(help="Folder of the run; an unfinished run in it continues.")],
+    out: Annotated[Path, typer.Option(help="Folder of the run; an unfinished run in it is resumed.")],
     preset: Annotated[str | None, typer.Option(help="paper (default), small, light or smoke.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with changes to the preset.")] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="KEY=VALUE over preset and file, repeatable, e.g. data.workers=2."),
+        typer.Option("--set", help="KEY=VALUE overrides preset and file; repeatable; e.g. data.workers=2."),
     ] = None,
     network: Annotated[
         str | None,
-        typer.Option(metavar="MODULE:CLASS", help="A network of your own; --set network.arguments.X=Y."),
+        typer.Option(
+            metavar="MODULE:CLASS", help="A custom network; --set network.arguments.X=Y sets an argument."
+        ),
     ] = None,
     device: Annotated[
         str | None, typer.Option(help="cpu, cuda, cuda:1; default: a GPU if there is one.")
@@ -63,7 +65,7 @@ def train(
 ) -> None:
     """Train the two tracks and the confidence networks on datasets.
 
-    After Ctrl-C, the same command continues, bit for bit.
+    After Ctrl-C, the same command resumes bit for bit.
 
     Several GPUs: torchrun --nproc-per-node 4 -m model.cli train DATA --out RUN.
 
@@ -74,8 +76,8 @@ def train(
     from model.devices import parse_device
     from model.training.config import parse_overrides, resolve_config
 
-    own = [f"network.factory={network}"] if network else []
-    resolved = resolve_config(preset, config, parse_overrides([*(settings or []), *own]))
+    factory = [f"network.factory={network}"] if network else []
+    resolved = resolve_config(preset, config, parse_overrides([*(settings or []), *factory]))
     listeners = load_listeners(listener or ())
     if threads:
         torch.set_num_threads(threads)
@@ -96,7 +98,7 @@ def train(
     try:
         final = trainer.run()
     except KeyboardInterrupt:
-        typer.echo(f"stopped at step {trainer.progress.total_step}; the same command continues", err=True)
+        typer.echo(f"stopped at step {trainer.progress.total_step}; the same command resumes", err=True)
         raise typer.Exit(130) from None
     except NonFiniteError as error:
         typer.echo(f"training stopped: {error}", err=True)
@@ -105,8 +107,8 @@ def train(
         typer.echo(str(final))
 
 
-for verb in (check, infer, photos, render, view, evaluate):
-    app.command()(verb)
+for command in (check, infer, photos, render, view, evaluate):
+    app.command()(command)
 
 
 def main() -> None:

@@ -32,8 +32,7 @@ class _Block(nn.Sequential):
 
 
 class ConfidenceNet(nn.Module):
-    """Confidence (B, 1, H, W) in [0, 1] of a map with ``map_channels`` channels; its maximum is 1 in each
-    image.
+    """Network for the confidence (B, 1, H, W) in [0, 1], maximum 1 per image, of a map of ``map_channels``.
 
     The layers are two stride-2 downsamplings and a 3x3 convolution; upsampling, concatenation with the first
     downsampling and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.
@@ -75,7 +74,7 @@ class ConfidenceNets(nn.Module):
         self.nets = nn.ModuleDict({name: ConfidenceNet(c) for name, c in FILTERED_MAPS.items()})
 
     def forward(self, image: Tensor, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Confidence (B, 1, H, W) of each filtered map; arguments as for :class:`ConfidenceNet`."""
+        """Confidence (B, 1, H, W) of each filtered map, by name; arguments as for :class:`ConfidenceNet`."""
         return {name: self.nets[name](image, maps[name]) for name in FILTERED_MAPS}
 
 
@@ -84,10 +83,10 @@ def filter_maps(
     confidences: Mapping[str, Tensor],
     config: SolverConfig | None = None,
 ) -> dict[str, Tensor]:
-    """Maps (B, 3 or 1, H, W) with specular albedo and roughness filtered, guided by
-    ``maps["diffuse_albedo"]``.
+    """Filter the specular albedo and roughness of ``maps`` (B, 3 or 1, H, W), guided by the diffuse albedo.
 
-    Both maps share one grid and one solve. Gradients flow to the confidences and to the filtered maps.
+    Returns all maps by name. ``confidences`` are (B, 1, H, W). Both filtered maps share one grid and one
+    solve. Gradients flow to the confidences and to the filtered maps.
     """
     grid = build_grid(maps["diffuse_albedo"], config)
     target = torch.cat([maps[name] for name in FILTERED_MAPS], dim=1)

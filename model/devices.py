@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The device of the networks, as named by the user."""
+"""The option ``--device``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datagen.foundation.errors import input_error
 
 
 def parse_device(text: str) -> torch.device:
-    """The torch device of a name: ``cpu``, ``cuda`` or ``cuda:1``.
+    """Torch device of a name: ``cpu``, ``cuda`` or ``cuda:N``.
 
     Raises :class:`InputError` for other names, and for a GPU that this machine or this build of torch does
     not have.
@@ -18,7 +18,7 @@ def parse_device(text: str) -> torch.device:
     if kind not in ("cpu", "cuda") or (separator and not number.isdigit()):
         raise input_error("--device", "", repr(text), "cpu, cuda or cuda:1", "correct it")
     if kind == "cuda" and int(number or 0) >= torch.cuda.device_count():
-        remedy = "use --device cpu, or install a torch that is built for CUDA (`datagen doctor` says more)"
+        remedy = "use --device cpu, or install a torch that is built for CUDA (see `datagen doctor`)"
         got = f"{text}: {torch.cuda.device_count()} GPUs are seen"
         raise input_error("--device", "", got, "a GPU of this machine", remedy)
     return torch.device(text)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""One hook for following training and inference: wandb, rerun, a chat, a file.
+"""Listeners that follow training and inference, for example to log them to wandb or rerun.
 
     materials train rooms --out run --listener my_hooks:to_wandb
 
-A listener is a function of one :class:`Event`. It is called in the training process (rank 0 of several) and
-should therefore be quick. A listener that raises is reported on standard error and not called again, so that
-a lost connection does not end days of training.
+A listener is a function that takes an :class:`Event`. It is called in the process that trains (rank 0 of
+several) or infers, and should therefore return quickly. A listener that raises is reported on standard error
+and not called again, so a lost connection does not end a long training run.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Event:
     ``scalars``: ``values`` are figures by name at ``step``; ``name`` is ``train/PHASE``, ``validation/PHASE``
     or ``speed/PHASE``. ``image``: (H, W, 3) uint8 at ``step``. ``progress``: ``step`` out of
     ``values["total"]`` steps of the inference stage ``name`` are done. ``end``: the run is over; ``folder``
-    holds its result.
+    contains its result.
     """
 
     source: Literal["train", "infer"]
@@ -50,7 +50,7 @@ ListenerOption = Annotated[
 
 
 class Listeners:
-    """Calls every listener; without listeners, the cost is negligible."""
+    """The listeners of a run, which may be none."""
 
     def __init__(self, listeners: Iterable[Listener] = ()):
         self._listeners = list(listeners)
@@ -59,7 +59,7 @@ class Listeners:
         return bool(self._listeners)
 
     def tell(self, event: Event) -> None:
-        """Call every listener; one that raises is reported and dropped."""
+        """Call every listener with ``event``; a listener that raises is reported and removed."""
         for listener in list(self._listeners):
             try:
                 listener(event)
@@ -71,9 +71,9 @@ class Listeners:
 
 
 def load_listeners(names: Iterable[str]) -> Listeners:
-    """Listeners named ``MODULE:FUNCTION``, also found in the working directory.
+    """Import listeners by name, ``MODULE:FUNCTION``; modules may be in the working directory.
 
-    Raises :class:`InputError` with every missing listener.
+    Raises :class:`InputError` that lists every name that is not a function.
     """
     found: list[Listener] = []
     problems = []

@@ -4,10 +4,11 @@
     loader = DataLoader(ViewStream(["rooms"], ["beauty", "diffuse_albedo"], crop_px=128), 8, num_workers=4)
 
 Every view of a split is used once per epoch, whatever the numbers of ranks and of loader processes: an
-epoch's order is a pure function of (seed, epoch), each rank takes every n-th view, and each loader process
-every m-th view of its rank. A sample is a dictionary: each buffer as float32 (C, H, W), ids as int64,
-``intrinsics`` (3, 3) in pixels of the crop, ``world_from_camera`` (4, 4), ``exposure`` (), ``configuration``
-and ``view``. Images are linear; ``beauty`` times ``exposure`` has its 95th percentile at 0.9.
+epoch's order is a pure function of (seed, epoch), each of n ranks takes every n-th view, and each of its m
+loader processes every m-th of these. A sample is a dictionary: each buffer as float32 (C, H, W), ids as
+int64, ``intrinsics`` (3, 3) in pixels of the crop, ``world_from_camera`` (4, 4), ``exposure`` (),
+``configuration`` and ``view``. Images are linear; the luminance of ``beauty`` times ``exposure`` has its 95th
+percentile at 0.9.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ _REMEDY = "make the shard again"
 
 
 class ViewStream(IterableDataset[dict[str, Any]]):
-    """Views of dataset folders or shards (.tar), or ``crops_per_view`` random square crops of each.
+    """Stream of the views of dataset folders or shards (.tar), or of random square crops of them.
 
-    ``split``: None for all views; individually given shards are included whatever their split. With
-    ``crop_px`` None and views of several sizes, a loader needs ``batch_size`` 1. Crops are shuffled within
-    groups of eight views. ``rank`` and ``num_ranks`` come from ``torch.distributed`` if it is running; all
-    ranks yield equally many samples, for which the last few views of an epoch may be dropped. Raises
-    :class:`InputError` for paths that are not datasets, if there are no views, and for damaged views, with
-    shard and view.
+    ``split``: None for all views; individually given shards are included whatever their split. ``crop_px``:
+    side of the ``crops_per_view`` crops of each view; with None and views of several sizes, a loader needs
+    ``batch_size`` 1. Crops are shuffled within groups of eight views. ``rank`` and ``num_ranks`` come from
+    ``torch.distributed`` if it is running; all ranks yield the same number of samples, so the last few views
+    of an epoch may be dropped. Raises :class:`InputError` for paths that are not datasets, if there are no
+    views, and for damaged views, with shard and view.
     """
 
     def __init__(
@@ -77,15 +78,15 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             where = ", ".join(map(str, sources))
             got = f"{len(self.places)} views of split {split}"
             raise input_error(where, "views", got, f"at least one for each of {self.num_ranks} ranks")
-        # In shared memory, so that persistent loader processes see the change of the epoch.
+        # In shared memory, so that a new epoch reaches persistent loader processes.
         self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the order and the crops of the next iteration, also for persistent loader processes."""
+        """Set the epoch that determines order and crops of the next iteration, also in persistent loaders."""
         self._epoch[0] = epoch
 
     def __len__(self) -> int:
-        """Samples per epoch of this rank, over all its loader processes."""
+        """Number of samples per epoch of this rank, over all its loader processes."""
         return len(self.places) // self.num_ranks * self.crops_per_view
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
@@ -129,7 +130,10 @@ class ViewStream(IterableDataset[dict[str, Any]]):
 
 
 def read_view(place: ViewPlace, names: Sequence[str]) -> tuple[ViewRecord, dict[str, NDArray]]:
-    """Record and buffers (H, W, C) as stored of one view. Raises :class:`InputError` that names the view."""
+    """Read a view's record and the buffers ``names``, (H, W, C) as stored.
+
+    Raises :class:`InputError` that names the view.
+    """
     where = f"{place.shard}:{place.name}"
     try:
         record = parse_model(ViewRecord, json.loads(read_member(place, place.record)), where)
@@ -143,7 +147,7 @@ def read_view(place: ViewPlace, names: Sequence[str]) -> tuple[ViewRecord, dict[
     expected = (record.camera.height_px, record.camera.width_px)
     for name, values in buffers.items():
         if values.shape[:2] != expected:
-            raise input_error(where, name, f"{values.shape[:2]}", f"{expected} as its camera says", _REMEDY)
+            raise input_error(where, name, f"{values.shape[:2]}", f"{expected} as in its camera", _REMEDY)
     return record, buffers
 
 

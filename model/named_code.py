@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Custom code by name, ``MODULE:NAME``, also found in the working directory."""
+"""Import of custom code by name; modules may be in the working directory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def load_named(name: str) -> Any:
-    """Object named by ``MODULE:NAME``. Raises ImportError, AttributeError or ValueError if it is missing."""
+    """Import ``MODULE:NAME``. Raises ImportError or AttributeError if it is missing, else ValueError."""
     module, colon, attribute = name.partition(":")
     if not (colon and module and attribute):
         raise ValueError("no MODULE:NAME")

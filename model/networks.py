@@ -2,14 +2,13 @@
 """The two tracks that predict materials: U-Nets with a global track (Deschaintre et al. 2018 and 2019).
 
 Axes: images are (B, C, H, W), row 0 at the top. Inputs are selected from buffers by name and encoded to [-1,
-1]; the diffuse track predicts D (3 channels), the specular track S (3) and R (1), all in [0, 1], linear,
-perceptual roughness.
+1]; the diffuse track predicts D (3 channels), the specular track S (3) and R (1), all linear in [0, 1].
 
-A level halves (encoder) or doubles (decoder) the resolution. Parallel to the convolutions, a vector g, the
-global track, accumulates the spatial mean of every layer before its normalisation and is added, through a
-linear map, to the next layer. Instance norms and means would be affected by an image's padding; with
-``ignores_padding`` (the default: docs/decisions/0010) they are computed over the image without padding, and
-the padding is zeroed again after every convolution, so that more padding changes nothing.
+A level halves (encoder) or doubles (decoder) the resolution. Parallel to the convolutions, the global track
+updates a vector g with the spatial mean of every layer before its normalisation, and adds a linear map of g
+to the next layer. Padding would affect instance norms and means; with ``ignores_padding`` (the default:
+docs/decisions/0010) they are computed over the image without padding, and the padding is set to zero after
+every convolution, so its size does not affect the result.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ RECEPTIVE_FIELD_PX = 142
 """Side of the square of input pixels that affect one output pixel through the convolutions alone: 126 or 142,
 depending on the pixel's position in its 16 x 16 block. Norms and the global track depend on all pixels."""
 STRIP_ELEMENTS = 2**25
-"""Images too large for memory pass the decoder's convolutions in strips of this many values, since only there
-the channels of all levels are combined at twice the size. Norms and the global track are applied afterwards
-over the whole layer, so that the maps are the same up to rounding (docs/decisions/0054)."""
+"""Inference applies the decoder's convolutions to strips of about this many upsampled values, since these
+layers need the most memory. Norms and the global track are applied afterwards over the whole layer, so the
+maps are the same up to rounding (docs/decisions/0054)."""
 _STRIP_MARGIN = 3  # rows on either side of a strip's input that affect its result
 _LEAK = 0.2
 _NORM_EPS = 1e-5  # keeps the norm finite on a constant feature map
@@ -47,7 +46,7 @@ COLOR_STATISTICS = ("color_median", "color_max", "color_min")
 INPUTS = ("beauty", *COLOR_STATISTICS, "normal_camera", "depth", *LIGHT_BUFFERS)
 """Names of all possible inputs of a network."""
 MAX_REFLECTANCE = 2.0
-"""Reflectance that is encoded as 1: gloss, and lamps that no view shows, exceed every albedo."""
+"""Reflectance that is encoded as 1. Gloss, and lamps outside all views, raise it above every albedo."""
 
 
 class NetworkConfig(StrictModel):
@@ -58,7 +57,7 @@ class NetworkConfig(StrictModel):
     global_channels: int = Field(default=128, ge=1, le=4096)
     """Width of the global track."""
     wide_decoder: bool = False
-    """Literal reading of the architecture's description: decoder layers as wide as the encoder's, 8, 4, 2."""
+    """Give the decoder 8, 4, 2 times ``base_channels``, the literal reading of the paper, not 4, 2, 1."""
     dropout: float = Field(default=0.5, ge=0.0, lt=1.0)
     """Dropout rate of the three inner decoder layers, off at inference."""
     ignores_padding: bool = True
@@ -66,11 +65,11 @@ class NetworkConfig(StrictModel):
     uses_statistics: bool = True
     """Use the reprojected colour statistics as input; False is the single-view ablation (*No RP*)."""
     light_inputs: tuple[LightInput, ...] = Field(default=(), exclude_if=lambda value: not value)
-    """Buffers of the light that the views record, as input of both tracks; datasets contain them if their
-    recipe has ``statistics: {light: true}``."""
+    """Buffers of recorded light that are inputs of both tracks; datasets contain them if their recipe has
+    ``statistics: {light: true}``."""
     blends_reflectance: bool = Field(default=False, exclude_if=lambda value: not value)
-    """D is a blend of a prediction and of ``reflectance``, with share and gain predicted by pixel: recorded
-    reflectance has the texture at full resolution and, where the light is known, the level."""
+    """Blend the predicted D with ``reflectance``, by a share and a gain predicted per pixel: recorded
+    reflectance has the texture's full resolution and, where the light is known, the right scale."""
     factory: str | None = Field(default=None, exclude_if=lambda value: value is None)
     """``package.module:Class`` of a custom network in place of the two tracks (model.own_network)."""
     arguments: dict[str, Any] = Field(default={}, exclude_if=lambda value: not value)
@@ -79,14 +78,14 @@ class NetworkConfig(StrictModel):
     @model_validator(mode="after")
     def _one_kind(self) -> NetworkConfig:
         if self.factory is None and self.arguments:
-            raise ValueError("expected arguments only beside factory")
+            raise ValueError("expected arguments only with factory")
         fields = type(self).model_fields.items()
         own = ("factory", "arguments")
         changed = [n for n, f in fields if n not in own and getattr(self, n) != f.default]
         if self.blends_reflectance and "reflectance" not in self.light_inputs:
             raise ValueError("expected reflectance in light_inputs, as blends_reflectance is true")
         if self.factory is not None and changed:
-            raise ValueError(f"expected no {', '.join(changed)} beside factory, whose settings are arguments")
+            raise ValueError(f"expected no {', '.join(changed)} with factory, whose settings are arguments")
         return self
 
 
@@ -101,7 +100,7 @@ def track_inputs(track: TrackName, config: NetworkConfig) -> tuple[str, ...]:
 
 
 def input_channels(name: str) -> int:
-    """Channels of an input."""
+    """Number of channels of the input ``name``."""
     return 1 if name == "known_share" else 3
 
 
@@ -114,15 +113,15 @@ _MAX_GAIN_STOPS = 2.0
 
 
 def track_channels(track: TrackName, config: NetworkConfig) -> int:
-    """Output channels of a track's convolutions."""
+    """Number of output channels of a track, before the blend with ``reflectance``."""
     if track == "diffuse" and config.blends_reflectance:
         return sum(_BLEND_CHANNELS)
     return sum(TRACK_OUTPUTS[track].values())
 
 
 def blend_reflectance(outputs: Tensor, reflectance: Tensor) -> Tensor:
-    """D (B, 3, H, W) from the diffuse track's ``outputs`` (B, 7, H, W) in [0, 1] and recorded ``reflectance``
-    (B, 3, H, W).
+    """Blend recorded ``reflectance`` (B, 3, H, W) and the diffuse track's ``outputs`` (B, 7, H, W) in [0, 1]
+    (D, share and gain of the reflectance): D (B, 3, H, W) in [0, 1].
     """
     base, share, gain = outputs.split(_BLEND_CHANNELS, dim=1)
     scale = torch.exp2(_MAX_GAIN_STOPS * (2.0 * gain - 1.0))
@@ -130,30 +129,30 @@ def blend_reflectance(outputs: Tensor, reflectance: Tensor) -> Tensor:
 
 
 def encode_color(linear: Tensor, exposure: Tensor | float) -> Tensor:
-    """Encode linear HDR colour to the network's [-1, 1]: exposure, clip to [0, 1], logarithm."""
+    """Encode linear HDR colour to [-1, 1]: multiply by ``exposure``, clip to [0, 1], take the logarithm."""
     x = (linear * exposure).clamp(0.0, 1.0)
     span = math.log(1.0 + _LOG_EPSILON) - math.log(_LOG_EPSILON)
     return 2.0 * (torch.log(x + _LOG_EPSILON) - math.log(_LOG_EPSILON)) / span - 1.0
 
 
 def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor:
-    """Depth (B, 1, H, W) relative to the view's maximum, as [-1, 1], tiled to 3 channels; no surface (0)
-    gives -1.
+    """Encode depth (B, 1, H, W) in metres, relative to the view's maximum, as (B, 3, H, W) in [-1, 1]; pixels
+    without a surface (0) become -1.
 
     ``depth_max_m`` (B,) is the whole view's maximum; None uses the tensor's own maximum, which is correct
     only for whole views.
     """
     if depth_max_m is None:
         depth_max_m = depth_z_m.amax(dim=(1, 2, 3))
-    scale = depth_max_m.reshape(-1, 1, 1, 1).clamp_min(1e-6)  # a view without any surface
+    scale = depth_max_m.reshape(-1, 1, 1, 1).clamp_min(1e-6)  # a view without surface would divide by 0
     return (2.0 * depth_z_m / scale - 1.0).expand(-1, 3, -1, -1)
 
 
 def encode_input(
     name: str, buffers: Mapping[str, Tensor], exposure: Tensor, depth_max_m: Tensor | None = None
 ) -> Tensor:
-    """An input of :data:`INPUTS`, (B, 3 or 1, H, W) in [-1, 1]; arguments as :func:`assemble_inputs`, with
-    ``exposure`` (B, 1, 1, 1)."""
+    """Encode the input ``name`` of :data:`INPUTS`: (B, 3 or 1, H, W) in [-1, 1]. Arguments are as for
+    :func:`assemble_inputs`, but ``exposure`` is (B, 1, 1, 1)."""
     if name == "depth":
         return encode_depth(buffers["depth_z_m"], depth_max_m)
     if name == "normal_camera":
@@ -170,12 +169,12 @@ def assemble_inputs(
     config: NetworkConfig,
     depth_max_m: Tensor | None = None,
 ) -> Tensor:
-    """A track's input (B, C, H, W) in [-1, 1] from buffers by name; C is 9 or 18 without light.
+    """Assemble a track's input (B, C, H, W) in [-1, 1] from buffers by name.
 
     ``buffers`` contains linear colours ``beauty``, ``color_median``, ``color_max``, ``color_min`` (B, 3, H,
     W), ``normal_camera`` (B, 3, H, W) unit vectors, ``depth_z_m`` (B, 1, H, W) and the configuration's
-    ``light_inputs``; ``exposure`` (B,) is the factor from :func:`color.exposure_for`. ``KeyError`` names a
-    missing buffer.
+    ``light_inputs``; ``exposure`` (B,) is the factor from :func:`color.exposure_for`, ``depth_max_m`` as for
+    :func:`encode_depth`. Raises ``KeyError`` for a missing buffer.
     """
     exposure = exposure.reshape(-1, 1, 1, 1)
     names = track_inputs(track, config)
@@ -183,7 +182,7 @@ def assemble_inputs(
 
 
 def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
-    """x with everything outside its top left ``valid`` (h, w) set to 0, like a convolution's own padding."""
+    """Set x (B, C, H, W) to 0 outside its top left ``valid`` (h, w), like a convolution's zero padding."""
     height, width = x.shape[-2:]
     if valid == (height, width):
         return x
@@ -191,7 +190,7 @@ def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
 
 
 class _GlobalLink(nn.Module):
-    """The global track's part at one layer: g is added to the layer, and the layer's mean to g."""
+    """Global track at a layer: ``add`` maps g to a summand, ``update`` maps g and the mean to the next g."""
 
     def __init__(self, global_channels: int, layer_channels: int, has_update: bool):
         super().__init__()
@@ -202,15 +201,15 @@ class _GlobalLink(nn.Module):
             self.update = _selu_linear(global_channels + layer_channels, global_channels)
 
     def next(self, g: Tensor, mean: Tensor) -> Tensor:
-        """g of the following layer from this layer's mean (B, C)."""
+        """g of the following layer, (B, ``global_channels``), from this layer's mean (B, C)."""
         if self.update is None:
             return g
         return F.selu(self.update(torch.cat([g, mean.to(g.dtype)], dim=1)))
 
 
 def _draw_normal(weights: Tensor, deviation: float, mean: float = 0.0) -> None:
-    # on the meta device, where a checkpoint is checked, initialisation would only import torch's compiler
-    # (1 s), which makes a folder in the system's temporary one
+    # meta tensors, with which a checkpoint is checked, have no values; initialising them would import torch's
+    # compiler (1 s), which makes a temporary folder
     if not weights.is_meta:
         nn.init.normal_(weights, mean, deviation)
 
@@ -230,7 +229,7 @@ def _conv(num_in: int, num_out: int, stride: int) -> nn.Conv2d:
 
 
 class _Layer(nn.Module):
-    """Convolutions, then instance norm (affine) and the global track's addition in a single pass."""
+    """Base of the layers, which applies affine instance norm and adds the global track in a single pass."""
 
     def __init__(self, num_out: int, global_channels: int, *, has_norm: bool, has_update: bool):
         super().__init__()
@@ -243,8 +242,7 @@ class _Layer(nn.Module):
             self.shift = nn.Parameter(torch.zeros(num_out))
 
     def modulate(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Norm(x) + W g, and the next g. Statistics are over the top left ``valid`` (h, w) of x, in
-        float32."""
+        """Norm(x) + W g, and the next layer's g. Statistics are over x's top left ``valid`` (h, w)."""
         inside = x[:, :, : valid[0], : valid[1]]
         if inside.dtype != torch.float32 and inside.dtype != torch.float64:
             inside = inside.float()
@@ -272,9 +270,7 @@ class _Down(_Layer):
 
 
 def _strip_rows(x: Tensor) -> int:
-    """Rows of x whose doubled strip has about ``STRIP_ELEMENTS`` values; all rows if that is nearly all of
-    them.
-    """
+    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all if x has no more values."""
     doubled = 4 * x.numel()
     return x.shape[2] if doubled <= 4 * STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // doubled)
 
@@ -300,10 +296,10 @@ class _Up(_Layer):
         return self.dropout(y), g
 
     def _convolved(self, x: Tensor, first: int, last: int, valid: tuple[int, int]) -> Tensor:
-        """Result of both convolutions for x's rows [first, last): twice as many rows, twice as wide.
+        """Upsample x's rows [first, last) by 2 and apply both convolutions: (B, C, 2 (last - first), 2 W).
 
-        A row of the result depends on rows from 2 above to 4 below it; rows beyond the image are 0, also
-        those that the first convolution would produce there.
+        A row of the result depends on upsampled rows from 2 above to 4 below it; rows beyond the image are 0,
+        also in the result of the first convolution.
         """
         low, high = max(first - _STRIP_MARGIN, 0), min(last + _STRIP_MARGIN, x.shape[2])
         rows = F.interpolate(F.leaky_relu(x[:, :, low:high], _LEAK), scale_factor=2, mode="nearest")
@@ -317,8 +313,8 @@ class Track(nn.Module):
     """One U-Net with its global track: (B, ``num_in``, H, W) in [-1, 1] to (B, ``num_out``, H, W) in [0, 1].
 
     Any H and W of at least 1: inputs are padded with zeros at the bottom and the right to a multiple of 16
-    and the result is cropped. For an input that is already padded, ``valid_size`` is the size of the image at
-    its top left.
+    and the result is cropped. For an input that is already padded, ``valid_size`` is the (height, width) of
+    the image at its top left.
     """
 
     def __init__(self, num_in: int, num_out: int, config: NetworkConfig):
@@ -360,7 +356,7 @@ class Track(nn.Module):
 
 
 class MaterialNetwork(nn.Module):
-    """Both tracks. Calling the module runs either or both and returns maps by name."""
+    """The diffuse and the specular track. Calling the module runs ``tracks`` and returns maps by name."""
 
     def __init__(self, config: NetworkConfig | None = None):
         super().__init__()
@@ -372,7 +368,7 @@ class MaterialNetwork(nn.Module):
         self.tracks = nn.ModuleDict(tracks)
 
     def parts(self) -> dict[str, nn.Module]:
-        """The tracks by name."""
+        """The tracks, by names such as "diffuse track"."""
         return {f"{name} track": track for name, track in self.tracks.items()}
 
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:

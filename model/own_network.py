@@ -2,9 +2,10 @@
 """Custom networks in place of the two tracks: ``package.module:Class``.
 
 The class is a ``torch.nn.Module`` with ``inputs``, a tuple of names from :data:`~model.networks.INPUTS`.
-``forward`` accepts them by name, encoded to [-1, 1], (B, C, H, W) of any H and W, and returns the three maps
-by name: ``diffuse_albedo`` and ``specular_albedo`` (B, 3, H, W), ``roughness`` (B, 1, H, W), all in [0, 1].
-``arguments`` of the configuration are passed to its constructor. docs/howto/network.md has an example.
+``forward`` takes a dictionary of these inputs, encoded to [-1, 1], (B, C, H, W) of any H and W, and returns
+the three maps by name: ``diffuse_albedo`` and ``specular_albedo`` (B, 3, H, W), ``roughness`` (B, 1, H, W),
+all in [0, 1]. The configuration's ``arguments`` are passed to the constructor. docs/howto/network.md has an
+example.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ _TRIAL_SIZE = (23, 38)  # not a multiple of any stride
 
 
 class OwnNetwork(nn.Module):
-    """A custom network with the interface of :class:`~model.networks.MaterialNetwork`."""
+    """A custom network with the interface of :class:`~model.networks.MaterialNetwork`.
+
+    Raises :class:`InputError` for an invalid class or invalid arguments.
+    """
 
     def __init__(self, config: NetworkConfig):
         super().__init__()
@@ -51,7 +55,7 @@ class OwnNetwork(nn.Module):
         return {str(self.config.factory): self.module}
 
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
-        """The whole module, in every phase."""
+        """The whole module, which every phase trains."""
         return [self.module]
 
     def forward(
@@ -76,12 +80,12 @@ class OwnNetwork(nn.Module):
 
 
 def make_network(config: NetworkConfig) -> MaterialNetwork | OwnNetwork:
-    """The network of a configuration."""
+    """Construct the network of a configuration; raises :class:`InputError` as :class:`OwnNetwork`."""
     return MaterialNetwork(config) if config.factory is None else OwnNetwork(config)
 
 
 def network_inputs(config: NetworkConfig) -> tuple[str, ...]:
-    """Names of all inputs of a network."""
+    """Names of all inputs of a configuration's network."""
     if config.factory is None:
         return tuple(dict.fromkeys(n for track in TRACK_OUTPUTS for n in track_inputs(track, config)))
     return _class_of(config)[1]
@@ -89,9 +93,9 @@ def network_inputs(config: NetworkConfig) -> tuple[str, ...]:
 
 @torch.no_grad()
 def try_network(network: OwnNetwork) -> None:
-    """Call a network on grey inputs of an odd size.
+    """Run a network once on grey inputs of 23 x 38 pixels.
 
-    Raises :class:`InputError` for outputs that are not maps in [0, 1].
+    Raises :class:`InputError` if the outputs are not the three maps, or not in [0, 1].
     """
     buffers = {name: torch.full((1, input_channels(name), *_TRIAL_SIZE), 0.5) for name in INPUTS}
     buffers["depth_z_m"] = torch.ones(1, 1, *_TRIAL_SIZE)
@@ -103,14 +107,14 @@ def try_network(network: OwnNetwork) -> None:
             low, high = float(value.min()), float(value.max())
             where = f"{network.config.factory}: {name}"
             raise input_error(
-                "network", where, f"{low:.3g} to {high:.3g}", "values in [0, 1]", "end in sigmoid"
+                "network", where, f"{low:.3g} to {high:.3g}", "values in [0, 1]", "end with a sigmoid"
             )
 
 
 def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
     """The class named by a configuration, and its inputs.
 
-    Both are checked before the class is called, since a checkpoint may name anything.
+    Raises :class:`InputError` for anything else that ``factory`` may name, before it is called.
     """
     name = config.factory or ""
     expected = "MODULE:CLASS of a torch.nn.Module with `inputs`"
@@ -119,7 +123,7 @@ def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
     except (ImportError, AttributeError, ValueError) as error:
         raise input_error("network", "factory", f"{name} ({error})", expected, "correct it") from None
     if not (isinstance(found, type) and issubclass(found, nn.Module)):
-        raise input_error("network", "factory", f"{name}, no class of networks", expected, "correct it")
+        raise input_error("network", "factory", f"{name}, not a class of networks", expected, "correct it")
     inputs = getattr(found, "inputs", None)
     if not (isinstance(inputs, tuple | list) and inputs and set(inputs) <= set(INPUTS)):
         names = f"some of {', '.join(INPUTS)}"

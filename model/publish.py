@@ -14,7 +14,7 @@ from model.checkpoint import load_checkpoint, save_checkpoint
 
 
 def publish_checkpoint(source: Path, target: Path) -> None:
-    """Write a checkpoint for publication: in half precision, without paths of the training machine."""
+    """Write the checkpoint ``source`` to ``target`` in half precision, without paths of this machine."""
     checkpoint = load_checkpoint(source)
     training = {**checkpoint.card.training, "initial_checkpoint": None}
     if "perceptual" in training:
@@ -25,7 +25,7 @@ def publish_checkpoint(source: Path, target: Path) -> None:
 
 def main(
     checkpoint: Annotated[Path, typer.Argument(help="Weights of a run (.safetensors).")],
-    out: Annotated[Path, typer.Option(help="File to write (.safetensors), its card beside it.")],
+    out: Annotated[Path, typer.Option(help="File to write (.safetensors), with its card next to it.")],
 ) -> None:
     """Write a checkpoint for publication: half precision, no paths of this machine."""
     publish_checkpoint(checkpoint, out)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""JSON Schemas of the files that users write for ``materials``: suites and training settings, for completion
-in editors.
+"""JSON Schemas of suites and training settings, for completion in editors.
 
 ``python -m model.schemas`` writes them to ``docs/schemas``.
 """
@@ -20,7 +19,7 @@ from model.training.config import TrainingConfig
 def json_schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema (2020-12) of each format, by name.
 
-    Training settings override a preset, so that none of them is required.
+    No training setting is required, since they override a preset.
     """
     training = TrainingConfig.model_json_schema()
     training.pop("required", None)

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The material model in torch, and the lights used for rendering in training.
 
-Letters and axes: every map is a tensor (B, C, ...) with the channel or vector component on axis 1, so that
-(N, 3) lists and (B, 3, H, W) images are handled alike; arguments broadcast. D is ``diffuse_albedo``, S
-``specular_albedo``, R ``roughness`` (perceptual), ``alpha`` = R^2, n the normal, o the direction to the
-viewer, i the direction to the light, h their half vector. All directions point away from the surface and have
-unit length; the reflectance for a zero vector (background) is 0. Any frame can be used, if all vectors share
-it.
+Notation: every map is a tensor (B, C, ...) with the channel or vector component on axis 1, for example (N, 3)
+or (B, 3, H, W); arguments broadcast. D is ``diffuse_albedo``, S ``specular_albedo``, R ``roughness``
+(perceptual), ``alpha`` = R^2, n the normal, o the direction to the viewer, i the direction to the light, h
+their half vector. All directions point away from the surface and have unit length; the reflectance for a zero
+vector (background) is 0. All vectors are in the same frame, which is arbitrary.
 
 The BRDF follows Walter et al. 2007, with Beckmann's distribution, the exact separable Smith term and
 Schlick's Fresnel term. Everything is differentiable, with finite gradients also at grazing angles and zero
@@ -22,7 +21,7 @@ import torch
 from torch import Tensor
 
 ALPHA_MIN = 1e-3
-"""Minimum of alpha: narrower lobes exceed the precision of float32 and spoil the rendering loss."""
+"""Minimum of alpha: narrower lobes exceed the precision of float32 in the rendering loss."""
 
 _SQRT_PI = math.sqrt(math.pi)
 _TINY_SIN2 = 1e-12  # keeps the gradient of a square root finite for coincident directions
@@ -50,7 +49,7 @@ def alpha_from_roughness(roughness: Tensor) -> Tensor:
 
 
 def beckmann_log_pdf(tan2_theta: Tensor, alpha: Tensor) -> Tensor:
-    """ln D_b of a half vector at tan^2(theta): D_b = exp(-tan^2/alpha^2) / (pi alpha^2 cos^4)."""
+    """ln D_b of a half vector at theta to the normal: D_b = exp(-tan^2/alpha^2) / (pi alpha^2 cos^4)."""
     return (
         -tan2_theta / (alpha * alpha)
         - math.log(math.pi)
@@ -62,8 +61,8 @@ def beckmann_log_pdf(tan2_theta: Tensor, alpha: Tensor) -> Tensor:
 def smith_g1_over_cos(cos_theta: Tensor, sin2_theta: Tensor, alpha: Tensor) -> Tensor:
     """Exact Smith G1 for Beckmann, divided by cos(theta) > 0; finite down to the horizon.
 
-    G1 = 2 / (1 + erf(a) + exp(-a^2)/(a sqrt(pi))), a = cos/(alpha sin). Dividing by cos first turns the
-    pole of 1/a into alpha sin, so that G1/cos tends to sqrt(pi) * 2 / (alpha sin) instead of 0/0.
+    G1 = 2 / (1 + erf(a) + exp(-a^2)/(a sqrt(pi))), a = cos/(alpha sin). Dividing by cos first turns the pole
+    of 1/a into alpha sin, so G1/cos tends to sqrt(pi) * 2 / (alpha sin) instead of 0/0.
     """
     sin_theta = torch.sqrt(sin2_theta.clamp_min(_TINY_SIN2))
     a = cos_theta / (alpha * sin_theta)
@@ -134,9 +133,9 @@ def shade_point_light(
 
 @dataclass(frozen=True)
 class SphericalGaussians:
-    """K lobes mu exp(sharpness (axis.w - 1)).
+    """K lobes of radiance ``amplitude`` exp(``sharpness`` (``axis`` . w - 1)) over directions w.
 
-    axis (B, K, 3), sharpness (B, K), mu (B, K, 3) in W/(m^2 sr).
+    ``axis`` (B, K, 3) of unit length, ``sharpness`` (B, K), ``amplitude`` (B, K, 3) in W/(m^2 sr).
     """
 
     axis: Tensor
@@ -145,16 +144,16 @@ class SphericalGaussians:
 
 
 def sg_integral(sharpness: Tensor) -> Tensor:
-    """Integral of a unit-amplitude lobe over the sphere: 2 pi (1 - exp(-2 lambda)) / lambda."""
+    """Integral of a unit-amplitude lobe over the sphere: 2 pi (1 - exp(-2 l)) / l for sharpness l."""
     return -2.0 * math.pi * torch.expm1(-2.0 * sharpness) / sharpness
 
 
 def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) -> Tensor:
-    """Integral over the sphere of the product of two unit-amplitude lobes, ``axis_gap2`` = |p1 - p2|^2 in [0,
-    4].
+    """Integral over the sphere of the product of two unit-amplitude lobes.
 
-    2 pi exp(-l1 l2 |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u with u = |l1 p1 + l2 p2|: no cancellation and
-    no overflow at any sharpness.
+    For sharpness l1, l2 and axes p1, p2, with ``axis_gap2`` = |p1 - p2|^2 in [0, 4]: 2 pi exp(-l1 l2
+    |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u with u = |l1 p1 + l2 p2|: no cancellation and no overflow at
+    any sharpness.
     """
     total = sharpness1 + sharpness2
     product = sharpness1 * sharpness2 * axis_gap2
@@ -164,29 +163,27 @@ def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) 
 
 
 def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Integral of a unit-amplitude lobe over the hemisphere whose pole is at ``cos_beta`` from the lobe's
-    axis.
+    """Integral of a unit-amplitude lobe over the hemisphere around a pole at the angle beta to its axis.
 
     Meder and Bruederlin 2018: blend of the integrals of the upper and the lower hemisphere, with their fitted
-    sigmoid; written with expm1 so that no sharpness overflows.
+    sigmoid; written with expm1, which avoids overflow.
     """
     lam = sharpness
     t = torch.sqrt(lam) * ((1.6988 * lam + 10.8438) * lam) / ((lam + 6.2201) * lam + 10.2415)
     x = t * cos_beta.clamp(-1.0, 1.0)
     blend = torch.expm1(-(t + x)) / torch.expm1(-t) * torch.sigmoid(x)
-    both = -2.0 * math.pi * torch.expm1(-lam) / lam
-    return both * (torch.exp(-lam) * (1.0 - blend) + blend)
+    upper = -2.0 * math.pi * torch.expm1(-lam) / lam
+    return upper * (torch.exp(-lam) * (1.0 - blend) + blend)
 
 
 _COSINE_SHARPNESS, _COSINE_AMPLITUDE, _COSINE_OFFSET = 0.0315, 32.7080, 31.7003
 
 
 def sg_irradiance(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Irradiance of a unit-amplitude lobe on a surface whose normal is at ``cos_beta`` from the lobe's axis.
+    """Irradiance of a unit-amplitude lobe on a surface whose normal is at the angle beta to the lobe's axis.
 
-    Meder and Bruederlin 2018: the cosine is a lobe of sharpness 0.0315 minus a constant, so that the
-    irradiance is the difference of two hemisphere integrals. The difference cancels 5 bits; it is clamped at
-    0.
+    Meder and Bruederlin 2018: the cosine is a lobe of sharpness 0.0315 minus a constant, so the irradiance is
+    the difference of two hemisphere integrals. Cancellation costs 5 bits; the result is clamped at 0.
     """
     gap2 = 2.0 - 2.0 * cos_beta
     total = sharpness + _COSINE_SHARPNESS
@@ -210,8 +207,8 @@ def shade_spherical_gaussians(
     """Reflected radiance (B, 3, ...) under distant area lights, after Wang et al. 2009.
 
     The lobe D_b is one spherical Gaussian, warped to the light's domain; the remaining factors are evaluated
-    at the lobe's centre. A surrogate for training only: relative to the exact lobe it is off by 1 % at alpha
-    0.1 and by 50 % at alpha 1. Maps must be (B, C, H, W) or (B, C).
+    at the lobe's centre. For training only: the error relative to the exact lobe is 1 % at alpha 0.1 and 50 %
+    at alpha 1. Maps must be (B, C, H, W) or (B, C).
     """
     alpha = alpha_from_roughness(roughness)
     cos_o = dot(normal, view_dir)
@@ -221,7 +218,7 @@ def shade_spherical_gaussians(
     visible = smith_g1_over_cos(cos_o, dot(tangent_o, tangent_o), alpha) ** 2 * (0.25 * cos_o)
     lobe_axis = 2.0 * cos_o * normal - view_dir
     lobe_sharpness = 0.5 / (alpha * alpha * cos_o.clamp_min(0.1))
-    # 1/(pi alpha^2) may reach 3e5; it is multiplied by the inner product, which falls as fast, first
+    # 1/(pi alpha^2) reaches 3e5; it is first multiplied by the inner product, which falls as fast
     lobe_amplitude = 1.0 / (math.pi * alpha * alpha)
     trailing = (1,) * (normal.dim() - 2)
     specular = torch.zeros_like(diffuse_albedo)

@@ -7,7 +7,7 @@ For each target (targets.py) the tests run once with line tracing; then a seeded
 those lines is tried, each with the tests that run its line, fastest first, until one fails. Everything
 happens in a copy of the project below ``--work``. Results are written after each mutant to ``--out``; the
 same command resumes after them, and ``--again`` repeats the survivors. A mutant is identified by its
-statement and its function, so that results remain valid when other code changes.
+statement and its function, so results remain valid when other code changes.
 
 ``--list`` prints the survivors, ``--table`` the counts in Markdown; both try nothing.
 """
@@ -189,7 +189,7 @@ def attempt(
     path = copy.root / module
     source, times = path.read_text(), path.stat()
     usual = sum(tests[name]["seconds"] for name in names)
-    if "@compiled" in source:  # functions compiled with an inlined copy would not be renewed
+    if "@compiled" in source:  # callers that inline a changed function must be recompiled
         shutil.rmtree(copy.work / "numba", ignore_errors=True)
         usual += 30.0
     start = time.perf_counter()
@@ -248,12 +248,10 @@ def survivors(results: dict[str, dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("targets", nargs="*", help=f"of {', '.join(TARGETS)}; none for all")
-    parser.add_argument("--number", type=int, help="mutants of each target, instead of the target's own")
+    parser.add_argument("targets", nargs="*", help=f"some of {', '.join(TARGETS)}; default: all")
+    parser.add_argument("--number", type=int, help="number of mutants per target; default: the target's")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--again", action="store_true", help="try those once more that survived and are not equivalent"
-    )
+    parser.add_argument("--again", action="store_true", help="try surviving mutants again, unless equivalent")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "mutation")
     parser.add_argument("--out", type=Path, default=Path("mutation.json"))
     parser.add_argument("--list", action="store_true", help="print the survivors")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Records which lines of some files a process runs."""
+"""Recording of the lines of some files that a process runs."""
 
 from __future__ import annotations
 
@@ -44,9 +44,7 @@ class Tracer:
 
 
 def trace_child() -> None:
-    """Trace a process started by a test: each line is written when it first runs, however the process
-    ends.
-    """
+    """Trace a process started by a test; a line is written at once, since the process may be killed."""
     folder = os.environ.get("MUTATION_CHILDREN")
     if folder:
         file = (Path(folder) / f"{os.getpid()}.txt").open("a")

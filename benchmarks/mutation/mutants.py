@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Mutants of a module: single changes of its source text, found in its syntax tree.
 
-Text is replaced at the positions given by the tree, so that everything else, line numbers included, is
-unchanged. Messages, annotations and imports are not mutated.
+Text is replaced at the positions given by the tree, so everything else, line numbers included, is unchanged.
+Messages, annotations and imports are not mutated.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ UNWRAPPED = ("clip", "sqrt", "abs", "square", "normalize", "detach", "log", "exp
 UNCHAINED = ("clamp_min", "clamp_max", "sqrt", "cumsum")
 """Methods that a mutant replaces by their object."""
 WORDS = ("Problem", "input_error", "InputError", "ValueError", "RuntimeError", "print", "filterwarnings")
-"""Calls whose arguments only word a message."""
+"""Calls whose arguments only form a message."""
 SMALLEST = 1e-5  # smaller numbers guard against rounding; their mutants would change nothing
 
 
@@ -75,8 +75,8 @@ SMALLEST = 1e-5  # smaller numbers guard against rounding; their mutants would c
 class Mutant:
     """A change: ``text`` between two offsets of a module's source becomes ``new``.
 
-    ``first_line`` and ``last_line`` are the lines of the statement; ``key`` is stable as long as the
-    statement and its function are.
+    ``first_line`` and ``last_line`` are the lines of the statement; ``key`` changes only with the statement
+    or its function.
     """
 
     key: str

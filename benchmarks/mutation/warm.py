@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A process that has imported slow modules and runs each call of pytest in a fork of itself.
+"""A process with slow modules imported, which runs each call of pytest in a fork of itself.
 
 Reads one JSON object per line: ``arguments`` of pytest, ``environment`` to add, ``timeout_s`` and the file
 for its ``output``; answers with the exit code, negative after a signal. Modules of the project are imported
@@ -29,7 +29,7 @@ CLOCK_SHARE = 10.0
 
 
 def serve() -> None:
-    """Answer requests until the input ends."""
+    """Answer requests on standard input until it ends."""
     for name in LIBRARIES:
         with suppress(ImportError):  # an optional module
             importlib.import_module(name)

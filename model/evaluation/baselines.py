@@ -24,10 +24,10 @@ Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod
 
 
 def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: Sequence[str]) -> GivenMaps:
-    """The maps of a method for the views of ``capture``.
+    """Source of a method's maps for the views of ``capture``.
 
-    Maps of ``judged`` views are also written to ``kept`` as ``VIEW.exr`` when read, for comparison with the
-    truth. Raises :class:`InputError` listing every view without a map file, or with a file of another size.
+    When read, maps of ``judged`` views are also written to the folder ``kept`` as ``VIEW.exr``, for
+    comparison with the truth. Raises :class:`InputError` as :func:`maps_files`.
     """
     identity, read = _source(method, scene, capture)
 
@@ -72,17 +72,17 @@ def _constant(view: TracedView, values: dict[str, NDArray]) -> Maps:
 
 
 def maps_files(folder: Path, capture: Capture) -> dict[str, Path]:
-    """Map file of every view of ``capture``: ``VIEW.exr``, or ``views/VIEW.exr`` as written by ``materials
+    """Map file, by view of ``capture``: ``VIEW.exr``, or ``views/VIEW.exr`` as written by ``materials
     infer``.
 
     Raises :class:`InputError` listing files that are missing, damaged, of another size, or outside [0, 1].
     """
     problems, files = [], {}
     for view in capture.views:
-        places = [folder / f"{view.name}.exr", folder / "views" / f"{view.name}.exr"]
-        path = next((place for place in places if place.is_file()), None)
+        candidates = [folder / f"{view.name}.exr", folder / "views" / f"{view.name}.exr"]
+        path = next((candidate for candidate in candidates if candidate.is_file()), None)
         if path is None:
-            remedy = "make maps of all input views; docs/evaluation.md has the format"
+            remedy = "make maps of all input views; docs/evaluation.md describes the format"
             problems.append(Problem(folder, view.name, "no file", f"{view.name}.exr", remedy))
             continue
         files[view.name] = path

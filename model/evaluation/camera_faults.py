@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Simulated faults of cameras, applied to rendered photographs to measure their effect on a method, one by
-one and combined.
+"""Simulated faults of cameras, applied to rendered photographs to measure their effect on a method.
 
 The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the k1 on
 normalised coordinates that calibration left uncorrected) and darkens the corners (``vignetting_stops``).
@@ -38,9 +37,7 @@ _LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve is not monotonic
 
 
 class CameraFaults(StrictModel):
-    """Faults of the photographs; the module's docstring explains each field. ``seed`` seeds noise, exposures
-    and poses.
-    """
+    """Faults of photographs, as in the module's docstring. ``seed`` is that of noise, exposures and poses."""
 
     name: Slug
     bits: Literal[8, 14] | None = None
@@ -119,7 +116,7 @@ PRESETS = {
         "phone-and-mesh": {**_PHONE, "geometry": _MESH},
     }.items()
 }
-"""Every fault alone, and three combinations."""
+"""Every fault alone, and three combinations, by name."""
 BUNDLES = ("raw-camera", "phone", "phone-and-mesh")
 EACH = "each"
 """In a suite: every fault alone."""
@@ -136,7 +133,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
         elif name in PRESETS:
             found.append(PRESETS[name])
         else:
-            raise ValueError(f"expected {EACH}, {', '.join(PRESETS)} or faults of your own, not {name!r}")
+            raise ValueError(f"expected {EACH}, {', '.join(PRESETS)} or custom faults, not {name!r}")
     known = [camera.name for camera in found]
     if len(set(known)) != len(known):
         raise ValueError("expected every camera to have its own name")
@@ -144,7 +141,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 
 
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
-    """The capture as photographed and posed by a camera with ``faults``; mesh and true maps are unchanged."""
+    """The capture with images and poses of a camera with ``faults``; mesh and true maps are unchanged."""
     scale = 1.0 / _limit(capture, faults.clipped_share)
     views = tuple(
         replace(
@@ -158,7 +155,7 @@ def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
 
 
 def _limit(capture: Capture, clipped_share: float) -> float:
-    """The radiance at the sensor's limit, which ``clipped_share`` of all pixels exceed."""
+    """Radiance at the sensor's limit, which a share ``clipped_share`` of all pixels exceeds."""
     bright = [view.read().color.max(axis=2).ravel()[::_EVERY] for view in capture.views]
     limit = float(np.quantile(np.concatenate(bright), 1.0 - clipped_share))
     return limit if limit > 0 else 1.0
@@ -177,14 +174,14 @@ def _moved(camera: Camera, faults: CameraFaults, view: str) -> Camera:
     pose[:3, 3] += random.normal(0.0, faults.pose_mm / 1000, 3)
     axis = random.normal(size=3)
     angle = np.radians(random.normal(0.0, faults.pose_deg))
-    turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
-    pose[:3, :3] = pose[:3, :3] @ turn
+    rotation = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+    pose[:3, :3] = pose[:3, :3] @ rotation
     return replace(camera, world_from_camera=pose)
 
 
 @dataclass(frozen=True)
 class _Taken:
-    """A view's pixels from a camera with faults. ``true_camera`` is its actual camera."""
+    """Pixels of a view with faults, taken by ``true_camera``; ``scale`` brings the sensor's limit to 1."""
 
     source: ImageSource
     true_camera: Camera
@@ -193,20 +190,20 @@ class _Taken:
     scale: float
 
     def read(self, camera: Camera) -> ColorImage:
-        there = self.source.read(replace(camera, world_from_camera=self.true_camera.world_from_camera))
-        color = photographed(there.color.astype(np.float64) * self.scale, camera, self.faults, self.view)
+        true = self.source.read(replace(camera, world_from_camera=self.true_camera.world_from_camera))
+        color = photographed(true.color.astype(np.float64) * self.scale, camera, self.faults, self.view)
         read = (color / self.scale).astype(np.float32)
-        return ColorImage(read, there.valid_mask, color >= CLIPPED_LEVEL, 1.0 / self.scale)
+        return ColorImage(read, true.valid_mask, color >= CLIPPED_LEVEL, 1.0 / self.scale)
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
         return self.source.read_maps(names)
 
 
 def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str = "") -> NDArray[np.float64]:
-    """``color`` (H, W, 3), linear with the sensor's limit at 1, as read back after all faults."""
+    """Apply all faults to ``color`` (H, W, 3), linear with the sensor's limit at 1; also returned linear."""
     random = _random(faults, view, "image")
     if faults.distortion:
-        color = _bent(color, camera, faults.distortion)
+        color = _distorted(color, camera, faults.distortion)
     color = color * 2.0 ** (faults.exposure_stops * random.normal())
     if faults.vignetting_stops:
         color = color * 2.0 ** (-faults.vignetting_stops * _radius_squared(camera))[..., None]
@@ -226,14 +223,14 @@ def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str
 
 
 def _radius_squared(camera: Camera) -> NDArray[np.float64]:
-    """Squared distance from the image's centre, 1 in its corners, (H, W)."""
+    """Squared distance (H, W) of pixels from the image's centre, 1 in its corners."""
     x = (np.arange(camera.width_px) + 0.5 - 0.5 * camera.width_px) / (0.5 * camera.width_px)
     y = (np.arange(camera.height_px) + 0.5 - 0.5 * camera.height_px) / (0.5 * camera.height_px)
     return np.asarray(0.5 * (x[None] ** 2 + y[:, None] ** 2))
 
 
-def _bent(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
-    """The image formed by a lens with x' = x (1 + k1 r^2); beyond its border, border pixels are repeated."""
+def _distorted(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
+    """Image (H, W, 3) of a lens with x' = x (1 + k1 r^2); border pixels are repeated beyond the image."""
     import cv2
 
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
@@ -241,8 +238,8 @@ def _bent(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
     bent_x, bent_y = np.meshgrid(x, y)
     true_x, true_y = bent_x.copy(), bent_y.copy()
     for _ in range(10):  # the fixed-point iteration contracts for all strengths that a suite allows
-        grow = 1 + k1 * (true_x**2 + true_y**2)
-        true_x, true_y = bent_x / grow, bent_y / grow
+        factor = 1 + k1 * (true_x**2 + true_y**2)
+        true_x, true_y = bent_x / factor, bent_y / factor
     columns = (true_x * camera.fx_px + camera.cx_px - 0.5).astype(np.float32)
     rows = (true_y * camera.fy_px + camera.cy_px - 0.5).astype(np.float32)
     image = np.ascontiguousarray(color, np.float32)

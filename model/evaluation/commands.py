@@ -24,7 +24,7 @@ def evaluate(
     ] = None,
     compare: Annotated[
         Path | None,
-        typer.Option("--compare", help="evaluation.json of another run, or its folder: print differences."),
+        typer.Option("--compare", help="Print differences to another run (evaluation.json or folder)."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the planned work; render nothing.")
@@ -33,7 +33,7 @@ def evaluate(
 ) -> None:
     """Evaluate reconstructions on test scenes: tables of maps, re-renderings and time; a page of pictures.
 
-    After Ctrl-C, the same command continues.
+    After Ctrl-C, the same command resumes.
 
     Example: materials evaluate small --out evaluation
     """
@@ -57,7 +57,7 @@ def evaluate(
         with Bars(is_transient=True, is_quiet=quiet) as bars:
             evaluation = run(resolved, folder, bars.tell)
     except KeyboardInterrupt:
-        typer.echo("stopped; the same command continues", err=True)
+        typer.echo("stopped; the same command resumes", err=True)
         raise typer.Exit(130) from None
     if is_written(evaluation.result, out):
         typer.echo("nothing to do: the results already cover these scenes, methods and settings", err=True)

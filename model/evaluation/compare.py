@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Comparison of two runs of a suite: which differences exceed the noise.
+"""Comparison of two runs of a suite: differences of the figures, and whether they exceed the noise.
 
 Scenes, methods and views are matched by name. Every figure has its two means over the views judged in both
 runs, their difference and its standard error (``noise``); a difference below two standard errors counts as
@@ -25,7 +25,7 @@ NONE = "none"
 
 
 def read_other(path: Path) -> SuiteResult:
-    """The result of another run, from its ``evaluation.json`` or the folder that contains it."""
+    """Read another run's ``evaluation.json``, given as file or folder; raises :class:`InputError`."""
     file = path / "evaluation.json" if path.is_dir() else path
     if not file.is_file():
         expected = "evaluation.json of another run, or its folder"
@@ -34,7 +34,7 @@ def read_other(path: Path) -> SuiteResult:
 
 
 def comparison(this: SuiteResult, other: SuiteResult) -> Table:
-    """The differences of two runs.
+    """Table of the differences between two runs.
 
     Raises :class:`InputError` if they have no scene and method in common with at least two judged views.
     """
@@ -60,7 +60,7 @@ def comparison(this: SuiteResult, other: SuiteResult) -> Table:
     caption = (
         "Means over the views that both runs judged. The noise is the standard error of the difference: a "
         "paired bootstrap over views and, where views were rendered with a second seed, the renderer's "
-        "noise. A difference below two of it is none."
+        "noise. A difference below two standard errors counts as none."
     )
     columns = ("scene", "method", "figure", "other", "this", "difference", "noise", "verdict")
     return Table("comparison", "Differences", caption, columns, tuple(rows), (0, 0, 0, 4, 4, 4, 4, 0))
@@ -73,7 +73,7 @@ def _cells(found: Difference, more_is_better: bool) -> tuple[Cell, ...]:
 
 
 def _differences(other: MethodResult, this: MethodResult) -> Iterator[tuple[str, Difference, bool]]:
-    """Name of each figure, its difference, and whether higher is better."""
+    """Yield each figure's name, its difference, and whether higher is better."""
     for stage, words in _STAGES.items():
         rows = [result.map_views.get(stage, {}) for result in (other, this)]
         weights = {view: row["pixels"] for view, row in rows[1].items()}

@@ -26,7 +26,7 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 
 def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """The folder of a library imported from ``sources`` once, as a tuple; empty without sources."""
+    """Import ``sources`` into ``folder`` if it is missing; returns (``folder``,), or () without sources."""
     if not sources:
         return ()
     if not folder.is_dir():
@@ -39,7 +39,7 @@ def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
 
 
 def recipe_library(source: Path, own: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The folders of the recipe's library, and ``own``."""
+    """The folders of the libraries of the recipe at ``source``, and ``own``."""
     return (*resolve_library_paths(read_yaml(Recipe, source).library, source.parent), *own)
 
 
@@ -55,7 +55,7 @@ def draw_room(
     """Configuration ``index`` of the recipe at ``source``, with ``num_views`` cameras view-000 ... and
     ``num_novel`` cameras path-000 ... on a walk.
 
-    Raises :class:`InputError`.
+    Raises :class:`InputError` if the recipe has no such configuration, generates its rooms or is invalid.
     """
     changes = {"views": num_views, "resolution": resolution, "cameras": cameras}
     recipe = read_yaml(Recipe, source).model_copy(update=changes)
@@ -63,8 +63,8 @@ def draw_room(
         expected = f"a number below {recipe.configurations}, of the recipe's configurations"
         raise input_error(source, "configuration", index, expected)
     if recipe.environments.parametric is not None:
-        expected = "environments of a library, which the methods that are compared can read"
-        remedy = "plan the recipe, name the dataset's rooms/ among its libraries and leave parametric out"
+        expected = "environments of a library, which all compared methods can read"
+        remedy = "plan the recipe, add the dataset's rooms/ to its libraries and omit parametric"
         raise input_error(source, "environments.parametric", "generated rooms", expected, remedy)
     check_recipe(recipe, library)
     drawn = assemble(recipe, index, library)

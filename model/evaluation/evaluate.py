@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Runs a suite: scenes, methods, figures. Results in the cache are reused.
 
-CACHE/geometries/               unwrapped meshes that methods get
+CACHE/geometries/               unwrapped meshes given to methods
 CACHE/features/                 LPIPS features of the truth
 CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
@@ -57,11 +57,11 @@ from model.reconstruction.stages import MapSource
 _MEASURES = 4
 """Revision of the measures: figures of another revision are measured again."""
 _RECONSTRUCTION = 13
-_MATERIALS_FROM_LIGHT = 6
-"""Further revision for materials from light, whose radiance field counts its own."""
 """Revision of ``infer``: maps of another revision are computed again."""
+_MATERIALS_FROM_LIGHT = 6
+"""Further revision of materials from light, in addition to ``LIGHT_REVISION``."""
 _TAKEN = 1
-"""Further revision for photographs with faults."""
+"""Further revision of photographs with faults."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: 
 
 
 def _opened(suite: Suite, planned: PlannedScene, tell: Tell) -> OpenedScene:
-    """A scene with its photographs and its truth, after the maps of given methods were checked."""
+    """Photograph a planned scene, open it, and check the files of methods of kind ``maps``."""
     name = planned.recipe.name
     prepared = photograph(planned, lambda stage, done, total: tell(f"{name}: {stage}", done, total))
     scene = open_scene(suite, planned.recipe, prepared, tell)
@@ -139,7 +139,7 @@ def _assert_unknown(suite: Suite, planned: PlannedScene) -> None:
 
 
 def _check_maps(suite: Suite, scene: OpenedScene) -> None:
-    """Check the maps of given methods before hours are spent on others."""
+    """Check the files of methods of kind ``maps`` before hours are spent on other methods."""
     problems: list[Problem] = []
     for method in suite.methods:
         if isinstance(method, MapsMethod):
@@ -157,7 +157,7 @@ def _check_maps(suite: Suite, scene: OpenedScene) -> None:
 def _judge(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, lpips: Lpips, tell: Tell
 ) -> MethodResult:
-    """The figures of a method on a scene, from photographs of ``camera``."""
+    """Results of a method on a scene, photographed with the faults ``camera``; from the cache if possible."""
     name = scene.recipe.name
     base = MethodResult(
         scene=name,
@@ -191,10 +191,10 @@ def _judge(
     forget_peak()
     before_s = processor_s()
 
-    def say(stage: str, number: int, total: int) -> None:
+    def report(stage: str, number: int, total: int) -> None:
         tell(f"{name}, {base.label}: {stage}", number, total)
 
-    measured = _measure(suite, scene, method, camera, folder, lpips, say)
+    measured = _measure(suite, scene, method, camera, folder, lpips, report)
     measured |= {
         "folder": str(folder),
         "peak_memory_mb": round(peak_mb(), 1),
@@ -206,7 +206,7 @@ def _judge(
 
 
 def _maps_identity(method: Method, scene: str) -> list[str]:
-    """Identity of the files of given maps; changed files are measured again."""
+    """Name, size and time of each file of a method of kind ``maps``; changed files are measured again."""
     folder = getattr(method, "folder", None)
     if folder is None:
         return []
@@ -236,8 +236,8 @@ def _measure(
     renders, images, merged = {}, {}, MapMeasures()
     spread: dict[str, dict[str, float]] = {}
     for light, scenery in sceneries.items():
-        said = told(tell, f"render, {light}")
-        first, again = renderings_of(suite, scene, method, light, scenery, said)
+        progress = told(tell, f"render, {light}")
+        first, again = renderings_of(suite, scene, method, light, scenery, progress)
         renders[light] = str(first.folder)
         if light == INSERTED:
             continue
@@ -273,7 +273,7 @@ def _reconstruct(
     folder: Path,
     tell: Tell,
 ) -> tuple[Path, dict[str, Any]]:
-    """The asset of a method and the report of ``materials infer``; computed if missing."""
+    """Folder of a method's asset, and results from the report of ``infer``, which runs if it is missing."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
@@ -314,7 +314,7 @@ def _reconstruct(
 
 
 def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
-    """Errors of the per-view maps as predicted."""
+    """Errors of the predicted maps of the judged input views, before merging."""
     measures = MapMeasures()
     for name in scene.inputs:
         maps = decode_view(folder / "views" / f"{name}.exr", MATERIAL_MAPS)
@@ -325,7 +325,7 @@ def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
 
 
 def _map_results(stage: str, measures: MapMeasures, earlier: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Measurements of the maps of a stage, added to the ``earlier`` ones."""
+    """Fields of :class:`MethodResult` for the maps of a stage, added to the ``earlier`` ones."""
     found = earlier or {}
     return {
         f"maps_{stage}": measures.mse(),

@@ -22,9 +22,10 @@ _REVISION = 1
 
 
 class Lpips:
-    """LPIPS-VGG, if its weights are available; ``absence`` gives the reason if not.
+    """LPIPS-VGG; ``absence`` is the reason if its weights are missing, else ''.
 
-    ``folder``: folder in which features of true images are stored, if any.
+    ``folder``: folder in which features of true images are stored, if any; ``layers``: VGG16's convolutions,
+    None for those of :func:`~model.training.weights.find_vgg`.
     """
 
     def __init__(self, folder: Path | None = None, layers: Sequence[Any] | None = None) -> None:

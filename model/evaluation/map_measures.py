@@ -35,10 +35,11 @@ QUARTERS = 4
 
 @dataclass
 class MapMeasures:
-    """Accumulates errors over views.
+    """Accumulates errors over views, from which methods compute the results.
 
-    Results: ``mse``, ``figures``, ``by_kind`` and ``calibration``. ``views``: mean squared errors of every
-    view by name, and its number of ``pixels``.
+    ``squared`` and ``pixels``: sums of squared errors and numbers of pixels by kind of surface; ``views``:
+    each view's mean squared errors by map, and its number of ``pixels``; ``num_surface``: number of true
+    surface pixels.
     """
 
     squared: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -59,7 +60,7 @@ class MapMeasures:
         rendered: JudgedView | None = None,
         confidence: NDArray | None = None,
     ) -> None:
-        """Add a view.
+        """Add the maps (H, W, C) of a view, by name.
 
         ``rendered``: the view of the recovered scene, if the maps are rendered from it: pixels without its
         surface are excluded, and its emission is compared. ``confidence`` (H, W, 3) of D, S and R.
@@ -84,7 +85,7 @@ class MapMeasures:
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
-        """PSNR of maps, D after gains, level errors, and measures of other publications."""
+        """Figures by name: PSNR of maps, D after gains, level errors, and measures of other publications."""
         found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
         estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
         found |= level_figures(estimate, truth, region)
@@ -116,8 +117,8 @@ class MapMeasures:
     def calibration(self) -> dict[str, list[float]]:
         """Calibration of the confidence, by map; empty without confidence.
 
-        Rank correlation of confidence and negative error, and ratio of the root mean square errors of the
-        least and the most confident quarter.
+        A list of the rank correlation of confidence and negative error, and of the root mean square errors of
+        four quarters of the pixels, from the least to the most confident.
         """
         if not self._sure:
             return {}
@@ -173,7 +174,7 @@ def _eight_bits(values: NDArray) -> NDArray[np.float64]:
 def measures_of_others(
     maps: Mapping[str, NDArray], truth: JudgedView, rendered: JudgedView | None = None
 ) -> dict[str, float]:
-    """``kd``, ``a_prime`` and ``roughness`` of one view in dB.
+    """PSNR of ``kd``, ``a_prime`` and ``roughness`` of one view in dB.
 
     A rendered view whose truth shows an emitter also has the IoU of the emitters' pixels and the mean squared
     difference of ln(1 + emission).

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tables of map errors in detail: scale, kinds of surface, measures of other publications, confidence, and
-costs of camera faults.
-"""
+"""Further tables of a suite: levels, kinds of surface, other measures, noise, confidence, cameras."""
 
 from __future__ import annotations
 
@@ -17,9 +15,9 @@ from model.evaluation.tables import LETTERS, LIGHTS, PAPER, VIEW_SETS, Cell, Tab
 _STAGES = {"per_view": "per view", "merged": "merged"}
 _LEVELS = {
     "diffuse_gain": "best gain of D",
-    "diffuse_mse_gain": "D after it (MSE)",
+    "diffuse_mse_gain": "D after best gain (MSE)",
     "diffuse_mse_region_gain": "D after each part's gain (MSE)",
-    "level_error": "error of levels (median of |ln ratio|)",
+    "level_error": "level error (median of |ln ratio|)",
 }
 _OTHERS = {
     "kd_db": "kd where rough (dB)",
@@ -58,8 +56,8 @@ def _levels(result: SuiteResult) -> Table:
     letters = (f"{LETTERS[name]} (PSNR, dB)" for name in MATERIAL_MAPS)
     columns = ("scene", "method", "maps", *letters, *_LEVELS.values())
     caption = (
-        "Of linear values with a range of 1. After the gain that is best for the whole scene, what is left "
-        "of D is levels of parts and patterns; after one for each part, patterns alone."
+        "Errors of linear values with a range of 1. The best gain for the whole scene leaves errors of D "
+        "in the levels of parts and in patterns; the best gain for each part, in patterns alone."
     )
     return Table(
         "levels", "Levels and patterns", caption, columns, tuple(rows), (0, 0, 0, 1, 1, 1, 2, 4, 4, 3)
@@ -77,7 +75,7 @@ def _kinds(result: SuiteResult) -> Table:
     columns = ("scene", "method", "surfaces", "of all (%)", *(f"{LETTERS[n]} (RMSE)" for n in MATERIAL_MAPS))
     caption = (
         "Root mean square errors of merged maps. Metal: S > 0.2; of the rest white: D > 0.7, glossy: "
-        "R < 0.4, matt: R >= 0.4; small: pieces less than 0.3 m across; seldom seen: by fewer than 4 views; "
+        "R < 0.4, matt: R >= 0.4; small: pieces less than 0.3 m across; seldom seen: in fewer than 4 views; "
         "sunlit: in direct sun."
     )
     return Table("kinds", "Errors by kind of surface", caption, columns, tuple(rows), (0, 0, 0, 1, 3, 3, 3))
@@ -93,9 +91,9 @@ def _others(result: SuiteResult) -> Table:
         for name, how, *decibels in PUBLISHED_OTHERS:
             rows.append(("FIPT's rooms", f"{PAPER}{name}", how, *decibels, None, None))
     caption = (
-        "By the public evaluation of IRIS: 8-bit values, whole views with all that is not asked for at zero "
-        "in both, mean of the views' decibels. Published figures are of other rooms, views and photographs, "
-        "and of Disney's lobe: they stand here for orientation. Our emitters come with the geometry."
+        "As in the public evaluation of IRIS: 8-bit values, whole views with excluded pixels set to zero in "
+        "both images, mean of the views' decibels. Published figures are for other rooms, views and "
+        "photographs, and for Disney's lobe; they are for orientation. Our emitters are given as geometry."
     )
     columns = ("scene", "method", "maps", *_OTHERS.values())
     return Table(
@@ -113,15 +111,15 @@ def _noise(result: SuiteResult) -> Table:
             )
     columns = ("scene", "method", "light", "views", "PSNR sRGB (dB)", "by views", "by seed", "together")
     caption = (
-        "Standard errors of the mean over views: the bootstrap over views, and what another seed of the "
-        "renderer changes (0 where no view was rendered with a second one). Two methods on the same views "
-        "differ by less than these suggest: --compare pairs them."
+        "Standard errors of the mean over views: by bootstrap over views, and from another seed of the "
+        "renderer (0 if no view was rendered with a second seed). The difference of two methods on the same "
+        "views has a smaller standard error, which --compare gives."
     )
     return Table("noise", "Noise of the figures", caption, columns, tuple(rows), (0, 0, 0, 0, 2, 2, 2, 2))
 
 
 def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
-    """Rows (light, views, PSNR with its noise)."""
+    """(light, set of views, PSNR in dB with its noise) for each light and set that has views."""
     found = []
     for light in LIGHTS:
         for views in VIEW_SETS:
@@ -139,9 +137,9 @@ def _calibration(result: SuiteResult) -> Table:
         for name in MATERIAL_MAPS:
             if name in method.calibration:
                 rows.append((scene.name, method.label, LETTERS[name], *method.calibration[name]))
-    quarters = ("least sure quarter (RMSE)", *(f"quarter {k}" for k in range(2, QUARTERS)), "surest quarter")
+    quarters = ("least confident (RMSE)", *(f"quarter {k}" for k in range(2, QUARTERS)), "most confident")
     columns = ("scene", "method", "map", "rank correlation", *quarters)
-    caption = "Of the maps as predicted. Correlation with small errors: 1 knows their order, 0 does not."
+    caption = "Of predicted maps, by quarter. Rank correlation with small errors: 1 for the same order."
     return Table("confidence", "Confidence", caption, columns, tuple(rows), (0, 0, 0, 2, 3, 3, 3, 3))
 
 
@@ -166,7 +164,5 @@ def _cameras(result: SuiteResult) -> Table:
         *(f"{LETTERS[name]} merged (MSE)" for name in MATERIAL_MAPS),
         *(f"{light}, {views} (PSNR, dB)" for light in ("own", "modified") for views in ("input", "novel")),
     )
-    caption = (
-        "The same methods on photographs as cameras take them; docs/evaluation.md says what each name means."
-    )
+    caption = "The same methods on photographs with camera faults; docs/evaluation.md explains their names."
     return Table("cameras", "Cameras", caption, columns, tuple(rows), (0, 0, 0, 4, 4, 4, 2, 2, 2, 2))

@@ -23,8 +23,8 @@ _MAX_HOLES = 10_000
 class GeometryError(StrictModel):
     """Errors of a mesh, applied in this order.
 
-    Edges are split to at most ``edge_m``, vertices moved along each axis by a normal distribution of standard
-    deviation ``noise_m``, triangles decimated to a share of ``keep_share``, and round holes of
+    Edges are split to at most ``edge_m`` (None: not split), vertices moved along each axis by Gaussian noise
+    of standard deviation ``noise_m``, triangles reduced to the share ``keep_share``, and round holes of
     ``hole_radius_m`` cut until ``hole_share`` of the area is removed.
     """
 
@@ -36,19 +36,19 @@ class GeometryError(StrictModel):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
     def describe(self) -> str:
-        """The errors as text."""
-        said = []
+        """Text such as "noise 10 mm, holes 5%"; "true" without errors."""
+        parts = []
         if self.noise_m:
-            said.append(f"noise {self.noise_m * 1000:g} mm")
+            parts.append(f"noise {self.noise_m * 1000:g} mm")
         if self.keep_share < 1:
-            said.append(f"{self.keep_share:.0%} of triangles")
+            parts.append(f"{self.keep_share:.0%} of triangles")
         if self.hole_share:
-            said.append(f"holes {self.hole_share:.0%}")
-        return ", ".join(said) or "true"
+            parts.append(f"holes {self.hole_share:.0%}")
+        return ", ".join(parts) or "true"
 
 
 def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeometry:
-    """The geometry with errors, without UVs and normals, since a reconstruction has neither."""
+    """Apply the errors; the result has no UVs and normals, like a reconstructed mesh."""
     random = np.random.default_rng([error.seed, 0x6D657368])
     meshes = []
     for part in geometry.parts:
@@ -64,7 +64,7 @@ def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeome
 
 
 def _part_mesh(mesh: Mesh, part: GeometryPart) -> Mesh:
-    """One part as a mesh: coincident vertices merged, without UVs and normals."""
+    """Mesh of one part with the vertices that it uses, without UVs and normals."""
     bare = Mesh(mesh.positions, mesh.faces[part.first_face : part.first_face + part.num_faces])
     used, compact = np.unique(bare.faces, return_inverse=True)
     return Mesh(bare.positions[used], compact.reshape(-1, 3).astype(np.int32))
@@ -89,7 +89,7 @@ def _worse(mesh: Mesh, error: GeometryError, random: np.random.Generator) -> Mes
 
 
 def _reduced(positions: NDArray, faces: NDArray, keep_share: float) -> tuple[NDArray, NDArray]:
-    """Quadric edge collapse (Garland and Heckbert 1997) to a share of the triangles."""
+    """Collapse edges by quadric error (Garland and Heckbert 1997) to a share of the triangles."""
     from fast_simplification import simplify
 
     count = max(_MIN_FACES, round(keep_share * len(faces)))
@@ -102,7 +102,7 @@ def _reduced(positions: NDArray, faces: NDArray, keep_share: float) -> tuple[NDA
 def _with_holes(
     meshes: list[Mesh], is_lamp: list[bool], error: GeometryError, random: np.random.Generator
 ) -> list[Mesh]:
-    """Meshes without the triangles whose centres lie in balls around random points on the surface."""
+    """Remove triangles within ``hole_radius_m`` of random triangles, drawn by area; lamps are kept."""
     owner = np.concatenate([np.full(len(mesh.faces), k) for k, mesh in enumerate(meshes)])
     centres = np.concatenate([mesh.triangles().mean(axis=1) for mesh in meshes])
     areas = np.concatenate([mesh.areas() for mesh in meshes])
@@ -120,6 +120,6 @@ def _with_holes(
     for k, mesh in enumerate(meshes):
         keep = ~gone[owner == k]
         if not keep.any():
-            keep[0] = True  # a part without triangles would look like a missing one
+            keep[0] = True  # parts must not be empty
         result.append(Mesh(mesh.positions, mesh.faces[keep]))
     return result

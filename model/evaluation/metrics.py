@@ -3,9 +3,9 @@
 
 Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR with data range 1; SSIM
 with an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), mean over channels; DSSIM = 1 - SSIM;
-LPIPS-VGG version 0.1. Each is computed per view and averaged. With a gain, the rendered images are first
-multiplied by one factor for all views, the median ratio of luminance over surface pixels, as if a light were
-dimmed or brightened by hand.
+LPIPS-VGG version 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed after
+multiplying all rendered images by one factor, the median ratio of luminance over surface pixels, as if a
+light were dimmed or brightened by hand.
 """
 
 from __future__ import annotations
@@ -25,9 +25,7 @@ _DARK = 1e-6  # keeps the ratio of two black pixels at 1
 
 
 def common_exposure(views: Sequence[JudgedView]) -> float:
-    """One exposure for all views, which maps the 95th percentile of the luminance of their surface pixels to
-    0.9.
-    """
+    """Exposure that brings the 95th percentile of the luminance of all views' surface pixels to 0.9."""
     return exposure_for(np.concatenate([view.color[view.surface_mask] for view in views]))
 
 
@@ -37,7 +35,7 @@ def shown(color: NDArray, exposure: float) -> NDArray[np.float64]:
 
 
 def psnr_db(image: NDArray, truth: NDArray) -> float:
-    """Peak signal-to-noise ratio of images in [0, 1]."""
+    """Peak signal-to-noise ratio of images in [0, 1], in dB, at most ``MAX_PSNR_DB``."""
     mse = float(((image - truth) ** 2).mean())
     return MAX_PSNR_DB if mse == 0 else min(MAX_PSNR_DB, float(-10.0 * np.log10(mse)))
 
@@ -59,7 +57,7 @@ def ssim(image: NDArray, truth: NDArray) -> float:
 
 
 def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView]) -> float:
-    """The factor that maps the rendered luminance to the true one, as a median over surface pixels."""
+    """Median ratio of true to rendered luminance over the surface pixels of all views; 1 without any."""
     ratios = []
     for name, view in truth.items():
         mask = view.surface_mask & rendered[name].surface_mask
@@ -72,7 +70,7 @@ def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedVi
 def image_figures(
     rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView], exposure: float, lpips: Lpips | None
 ) -> dict[str, dict[str, float | None]]:
-    """The figures of every view of ``truth``, by name; without LPIPS if ``lpips`` is None."""
+    """Metrics by view of ``truth`` and by name; LPIPS is None if ``lpips`` is None."""
     gain = fitted_gain(rendered, truth)
     return {
         name: _figures_of(rendered[name], true_view, exposure, gain, lpips)
@@ -83,7 +81,7 @@ def image_figures(
 def _figures_of(
     view: JudgedView, true_view: JudgedView, exposure: float, gain: float, lpips: Lpips | None
 ) -> dict[str, float | None]:
-    brought = shown(view.color, exposure * gain)
+    gained = shown(view.color, exposure * gain)
     a, b = (shown(v.color, exposure) for v in (view, true_view))
     linear = [np.clip(v.color.astype(np.float64) * exposure, 0, 1) for v in (view, true_view)]
     similarity = ssim(a, b)
@@ -94,13 +92,13 @@ def _figures_of(
         "dssim": 1.0 - similarity,
         "lpips_vgg": None if lpips is None else lpips(a, b),
         "gain": gain,
-        "psnr_gain_db": psnr_db(brought, b),
-        "dssim_gain": 1.0 - ssim(brought, b),
+        "psnr_gain_db": psnr_db(gained, b),
+        "dssim_gain": 1.0 - ssim(gained, b),
     }
 
 
 def means(rows: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Means over views; None if a view has no value. Empty without views."""
+    """Mean of every metric over views, None if a view has no value; empty without views."""
     found: dict[str, float | None] = {}
     for key in next(iter(rows.values()), {}):
         values = [row[key] for row in rows.values()]

@@ -20,23 +20,21 @@ SURE = 2.0  # standard errors: smaller differences count as none
 
 
 def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Standard error of the (weighted) mean of values (V,) by 2,000 resamples of the views; nan for one
-    view.
-    """
+    """Standard error of the (weighted) mean of values (V,), by bootstrap; NaN for fewer than two values."""
     values = np.asarray(values, np.float64)
     if len(values) < 2:
         return float("nan")
     share = np.ones(len(values)) if weights is None else np.asarray(weights, np.float64)
     drawn = np.random.default_rng(_SEED).integers(0, len(values), (_RESAMPLES, len(values)))
     means = (values * share)[drawn].sum(axis=1) / np.maximum(share[drawn].sum(axis=1), 1e-30)
-    # the variance of a resample is smaller by this factor
+    # the bootstrap underestimates the variance by this factor
     return float(means.std() * np.sqrt(len(values) / (len(values) - 1)))
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over views, and its standard errors from the choice of views and from the renderer's seed (nan
-    and 0 where unknown).
+    """A mean over views, and its standard errors from the choice of views (NaN if unknown) and from the
+    renderer's seed (0 if unknown).
     """
 
     mean: float
@@ -45,13 +43,13 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure with its noise as text."""
+        """Text such as "21.5 ± 0.3"; without the error if it is unknown."""
         error = np.hypot(self.by_views, self.by_seed)
         return f"{self.mean:.1f}" if np.isnan(error) else f"{self.mean:.1f} ± {error:.1f}"
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
-    """The mean of a figure over views, from its values and its ``spread`` between two seeds."""
+    """Mean of a figure's ``values`` over views; ``spread``: standard deviation of a value by seed."""
     return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
 
 
@@ -94,9 +92,10 @@ def difference(
     spreads: tuple[float, float] = (0.0, 0.0),
     weights: Mapping[str, float] | None = None,
 ) -> Difference | None:
-    """Difference of two methods' means over the views that both have; None if they share fewer than two.
+    """Difference of two means over the views in ``other`` and ``this``; None for fewer than two such views.
 
-    ``spreads``: seed spread of a single view's figure, for each method; ``weights``: weights of the views.
+    ``spreads``: standard deviations of a view's figure by seed, in ``other`` and ``this``; ``weights``: by
+    view.
     """
     names = [name for name in other if name in this]
     if len(names) < 2:

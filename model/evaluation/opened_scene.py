@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A test scene as shared by all methods of a suite: capture, lights, judged views, truth."""
+"""A test scene, shared by all methods of a suite: capture, lights, judged views, truth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
 RECOVERED = "recovered"
 """The lights found by a method, in place of the scene's; compared with the truth under the scene's own light.
 """
-RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, which the photographs have
+RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, that of the photographs
 _REVISION = 2
 """Revision of atlases and renderings; results of another revision are computed again."""
 
@@ -67,7 +67,7 @@ class OpenedScene:
         return self.root.parents[1] / "geometries"
 
     def view(self, name: str) -> CaptureView:
-        """A view of the capture."""
+        """The view of the capture with this name."""
         return next(view for view in self.capture.views if view.name == name)
 
     def surfaces(self, name: str) -> ViewSurfaces:
@@ -79,11 +79,11 @@ class OpenedScene:
         return self._surfaces[name]
 
     def views_of(self, light: str) -> tuple[str, ...]:
-        """The views rendered under a light."""
+        """Names of the views rendered under a light."""
         return (self.figure_views["input"],) if light == INSERTED else (*self.inputs, *self.novel)
 
     def input_capture(self) -> Capture:
-        """The photographs available to methods."""
+        """Capture of the photographs available to methods."""
         inputs = set(self.prepared.input_names)
         return replace(self.capture, views=tuple(v for v in self.capture.views if v.name in inputs))
 
@@ -96,10 +96,10 @@ class OpenedScene:
         views: tuple[str, ...] | None = None,
         *stopped_by: Any,
     ) -> Rendering:
-        """A rendering of ``scenery`` under ``light``, in a folder named by everything that affects the
-        pixels.
+        """Rendering of ``scenery`` under ``light``, in a folder named by everything that affects its pixels.
 
-        ``views``: None for all views of the light. ``seed`` is added to the scenery's seed.
+        ``views``: None for all views of the light. ``seed`` is added to the scenery's seed; ``stopped_by``
+        identifies the criterion of early stopping.
         """
         seed += scenery.configuration.seed
         cameras = self.views_of(light)
@@ -126,17 +126,17 @@ class OpenedScene:
 
 
 def key_of(*parts: Any) -> str:
-    """A short hash for the name of a folder or file."""
+    """Hash of ``parts``, 12 hexadecimal digits, for the name of a folder or file."""
     return sha256_hex(canonical_json([_REVISION, *parts]))[:12]
 
 
 def told(tell: Tell, stage: str) -> Callable[[int, int], None]:
-    """Progress callback of one stage."""
+    """Callback (done, total) that reports the progress of ``stage`` to ``tell``."""
     return lambda done, total: tell(stage, done, total)
 
 
 def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: Tell) -> OpenedScene:
-    """Read the rendered truth, and render its missing parts."""
+    """Open a photographed scene, and render the parts of its truth that are missing."""
     select_variant()
     whole = read_capture(
         prepared.capture, CaptureOptions(library=prepared.library, max_width_px=recipe.resolution[0])
@@ -169,8 +169,8 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
     for light in lights if suite.truth is None else (OWN, *lights):
         seed = TRUE_SEED if light == OWN else 0  # avoids the seed, and thus the noise, of the photographs
         rendering = scene.rendering(scene.sceneries[light], light, seed, render)
-        said = told(tell, f"{recipe.name}: truth, {light}")
-        render_scenery(scene.sceneries[light], rendering.views, [rendering], render, tell=said)
+        progress = told(tell, f"{recipe.name}: truth, {light}")
+        render_scenery(scene.sceneries[light], rendering.views, [rendering], render, tell=progress)
         scene.renders[light] = str(rendering.folder)
         scene.truth[light] = rendering.read()
     scene.truth[RECOVERED] = scene.truth[OWN]

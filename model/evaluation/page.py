@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Self-contained HTML page of a suite: the results of each method on each scene.
-
-For every scene: the best and the worst view of each method behind a slider between truth and estimate, errors
-of D, S and R of one view on one scale, a chart of errors by kind of surface, all pictures, and the tables.
+"""Self-contained HTML page of a suite. For every scene: the best and the worst view of each method behind a
+slider between truth and estimate, errors of D, S and R of one view on one scale, a chart of errors by kind of
+surface, all pictures, and the tables.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from model.evaluation.surface_kinds import KINDS
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Table
 
 _JPEG_QUALITY = 88
-_BOUNDS = ("oracle", "truth")  # bounds: no method can be better
+_BOUNDS = ("oracle", "truth")  # no method can be better
 _WIDTH_PX = 480
 LARGEST_ERROR = 0.5
-"""Error shown in the last colour of the error maps' scale."""
+"""Error that has the last colour of the error maps' scale."""
 NOTHING = 0.88
 """Grey of pixels without an error, in [0, 1]; lighter than any colour of the scale."""
 _BAR_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 12, 92, 430
@@ -43,15 +42,15 @@ def page_html(
     rows: Mapping[str, list[Row]],
     truths: Mapping[str, Mapping[str, JudgedView]],
 ) -> str:
-    """The page as HTML. ``truths``: for each scene, the judged views under its own light."""
+    """The page as HTML. ``rows`` and ``truths``, true views under the scene's own light, are by scene."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)
     scenes = [scene_html(scene, rows[scene.name], truths[scene.name]) for scene in result.scenes]
     parts = [
         f"<h1>{html.escape(title)}</h1>"
-        "<p>Rooms photographed by a renderer, their materials recovered by each method from the photographs, "
-        "rendered again, and held against the truth.</p>"
+        "<p>Each method recovers the materials of rooms from rendered photographs; the recovered rooms are "
+        "rendered again and compared with the truth.</p>"
         f'<nav>{links}<a href="#tables">tables</a></nav>',
         *scenes,
         f'<section id="tables"><ul class="notes">{items}</ul>{"".join(t.html() for t in tables)}</section>',
@@ -65,21 +64,21 @@ def page_html(
 
 
 def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
-    """The part of the page for one scene."""
+    """HTML section of one scene. ``truth``: its true views under its own light, by name."""
     methods = [m for m in scene.methods if not m.skipped and m.kind != "truth"]
     views = {method.label: rendered_views(method, "own") for method in methods}
     cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)
     return (
         f'<section id="{scene.name}"><h2>{html.escape(scene.name)}</h2>{_summary(scene)}'
         "<h3>Best and worst view of each method</h3><p>Truth on the left, the recovered room on the right, "
-        f'under the scene\'s own light; move the line.</p><div class="cards">{cards}</div>'
+        f'under the scene\'s own light; drag the line.</p><div class="cards">{cards}</div>'
         f"{_error_maps(scene, methods, views, truth)}{_charts(methods)}"
         f"<details><summary>All pictures</summary>{_all_pictures(scene, rows)}</details></section>"
     )
 
 
 def _summary(scene: SceneResult) -> str:
-    """The main figures; the best method, apart from bounds, is bold."""
+    """HTML table of the main figures, with the best method, except bounds, in bold."""
     judged = [method for method in scene.methods if not method.skipped]
     heads = [f"{letter} (MSE)" for letter in LETTERS.values()]
     heads += [f"{light} light, {views} (dB)" for light in LIGHTS for views in VIEW_SETS]
@@ -113,8 +112,8 @@ def _summary(scene: SceneResult) -> str:
 
 
 def best_and_worst(method: MethodResult) -> list[tuple[str, str, float]]:
-    """("best" or "worst", view, PSNR in dB) under the scene's own light; a single entry if there is one
-    view.
+    """The views of highest and lowest PSNR under the scene's own light, as ("best" or "worst", name, PSNR in
+    dB); a single view is listed once, as best.
     """
     rows = {
         name: row["psnr_srgb_db"] or 0.0
@@ -153,7 +152,7 @@ def _cards(
 
 
 def error_picture(error: NDArray) -> NDArray[np.float64]:
-    """Errors (H, W), nan where there is nothing to compare, as colours (H, W, 3) in [0, 1]."""
+    """Colours (H, W, 3) in [0, 1] of errors (H, W), which are NaN at pixels that are not compared."""
     scale = np.array(cividis()) / 255
     colors = scale[
         np.rint(np.clip(np.nan_to_num(error) / LARGEST_ERROR, 0, 1) * (len(scale) - 1)).astype(int)
@@ -167,7 +166,7 @@ def _error_maps(
     views: Mapping[str, Mapping[str, JudgedView]],
     truth: Mapping[str, JudgedView],
 ) -> str:
-    """A row for each map: the truth, and the error of every method."""
+    """HTML grid with a row for each map: the truth, and the error of every method."""
     name = scene.figure_views["input"]
     judged = [method for method in methods if name in views[method.label]]
     heads = ("", "truth", *(method.label for method in judged))
@@ -185,9 +184,9 @@ def _error_maps(
             cells.append(f'<img alt="{text}" title="{text}" src="{_picture(error_picture(error))}">')
     bar = error_picture(np.linspace(0, LARGEST_ERROR, 256)[None].repeat(8, 0))
     return (
-        "<h3>Where maps are wrong</h3><p>The true maps in "
+        "<h3>Errors of the maps</h3><p>The true maps in "
         f"{name}, D and S sRGB-encoded, and the root mean square error over channels of every "
-        "method's merged ones; pale: nothing to compare.</p>"
+        "method's merged ones; grey: not compared.</p>"
         f'<div class="wide"><div class="errors" style="--methods:{len(judged) + 1}">{"".join(cells)}</div>'
         '</div><div class="scale">0<img alt="" '
         f'src="{_picture(bar)}">{LARGEST_ERROR:g} and more</div>'
@@ -209,7 +208,7 @@ def _charts(methods: Sequence[MethodResult]) -> str:
     charts = "".join(_chart(name, kinds, judged) for name in MATERIAL_MAPS)
     return (
         "<h3>Errors by kind of surface</h3><p>Root mean square error of the merged maps on all surfaces and "
-        "on each kind; the share of the judged pixels stands below its name.</p>"
+        "on each kind; below its name is its share of the judged pixels.</p>"
         f'<div class="legend">{legend}</div><div class="chart">{charts}</div>'
     )
 
@@ -220,7 +219,7 @@ def _hue(index: int) -> str:
 
 
 def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> str:
-    """Horizontal bars: a group for each kind, a bar for each method."""
+    """SVG chart of a map's errors by horizontal bars: a group for each kind, a bar for each method."""
     errors = {
         (kind, k): float(np.sqrt(method.by_kind["merged"][kind][name]))
         for kind in kinds
@@ -230,7 +229,7 @@ def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> 
     largest = max([*errors.values(), 1e-6])
     group = _BAR_PX * len(methods) + _GROUP_GAP_PX
     height = 26 + group * len(kinds)
-    room = _CHART_PX - _LABEL_PX - 44
+    longest = _CHART_PX - _LABEL_PX - 44
     parts = [f'<text x="0" y="13" font-weight="600">{LETTERS[name]}, {name.replace("_", " ")}</text>']
     parts.append(f'<line class="axis" x1="{_LABEL_PX}" x2="{_LABEL_PX}" y1="22" y2="{height}"/>')
     for row, kind in enumerate(kinds):
@@ -243,7 +242,7 @@ def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> 
         for k in range(len(methods)):
             if (kind, k) not in errors:
                 continue
-            y, length = top + k * _BAR_PX, room * errors[kind, k] / largest
+            y, length = top + k * _BAR_PX, longest * errors[kind, k] / largest
             parts.append(
                 f'<rect x="{_LABEL_PX}" y="{y}" width="{length:.1f}" height="{_BAR_PX - 2}" rx="2" '
                 f'fill="{_hue(k)}"/><text class="quiet" x="{_LABEL_PX + length + 4:.1f}" y="{y + 7.5}" '
@@ -266,22 +265,22 @@ def _all_pictures(scene: SceneResult, rows: Sequence[Row]) -> str:
                 cells.append("<td>none</td>")
                 continue
             text = html.escape(f"{scene.name}, {row.label}: {column}", quote=True)
-            cells.append(f'<td><img alt="{text}" title="{text}" src="{_address(picture.pixels)}"></td>')
+            cells.append(f'<td><img alt="{text}" title="{text}" src="{_data_url(picture.pixels)}"></td>')
         lines.append(f"<tr><th>{html.escape(row.label)}</th>{''.join(cells)}</tr>")
     views = ", ".join(f"{kind} {name}" for kind, name in scene.figure_views.items())
     return (
-        f"<p>Views: {html.escape(views)}. D and S sRGB-encoded, R as it is; images under the exposure of the "
+        f"<p>Views: {html.escape(views)}. D and S sRGB-encoded, R linear; images under the exposure of the "
         f'tables.</p><div class="wide"><table class="pictures"><tr><th></th>{head}</tr>{"".join(lines)}'
         "</table></div>"
     )
 
 
 def _picture(values: NDArray) -> str:
-    """Values (H, W, 3) in [0, 1] as a data URL of an image."""
-    return _address(small(values, _WIDTH_PX))
+    """Data URL of an image of ``values`` (H, W, 3) in [0, 1]."""
+    return _data_url(small(values, _WIDTH_PX))
 
 
-def _address(pixels: NDArray[np.uint8]) -> str:
+def _data_url(pixels: NDArray[np.uint8]) -> str:
     from PIL import Image
 
     stream = io.BytesIO()

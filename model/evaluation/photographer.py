@@ -37,7 +37,7 @@ _OWN_LIGHTS = LightRecipe(
     native_probability=1.0, area_probability=0.0, point_probability=0.0, daylight_probability=0.0
 )
 _MAX_TURN_RAD = np.radians(75.0)
-_PLACES_CHECKED = 12  # of a walk
+_CHECKED_CAMERAS = 12  # of a walk
 
 
 def choose_cameras(
@@ -87,31 +87,31 @@ def walk_between(
 def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) -> list[Camera]:
     """``count`` cameras evenly spaced between two of ``cameras``, ends excluded.
 
-    Of all pairs with a free path and a small angle between them, the pair farthest apart is used.
+    Of all pairs with a free path and a small angle between them, the most distant one is used.
     """
     if count == 0:
         return []
     for first, last in _pairs(cameras):
         steps = np.arange(1, count + 1) / (count + 1)
         walk = [_between(cameras[first], cameras[last], share) for share in steps.tolist()]
-        checked = {round(k) for k in np.linspace(0, count - 1, min(count, _PLACES_CHECKED))}
+        checked = {round(k) for k in np.linspace(0, count - 1, min(count, _CHECKED_CAMERAS))}
         if _is_free(cameras[first], cameras[last], space.rays) and all(
-            _sees_freely(walk[k], space, near_m) for k in sorted(checked)
+            _has_free_view(walk[k], space, near_m) for k in sorted(checked)
         ):
             return walk
     where = f"environment {space.environment.id}"
-    expected = "two photographs with a free way between them"
-    raise input_error(where, "novel_views", "none", expected, "ask for more views, or for novel_views: 0")
+    expected = "two photographs with a free path between them"
+    raise input_error(where, "novel_views", "none", expected, "set more views, or novel_views: 0")
 
 
 def _pairs(cameras: list[Camera]) -> NDArray[np.int64]:
-    """Pairs (N, 2) of cameras with a small angle between them, farthest apart first."""
+    """Indices (N, 2) of pairs of cameras with a small angle between them, the most distant pair first."""
     positions = np.array([camera.position_m for camera in cameras])
     forwards = np.array([camera.forward for camera in cameras])
-    apart = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    turned = np.arccos(np.clip(forwards @ forwards.T, -1.0, 1.0))
-    first, last = np.nonzero(np.triu(turned <= _MAX_TURN_RAD, 1))
-    order = np.argsort(-apart[first, last], kind="stable")
+    distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    angle = np.arccos(np.clip(forwards @ forwards.T, -1.0, 1.0))
+    first, last = np.nonzero(np.triu(angle <= _MAX_TURN_RAD, 1))
+    order = np.argsort(-distance[first, last], kind="stable")
     return np.stack([first, last], axis=1)[order]
 
 
@@ -126,13 +126,13 @@ def _between(first: Camera, last: Camera, share: float) -> Camera:
 
 
 def _is_free(first: Camera, last: Camera, rays: RayScene) -> bool:
-    way = last.position_m - first.position_m
-    length = float(np.linalg.norm(way))
+    offset = last.position_m - first.position_m
+    length = float(np.linalg.norm(offset))
     start: Floats = first.position_m[None]
-    return length > 0 and not rays.occluded(start, (way / length)[None], np.array([length])).any()
+    return length > 0 and not rays.occluded(start, (offset / length)[None], np.array([length])).any()
 
 
-def _sees_freely(camera: Camera, space: FreeSpace, near_m: float) -> bool:
+def _has_free_view(camera: Camera, space: FreeSpace, near_m: float) -> bool:
     if space.fault(camera.position_m, 0.5 * near_m):
         return False
     directions = preview_of(camera).ray_directions().reshape(-1, 3)

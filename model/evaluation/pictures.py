@@ -25,7 +25,7 @@ _INK = (40, 40, 40)
 
 @dataclass(frozen=True)
 class Picture:
-    """8-bit sRGB pixels (H, W, 3) and their title."""
+    """An image of 8-bit sRGB pixels (H, W, 3), and its title."""
 
     title: str
     pixels: NDArray[np.uint8]
@@ -33,7 +33,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Row:
-    """Pictures of the truth or of a method; a missing picture is None."""
+    """Pictures, by column, of the truth or of a method; a missing picture is None."""
 
     label: str
     pictures: dict[str, Picture | None]
@@ -51,13 +51,11 @@ COLUMNS = (
     "novel view, modified light",
 )
 RELIGHTING = ("original light", "modified light", "inserted object", "novel view")
-"""Rows of the paper's figure."""
+"""Rows of the figure of relighting."""
 
 
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
-    """A row for the truth, then one for each method. ``stored``: the scene's judged views under its own
-    light.
-    """
+    """Rows of the truth and of each method. ``stored``: the judged true views under own light, by name."""
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
     truth["own"] = stored
     if "recovered" in scene.exposures:
@@ -86,7 +84,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
     if view in own:
         for letter, name in _MAPS.items():
             pictures[letter] = Picture(letter, small(map_pixels(own[view], name)))
-    places = {
+    sources = {
         "original light": ("own", view),
         "modified light": ("modified", view),
         "recovered light": ("recovered", view),
@@ -94,7 +92,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
         "novel view": ("own", novel),
         "novel view, modified light": ("modified", novel),
     }
-    for title, (light, name) in places.items():
+    for title, (light, name) in sources.items():
         found = by_light.get(light, {}).get(name)
         if found is not None:
             pixels = shown(found.color, scene.exposures[light])
@@ -111,7 +109,7 @@ def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
 
 
 def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8]:
-    """The image (H, W, 3) in 8 bits, at most ``max_width_px`` wide."""
+    """The image (H, W, 3) in [0, 1] as 8-bit pixels, scaled down to at most ``max_width_px`` of width."""
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels, np.float32)
     if width > max_width_px:
@@ -121,9 +119,7 @@ def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8
 
 
 def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDArray[np.uint8]:
-    """An image (H, W, 3) of labelled pictures: a row for each method or, if ``is_turned``, for each kind of
-    picture.
-    """
+    """Sheet (H, W, 3) of labelled pictures: a row per method, or per item of ``columns`` if ``is_turned``."""
     table = [[row.pictures[column] for column in columns] for row in rows]
     across, down = list(columns), [row.label for row in rows]
     if is_turned:
@@ -154,7 +150,7 @@ def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDAr
 
 
 def _write(canvas: NDArray[np.uint8], text: str, at: tuple[int, int], width: int) -> None:
-    """Write text, small enough to fit ``width``."""
+    """Draw text at (x, y), scaled down to at most ``width`` pixels."""
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.45
     (needed, _), _ = cv2.getTextSize(text, font, scale, 1)
     if needed > width:

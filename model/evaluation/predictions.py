@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps predicted by a checkpoint, shared by the methods that differ in later stages only."""
+"""Folders of maps predicted by a checkpoint, shared by methods that differ in later stages only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from model.own_network import network_inputs
 def predictions_folder(
     scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str
 ) -> Path:
-    """Folder for predictions of ``weights`` (their hash), named by everything that affects them."""
+    """Folder for the predictions of ``weights`` (a hash), named by everything that affects them."""
     faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
     names = scene.prepared.input_names
     return (
@@ -29,15 +29,15 @@ def predictions_folder(
 
 
 def light_revision(method: NetworkMethod) -> list[int]:
-    """Revision of the light that is an input of the method's network; empty without such inputs."""
+    """[revision of recorded light] if it is an input of the method's network, else []."""
     inputs = network_inputs(read_card(Path(method.checkpoint)).network)
     return [LIGHT_REVISION] if set(LIGHT_BUFFERS) & set(inputs) else []
 
 
 def link_files(source: Path, target: Path) -> None:
-    """Hard-link the files of ``source`` into ``target``.
+    """Hard-link the files of ``source``, if any, into ``target``; existing files are kept.
 
-    Nothing is stored twice, and replacing a file in one folder leaves the other unchanged.
+    Replacing a file in one folder leaves the other unchanged.
     """
     if not source.is_dir():
         return

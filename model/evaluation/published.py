@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figures of the paper (Prakash, Rainer, Bousseau, Drettakis 2022) for the scenes that our suites also use.
+"""Figures of the paper (Prakash, Rainer, Bousseau, Drettakis 2022) for scenes that our suites also use.
 
 Its tables do not state with which views and light its re-renderings were judged, nor how exposure was
 matched; its DSSIM is assumed to be 1 - SSIM. *Ours Im.* and *No RP* are errors of maps per view, *Ours* of
@@ -15,7 +15,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 
 @dataclass(frozen=True)
 class PublishedMaps:
-    """Mean squared errors in the order D, S, R."""
+    """Mean squared errors of a method's maps, in the order D, S, R."""
 
     method: str
     is_merged: bool
@@ -30,8 +30,8 @@ class PublishedMaps:
 class PublishedScene:
     """Published figures of a scene.
 
-    ``images``: PSNR in dB and DSSIM by method; ``minutes``: statistics, prediction, texturing (one of three
-    maps) on a Xeon 5218 with a Quadro RTX 5000.
+    ``images``: PSNR in dB and DSSIM by method; ``minutes``: of statistics, prediction and the texturing of
+    one of three maps, on a Xeon 5218 with a Quadro RTX 5000.
     """
 
     num_views: int
@@ -62,4 +62,4 @@ PUBLISHED = {
         (4.56, 3.26, 1.32),
     ),
 }
-"""By scene name."""
+"""Published figures by name of the scene."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sceneries of a reconstruction: under the scene's lights, and under the lights recovered with it."""
+"""Sceneries of a reconstruction under the scene's lights, and under the recovered lights."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ Emission = dict[str, tuple[float, float, float]]
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """The reconstruction ``asset`` under each light of the scene, and under the recovered lights if there are
-    any.
-    """
+    """Scenery, by light, of ``asset`` under each light of the scene, and under recovered lights, if any."""
     parts = scene.capture.geometry.parts
     sceneries = {}
     for light, truth in scene.sceneries.items():
@@ -33,12 +31,13 @@ def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
 
 
 def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emission:
-    """Radiance by slot of the lamps of a reconstruction (``export.slots``), as in the scene.
+    """Radiance of a reconstruction's emissive slots, by slot, as in the scene.
 
-    The emissive ``parts`` have their radiance times ``gain``; surfaces found to emit are off.
+    Slot ``lamp-N`` (``export.slots``) has the radiance of the N-th emissive part times ``gain``, other slots
+    with emission have 0.
     """
-    true = [part.emission for part in parts if part.emission is not None]
-    lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(true)}
+    emitted = [part.emission for part in parts if part.emission is not None]
+    lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(emitted)}
     found = {}
     for slot, material in _environment(asset).materials.items():
         if material.emission is not None:
@@ -48,7 +47,7 @@ def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emi
 
 
 def relit_scenery(truth: Scenery, asset: Path) -> Scenery:
-    """The reconstruction under the lights of its package alone, from the cameras of ``truth``."""
+    """Scenery of the reconstruction under the lights of its package alone, with the cameras of ``truth``."""
     lights = configuration_of(asset, open_package(asset).sha256).lights
     scenery = recovered_scenery(truth, asset, {})
     return Scenery(scenery.configuration.model_copy(update={"lights": lights}), scenery.library)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views of a scenery on disk: each rendered once, one EXR each, resumed after an interruption."""
+"""Renders the views of a scenery to an EXR file each; existing files are kept, so a rerun resumes."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ class JudgedView:
 
 
 def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
-    """A judged view from stored buffers."""
+    """Judged view of stored :data:`BUFFERS`, (H, W, C) by name."""
     maps = {name: np.clip(buffers[name].astype(np.float32), 0, 1) for name in MATERIAL_MAPS}
     color, surface = buffers["beauty"].astype(np.float32), surface_pixels(buffers)
-    shines = ~surface & (buffers["depth_z_m"][..., 0] > 0) & (color.max(axis=2) > 0)
-    return JudgedView(color, maps, surface, shines)
+    emits = ~surface & (buffers["depth_z_m"][..., 0] > 0) & (color.max(axis=2) > 0)
+    return JudgedView(color, maps, surface, emits)
 
 
 def stored_view(view: CaptureView) -> JudgedView:
-    """A view of a rendered capture from its stored buffers."""
+    """Judged view with the stored buffers of a rendered capture's view."""
     return judged_view(view.source.read_maps(BUFFERS))
 
 
@@ -61,8 +61,7 @@ def stored_view(view: CaptureView) -> JudgedView:
 class Rendering:
     """A rendering of some ``views`` of a scenery with one seed, stored as ``VIEW.exr`` in ``folder``.
 
-    Existing views are not rendered again, so that the folder must be named by everything that affects the
-    pixels.
+    Existing views are not rendered again, so the folder's name must depend on everything that affects pixels.
     """
 
     seed: int
@@ -70,32 +69,34 @@ class Rendering:
     folder: Path
 
     def missing(self) -> list[str]:
-        """Views that are missing or damaged."""
+        """Names of the views whose files are missing or damaged."""
         return [name for name in self.views if _read(self.folder / f"{name}.exr") is None]
 
     def read(self) -> dict[str, JudgedView]:
-        """All views by name."""
+        """The rendered views by name, without missing and damaged ones."""
         found = {name: _read(self.folder / f"{name}.exr") for name in self.views}
         return {name: view for name, view in found.items() if view is not None}
 
 
 @dataclass(frozen=True)
 class EnoughOf:
-    """Stops a view early, once more samples would not change its figure.
+    """Stops the rendering of a view once its noise hardly affects its difference from the truth.
 
-    A view is finished when its remaining error, estimated on quickly denoised halves, is at most ``share`` of
-    the difference from ``truth`` (both relMSE).
+    A view is finished when its remaining error plus the standard error of this estimate, from quickly
+    denoised halves, is at most ``share`` of its difference from ``truth`` less the remaining error (all
+    relMSE).
     """
 
     truth: Mapping[str, JudgedView]
     share: float
 
     def decides(self, names: Sequence[str]) -> IsEnough:
-        """The stopping criterion for views with these ``names``, as an argument of the renderer."""
+        """Stopping criterion for views with these ``names``, an argument of the renderer."""
 
         def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
-            apart = relative_mse(image, self.truth[names[index]].color, exposed=True) - estimate.rel_mse
-            return estimate.rel_mse + estimate.standard_error <= self.share * apart
+            difference = relative_mse(image, self.truth[names[index]].color, exposed=True)
+            bound = self.share * (difference - estimate.rel_mse)
+            return estimate.rel_mse + estimate.standard_error <= bound
 
         return is_enough
 
@@ -108,7 +109,7 @@ def render_scenery(
     enough: EnoughOf | None = None,
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Render the missing views of some renderings.
+    """Render the missing views of ``renderings``; ``tell`` receives the number of views done and in total.
 
     The scene is built once, and irradiance cache and sky guide are estimated from all ``cameras``, whichever
     views are missing.

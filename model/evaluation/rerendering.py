@@ -26,8 +26,7 @@ def renderings_of(
 ) -> tuple[Rendering, Rendering]:
     """Renderings of the views under a light, and of some views with a second seed.
 
-    Seeds differ from the truth's, so that the noise is independent. The truth itself is rendered at full
-    quality.
+    Seeds differ from the truth's, so the noise is independent. A :class:`TruthMethod` is never stopped early.
     """
     enough: EnoughOf | None = None
     stopped_by: list[Any] = []
@@ -49,7 +48,7 @@ def spread_of(
     first: dict[str, dict[str, dict[str, float | None]]],
     lpips: Lpips | None,
 ) -> dict[str, float]:
-    """Standard deviation of a view's figures due to the renderer's noise, from views rendered twice."""
+    """Standard deviation of each figure of a view due to the renderer's noise, from views rendered twice."""
     if not again.views:
         return {}
     second = figures_of(scene, light, again.views, again.read(), lpips)
@@ -64,6 +63,6 @@ def figures_of(
     rendered: dict[str, JudgedView],
     lpips: Lpips | None,
 ) -> dict[str, dict[str, float | None]]:
-    """The figures of rendered views; without LPIPS if ``lpips`` is None."""
+    """Figures of rendered ``views``, by view and name; LPIPS is None if ``lpips`` is None."""
     truth = {name: scene.truth[light][name] for name in views}
     return image_figures(rendered, truth, scene.exposures[light], lpips)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Measurements as plain data; one file for all scenes and methods."""
+"""Results of methods, scenes and suites as stored in JSON files."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ class MethodResult(StrictModel):
 
     ``skipped``: reason for missing figures, else ''. ``camera``: the faults of its photographs, '' for none.
     ``maps_per_view`` and ``maps_merged``: mean squared errors of the predicted maps and of the atlas as seen
-    in the views; ``map_figures``, ``by_kind`` and ``calibration`` are as in ``map_measures``; ``map_views``
-    holds the errors per view. ``images``: figures of re-renderings (``metrics.image_figures``) by light (own,
-    modified) and views (input, novel); ``image_views``: the same per view. ``seed_spread``: standard
-    deviation, by light, of a view's figures between two seeds of the renderer. ``seen_share``: share of the
-    atlas visible in at least one view; ``covered_share``: share of the true surface's pixels where the method
-    has a surface. ``processor_s``: time of all cores, without cached results. ``folder``: folder of maps and
-    asset; ``renders``: folders of rendered views, by light and for ``inserted``.
+    in the views; ``map_figures``, ``by_kind`` and ``calibration`` are as in ``map_measures``; ``map_views``:
+    the errors per view. ``images``: figures of re-renderings (``metrics.image_figures``) by light (own,
+    modified, recovered) and views (input, novel); ``image_views``: the same per view. ``seed_spread``:
+    standard deviation, by light, of a view's figures between two seeds of the renderer. ``seen_share``: share
+    of the atlas visible in at least one view; ``covered_share``: share of the true surface's pixels where the
+    method has a surface. ``atlas_size``: side in texels; ``seconds``: wall time by stage; ``processor_s``:
+    time of all cores, without cached results. ``folder``: folder of maps and asset; ``renders``: folders of
+    rendered views, by light and for ``inserted``.
     """
 
     scene: Slug
@@ -64,17 +65,18 @@ class MethodResult(StrictModel):
 
     @property
     def label(self) -> str:
-        """Name, camera and geometry, for tables and pictures."""
-        said = [self.camera] if self.camera else []
-        said += [self.geometry] if self.geometry != "true" else []
-        return f"{self.method} ({', '.join(said)})" if said else self.method
+        """Name with camera and geometry, for tables and pictures."""
+        faults = [self.camera] if self.camera else []
+        faults += [self.geometry] if self.geometry != "true" else []
+        return f"{self.method} ({', '.join(faults)})" if faults else self.method
 
 
 class SceneResult(StrictModel):
     """Results of all methods on a scene.
 
     ``exposures``: exposure by light; ``figure_views``: views in the pictures, input and novel; ``renders``:
-    by light, folders of the true views that are not in the capture.
+    by light, folders of the true views that are not in the capture; ``path_samples``: mean light paths per
+    pixel of the photographs.
     """
 
     name: Slug
@@ -91,7 +93,7 @@ class SceneResult(StrictModel):
 
 
 class SuiteResult(StrictModel):
-    """Contents of ``evaluation.json``. ``failures``: scenes without figures, and the reason."""
+    """Contents of ``evaluation.json``. ``failures``: reasons of missing figures, by scene."""
 
     suite: Slug
     may_be_known: bool

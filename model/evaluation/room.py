@@ -3,8 +3,8 @@
 
 A scene is a Mitsuba file, an environment package, or a configuration drawn from a recipe. It is converted to
 the project's BSDF, keeps its own lights and materials, and is rendered like one configuration of a dataset:
-``view-000`` ... are the photographs that a method may use, ``path-000`` ... lie on a walk between two of them
-and serve to judge novel views only. Everything is stored in a folder of the cache, named by everything that
+``view-000`` ... are the photographs that a method may use, ``path-000`` ... are on a walk between two of them
+and serve to judge novel views only. A scene is stored in a folder of the cache, named by everything that
 affects its pixels; an interrupted rendering resumes.
 """
 
@@ -60,7 +60,7 @@ class TestScene(StrictModel):
     trained on the rooms and objects of a recipe, but on none of its materials.
     """
 
-    __test__: ClassVar[bool] = False  # no test class, although pytest would take it for one by its name
+    __test__: ClassVar[bool] = False  # keeps pytest from collecting it
 
     name: Slug
     source: Path
@@ -144,8 +144,7 @@ def plan_scene(scene: TestScene, cache: Path) -> PlannedScene:
 def prepare_scene(
     scene: TestScene, cache: Path, progress: Progress = lambda stage, done, total: None
 ) -> PreparedScene:
-    """Plan a test scene and render it. Raises :class:`InputError` as :func:`plan_scene` and
-    :func:`photograph`."""
+    """Plan a test scene and render it; raises as :func:`plan_scene` and :func:`photograph`."""
     return photograph(plan_scene(scene, cache), progress)
 
 
@@ -195,7 +194,7 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
         for asset_id, sha in sorted(record.assets.items()):
             if sha in ours:
                 got = f"trained on {asset_id} ({sha[:12]}), which is {ours[sha]} of this scene"
-                expected = "a checkpoint that has never seen its test scenes"
+                expected = "a checkpoint that was not trained on its test scenes"
                 remedy = "judge another checkpoint, or leave this scene out"
                 problems.append(Problem(f"scene {name}", record.name, got, expected, remedy))
     if problems:
@@ -203,9 +202,9 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
 
 
 def _key(scene: TestScene) -> str:
-    """Hash of everything that affects the pixels, except versions of libraries and the source's own files."""
+    """Hash of everything that affects pixels, except library versions and files that the source refers to."""
     parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes"})
-    if not scene.is_drawn:  # they identify no scene
+    if not scene.is_drawn:  # they do not affect the pixels
         del parts["configuration"], parts["imports"]
     else:
         parts["imports"] = [path.name for path in scene.imports]
@@ -227,9 +226,7 @@ def _file(source: Path) -> Path:
 
 
 def _library(scene: TestScene, folder: Path) -> tuple[Path, ...]:
-    """The library of the scene: the folder of its package, or else the folder that the importer makes,
-    once.
-    """
+    """Library folders of the scene: its package, or a folder into which its source is imported, once."""
     if scene.is_drawn:
         return recipe_library(scene.source, imported(scene.imports, folder))
     if is_package(scene.source):
@@ -321,7 +318,7 @@ def _render(folder: DatasetFolder, progress: Progress) -> None:
 
 
 def _hashes(scene: TestScene, configuration: Configuration, library: Library) -> dict[str, str]:
-    """Hashes of everything that must not occur in a checkpoint's training data."""
+    """Hashes, by name, of packages and files that must not occur in a checkpoint's training data."""
     packages = [library.package(asset_id) for asset_id in configuration.assets]
     if scene.may_know_shapes:
         packages = [package for package in packages if isinstance(package.asset, MaterialAsset)]

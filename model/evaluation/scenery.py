@@ -54,7 +54,7 @@ class Scenery:
         return self._with({"cameras": chosen})
 
     def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
-        """The scenery under its own lights times a gain, and the ``added`` lights."""
+        """The scenery under its own lights times ``modified.own_gain``, and the ``added`` lights."""
         own = () if modified.own_gain == 0 else self.configuration.lights
         lights = (*(scaled(light, modified.own_gain) for light in own), *added)
         with Library(self.library) as library:
@@ -65,7 +65,7 @@ class Scenery:
         return self._with({"lights": lights, "environment": placed[0], "objects": tuple(placed[1:])})
 
     def with_object(self, inserted: InsertedObject, position_m: NDArray) -> Scenery:
-        """The scenery with an inserted object."""
+        """The scenery with an object at ``position_m`` (3,). Raises :class:`InputError` if it is none."""
         package = open_package(Path(inserted.package))
         if not isinstance(package.asset, ObjectAsset):
             raise input_error(package.path, "kind", package.asset.kind, "an object package to insert")
@@ -104,8 +104,8 @@ def recovered_scenery(
 ) -> Scenery:
     """The scenery with recovered surfaces in place of the scene's.
 
-    ``asset`` is the package of a reconstruction, with surface and lamps; ``emission`` by slot replaces the
-    lamps' radiance; all other lights and inserted objects are the scene's.
+    ``asset`` is the package of a reconstruction, with surface and lamps; ``emission``, radiance by slot,
+    replaces that of the lamps; all other lights and inserted objects are the scene's.
     """
     package = open_package(asset)
     configuration = truth.configuration
@@ -134,7 +134,7 @@ def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
 def added_lights(
     modified: ModifiedLight, geometry: CaptureGeometry, cameras: Sequence[Camera]
 ) -> list[Light]:
-    """The lights that a modified light adds; the position of "ceiling" is computed here."""
+    """The lights that ``modified`` adds; "ceiling" is placed above the camera nearest to their mean."""
     if modified.lights != "ceiling":
         return list(modified.lights)
     positions = np.array([camera.position_m for camera in cameras])
@@ -157,7 +157,7 @@ def added_lights(
 
 
 def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
-    """Metres of free space above a point; None under the open sky."""
+    """Height in metres of the free space above the point ``eye`` (3,); None under the open sky."""
     from trimesh import Trimesh
 
     mesh = Trimesh(geometry.mesh.positions, geometry.mesh.faces, process=False)
@@ -167,18 +167,17 @@ def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
 
 @dataclass(frozen=True)
 class Place:
-    """A position for an inserted object, and its score for the picture: 0 is best."""
+    """Position (3,) of an inserted object in metres, and a cost by its position in the picture, 0 at best."""
 
     position_m: NDArray[np.float64]
     cost: float
 
 
 def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float) -> Place | None:
-    """A level position in front of a camera, with level surroundings, near the middle of the lower image
-    half.
+    """Level position in front of a camera for an object of ``height_m``; None if there is none.
 
-    There an object of ``height_m`` is entirely inside the image and a third of its height; None if nothing is
-    level. ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3).
+    The object is entirely inside the image, as near as possible to the middle of its lower half and to a
+    third of its height. ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3).
     """
     from scipy.ndimage import minimum_filter
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Suites: scenes, methods and measurements. YAML in ``scenes/suites/``; unknown keys are errors.
+"""Suites: scenes, methods and measurements, in YAML files (``scenes/suites/``); unknown keys are errors.
 
 Paths in a suite are relative to its file. docs/evaluation.md explains the figures.
 """
@@ -32,8 +32,8 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """Maps of a checkpoint. A missing checkpoint is left out of the tables, with a note. ``weights`` (of
-    views in the merge), ``is_leveled`` and ``materials`` are as for ``materials infer``.
+    """Maps of a checkpoint. If the checkpoint is missing, the method is left out of the tables, with a note.
+    ``weights`` (of views in the merge), ``is_leveled`` and ``materials`` are as for ``materials infer``.
     """
 
     kind: Literal["network"]
@@ -71,20 +71,20 @@ class MapsMethod(_Method):
 
 
 class OracleMethod(_Method):
-    """The true maps, merged, which measures the loss from merging and from the atlas's resolution."""
+    """The true maps, merged, to measure the loss from merging and from the atlas's resolution."""
 
     kind: Literal["oracle"]
 
 
 class TruthMethod(_Method):
-    """The scene itself, rendered again, which measures the effect of noise."""
+    """The scene itself, rendered again, to measure the effect of noise."""
 
     kind: Literal["truth"]
 
     @model_validator(mode="after")
     def _has_its_own_geometry(self) -> TruthMethod:
         if self.geometry is not None:
-            raise ValueError("expected no geometry: the truth is rendered as it is")
+            raise ValueError("expected no geometry, as the truth is rendered with its own")
         return self
 
 
@@ -128,13 +128,13 @@ class Suite(StrictModel):
     views of each scene are judged. ``render``: quality of a re-rendered view; ``truth``: quality of a judged
     view of the truth, which is then rendered separately from the photographs, once per scene; None uses the
     photographs as truth, and renders other lights at their quality. ``seed_views`` of each set and light are
-    rendered with a second seed, which gives the noise of the figures. ``noise_share``: a view of an estimate
-    needs no more samples once the remaining noise is at most this share of its squared difference from the
-    truth; None renders all with ``render``. ``atlas``: side in texels. ``camera``: every method except the
-    truth is also judged on photographs with these faults (names of ``camera_faults.PRESETS``, "each" for
-    every fault alone, or custom faults). ``modified_light`` and ``inserted`` are given by scene; other scenes
-    use the defaults. ``may_be_known``: checkpoints may have been trained on the scenes (a test of the
-    program, not of the checkpoints).
+    rendered with a second seed, which gives the noise of the figures. ``noise_share``: a view of a
+    reconstruction is finished early once its remaining noise is at most this share of its squared difference
+    from the truth; None renders all with ``render``. ``atlas``: side in texels. ``camera``: every method
+    except the truth is also judged on photographs with these faults (names of ``camera_faults.PRESETS``,
+    "each" for every fault alone, or custom faults). ``modified_light`` and ``inserted`` are given by scene;
+    other scenes use the defaults. ``may_be_known``: checkpoints may have been trained on the scenes (a test
+    of the program, not of the checkpoints).
     """
 
     format: Literal["scene-materials/suite"] = "scene-materials/suite"
@@ -233,7 +233,7 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
 
 
 def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[Problem]:
-    """Scenes without a subfolder in a folder of maps."""
+    """A problem for each scene without a subfolder in the folder ``maps``."""
     if not maps.is_dir():
         return []
     return [
@@ -244,7 +244,7 @@ def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[P
 
 
 def describe_suite(suite: Suite) -> str:
-    """Readable plan of a suite."""
+    """Text of a suite's plan, for ``--dry-run``."""
     lines = [f"suite {suite.name}: {len(suite.scenes)} scenes, {len(suite.methods)} methods"]
     for scene in suite.scenes:
         width, height = scene.resolution
@@ -254,13 +254,13 @@ def describe_suite(suite: Suite) -> str:
     for method in suite.methods:
         text = f"  {method.name}: {method.kind}"
         if isinstance(method, NetworkMethod):
-            absent = "" if Path(method.checkpoint).is_file() else " (not there: it will be left out)"
+            absent = "" if Path(method.checkpoint).is_file() else " (missing: left out)"
             text += f", {method.checkpoint}{absent}"
         if method.geometry is not None:
             text += f", geometry: {method.geometry.describe()}"
         lines.append(text)
     if suite.cameras:
-        lines.append(f"  all but the truth again with cameras: {', '.join(c.name for c in suite.cameras)}")
+        lines.append(f"  all methods but the truth with cameras: {', '.join(c.name for c in suite.cameras)}")
     views = 2 * (suite.input_views + suite.novel_views) + 1
-    lines.append(f"  at most {views} re-rendered views a method, camera and scene, as many for the truth")
+    lines.append(f"  at most {views} re-rendered views per method, camera and scene, as many of the truth")
     return "\n".join(lines)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Kinds of surface in the judged views: pixels of metal, white walls, small objects etc.
 
-From the true maps: ``metal``, S > 0.2; of the rest ``white``, D > 0.7 in every channel, ``glossy``, R < 0.4,
-and ``matt``, R >= 0.4. From the true mesh: ``small``, connected pieces less than 0.3 m across, and
+From the true maps: ``metal``, mean S > 0.2; of the rest ``white``, D > 0.7 in every channel, ``glossy``, R <
+0.4, and ``matt``, R >= 0.4. From the true mesh: ``small``, connected pieces less than 0.3 m across, and
 ``sunlit``, surface lit directly by the sun. From the views: ``seldom seen``, visible in fewer than 4 views.
 Kinds overlap; kinds that do not occur in a scene are left out. A ``region`` is a part of the scene's
 geometry.
@@ -32,9 +32,7 @@ _LIFT_M = 1e-3  # offset of a shadow ray from its surface, to avoid self-shadowi
 
 @dataclass(frozen=True)
 class ViewSurfaces:
-    """Kinds of surface in a view: ``kinds``, masks (H, W) by name, True on surface only; ``region``, indices
-    (H, W), -1 for none.
-    """
+    """Kinds of surface in a view, masks (H, W) by name, and the region's index (H, W), -1 for none."""
 
     kinds: dict[str, NDArray[np.bool_]]
     region: NDArray[np.int32]
@@ -65,7 +63,7 @@ class SurfaceFinder:
         self._suns = [sun for light in lights if (sun := _towards_sun(light)) is not None]
 
     def find(self, view: CaptureView, truth: JudgedView) -> ViewSurfaces:
-        """The kinds and regions of a view."""
+        """The kinds and regions of a view, whose true maps are ``truth``."""
         directions = view.camera.ray_directions()
         hits = self._rays.cast(view.camera.position_m, directions.reshape(-1, 3))
         shape = truth.surface_mask.shape
@@ -77,28 +75,29 @@ class SurfaceFinder:
         if count is not None:
             kinds["seldom seen"] = truth.surface_mask & (count[..., 0] < FEW_VIEWS)
         if self._suns:
-            place = view.camera.position_m + hits.distance_m.reshape(shape)[..., None] * directions
-            kinds["sunlit"] = self._sunlit(place, face, directions, hit)
+            position = view.camera.position_m + hits.distance_m.reshape(shape)[..., None] * directions
+            kinds["sunlit"] = self._sunlit(position, face, directions, hit)
         region = np.where(hit, self._part[face], -1).astype(np.int32)
         return ViewSurfaces(kinds, region)
 
     def _sunlit(
-        self, place: NDArray, face: NDArray, directions: NDArray, hit: NDArray[np.bool_]
+        self, position: NDArray, face: NDArray, directions: NDArray, hit: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
+        """Mask (H, W) of the pixels whose surface at ``position`` (H, W, 3) is lit directly by a sun."""
         lit = np.zeros(hit.shape, bool)
         normal = self._rays.normals[face[hit]]
-        back = np.einsum("ij,ij->i", normal, directions[hit]) > 0
-        normal = np.where(back[:, None], -normal, normal)
+        is_back = np.einsum("ij,ij->i", normal, directions[hit]) > 0
+        normal = np.where(is_back[:, None], -normal, normal)
         for sun in self._suns:
             towards = np.broadcast_to(sun, normal.shape)
-            origins = place[hit] + _LIFT_M * normal
+            origins = position[hit] + _LIFT_M * normal
             free = ~self._rays.occluded(origins, towards, np.inf)
             lit[hit] |= free & (normal @ sun > 0)
         return lit
 
 
 def small_faces(mesh: Mesh) -> NDArray[np.bool_]:
-    """Mask (M,) of the triangles of connected pieces whose bounding box has a diagonal below ``SMALL_M``."""
+    """Mask (M,) of the triangles in connected pieces whose bounding box has a diagonal below ``SMALL_M``."""
     positions, vertex = welded(mesh)
     faces = vertex[mesh.faces]
     first, second = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
@@ -112,7 +111,7 @@ def small_faces(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def _towards_sun(light: Light) -> NDArray[np.float64] | None:
-    """Unit vector to the sun of a light; None for lights without one."""
+    """Unit vector (3,) towards the sun of a light; None for lights without a sun."""
     if isinstance(light, DirectionalLight):
         direction = -np.array(light.direction)
     elif isinstance(light, SkyLight) and light.sun_scale > 0:

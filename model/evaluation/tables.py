@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A suite's figures as tables: maps, re-renderings, time and memory. Every header names its convention.
-
-A table is a title, a caption, columns and rows of text or numbers; Markdown, CSV and HTML are made from it.
-"""
+"""Tables of a suite's figures: maps, re-renderings, time and memory. Headers state the convention."""
 
 from __future__ import annotations
 
@@ -37,9 +34,7 @@ _ALL = {
 
 @dataclass(frozen=True)
 class Table:
-    """A table; ``rows`` have a cell for each column, None if it is empty; ``digits``: number of digits by
-    column.
-    """
+    """A table. ``rows`` have a cell per column, None if empty; ``digits`` are decimal places by column."""
 
     name: str
     title: str
@@ -49,20 +44,20 @@ class Table:
     digits: tuple[int, ...]
 
     def texts(self) -> list[list[str]]:
-        """Rows as text."""
+        """Rows as text, with numbers rounded to ``digits``."""
         return [
             [_text(cell, digits) for cell, digits in zip(row, self.digits, strict=True)] for row in self.rows
         ]
 
     def markdown(self) -> str:
-        """Heading, caption and table."""
+        """Heading, caption and table in Markdown."""
         lines = [f"## {self.title}", "", self.caption, "", _line(self.columns)]
         lines.append(_line("---" if k < 2 else "---:" for k in range(len(self.columns))))
         lines += [_line(row) for row in self.texts()]
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
-        """Header and rows with all digits."""
+        """Header and rows in CSV, with all digits."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(self.columns)
@@ -133,7 +128,7 @@ def _maps_table(result: SuiteResult) -> Table:
     caption = (
         "D diffuse albedo, S specular albedo (F0), R roughness. Mean squared error of linear values over "
         "surface pixels and channels of the judged input views. Per view: the maps as predicted (the paper's "
-        "Ours Im.). Merged: the atlas as the views see it."
+        "Ours Im.). Merged: the atlas, rendered in the views."
     )
     return Table("maps", "Material maps", caption, columns, tuple(rows), (0, 0, 4, 4, 4, 4, 4, 4, 1, 1))
 
@@ -166,10 +161,10 @@ def _summary_table(result: SuiteResult) -> Table:
                     (scene.name, PAPER + name, psnr, dssim, *(None,) * (2 * len(LIGHTS) * len(VIEW_SETS) - 2))
                 )
     caption = (
-        "Path-traced with the recovered atlas on the scene's geometry against the scene itself, clipped, "
+        "Path-traced images of the recovered atlas on the scene's geometry against the scene's: clipped, "
         "sRGB-encoded, data range 1; one exposure for all views of a light, none fitted. Means over views. "
-        "Recovered light: materials and lights as they were found, against the scene under its own light. "
-        "The paper does not say which light and views its figures are of; they stand in the first columns."
+        "Recovered light: recovered materials and lights, compared with the scene under its own light. "
+        "The paper does not state the light and views of its figures; they are in the first columns."
     )
     return Table("rerendering", "Re-rendering", caption, tuple(columns), tuple(rows), tuple(digits))
 
@@ -186,8 +181,8 @@ def _images_table(result: SuiteResult) -> Table:
                             (scene.name, method.label, light, views, *(figures.get(key) for key in _ALL))
                         )
     caption = (
-        "The same with all measures; the last columns after one factor for all views, as a light is turned "
-        "up or down by hand."
+        "All measures of the same images; in the last columns after one factor for all views, as if a light "
+        "were dimmed or brightened by hand."
     )
     if result.lpips_absence:
         caption += f" LPIPS is left out: {result.lpips_absence}."
@@ -232,11 +227,11 @@ def _cost_table(result: SuiteResult) -> Table:
                 (scene.name, f"{PAPER}Ours", *(cells.get(stage) for stage in _STAGES), total, *(None,) * 3)
             )
     caption = (
-        "Wall seconds by stage of the way from photographs to asset, and of what judging it takes; seconds "
-        "that cores worked for both, but for what was kept from before; and the peak of the process's "
-        "resident memory from the method's start to its last figure. Unwrapping is done once a geometry and "
-        "counted for each method that uses it. The paper's are of a Xeon 5218 and a Quadro RTX 5000, "
-        "texturing of three maps in the column merge."
+        "Wall seconds by stage from photographs to asset, and of rendering and comparing it; processor "
+        "seconds of both, without cached results; and the peak of the process's resident memory from the "
+        "method's start to its last figure. Unwrapping is done once per geometry and counted for each method "
+        "that uses it. The paper's times are for a Xeon 5218 and a Quadro RTX 5000, with the texturing of "
+        "three maps in the column merge."
     )
     stages = (f"{stage} (s)" for stage in _STAGES)
     last = ("total (s)", f"{_COMPARING} (s)", "processor (s)", "peak memory (MB)")

@@ -27,9 +27,9 @@ def geometry_for(
     tell: Callable[[str, int, int], None],
     jobs: int = 2,
 ) -> tuple[CaptureGeometry, float]:
-    """The geometry with UVs suitable for an atlas, and the seconds spent on unwrapping when it was made.
+    """The geometry with ``error`` and with UVs for an atlas, and the seconds that unwrapping took.
 
-    ``root`` is its cache folder, named by mesh and error: all photographs of a room share it.
+    The result is stored in the folder ``root``, in a file named by a hash of mesh and error.
     """
     path = root / f"{_key(true_geometry, error)}.npz"
     if not path.is_file():

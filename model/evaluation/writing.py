@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A suite's results as files: ``evaluation.md``, ``.json``, one CSV per table, pictures, and one
-self-contained HTML page.
-"""
+"""Results of a suite as files: Markdown, JSON, a CSV per table, pictures, and a self-contained page."""
 
 from __future__ import annotations
 
@@ -19,25 +17,25 @@ from model.evaluation.results import SuiteResult
 from model.evaluation.tables import Table, tables_of
 
 STATE_FILE = "state.json"
-_REVISION = 3
+_REVISION = 4
 KNOWN_WARNING = (
-    "Checkpoints may have been trained on these scenes: the figures test the programme, not the checkpoints."
+    "Checkpoints may have been trained on these scenes: the figures test the program, not the checkpoints."
 )
 
 
 def state_of(result: SuiteResult) -> bytes:
-    """Inputs that a finished folder depends on."""
+    """Content of ``state.json``, which identifies the results in a folder."""
     return canonical_json({"revision": _REVISION, "result": sha256_hex(canonical_json(result))})
 
 
 def is_written(result: SuiteResult, out: Path) -> bool:
-    """Whether ``out`` holds this result already."""
+    """Whether ``out`` already contains this result."""
     path = out / STATE_FILE
     return path.is_file() and path.read_bytes() == state_of(result)
 
 
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
-    """Write all results to ``out``; ``stored`` are the judged views of every scene under its own light."""
+    """Write the results to ``out``, given each scene's true views under its own light; return the files."""
     out.mkdir(parents=True, exist_ok=True)
     (out / STATE_FILE).unlink(missing_ok=True)
     maps, *others = tables_of(result)
@@ -62,14 +60,14 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
 
 
 def _notes(result: SuiteResult) -> list[str]:
-    """Notes printed beside the tables."""
+    """Notes shown with the tables."""
     notes = [KNOWN_WARNING] if result.may_be_known else []
     notes += [f"{scene}: no figures, {' '.join(why.split())}." for scene, why in result.failures.items()]
     for scene in result.scenes:
         width, height = scene.resolution
         notes.append(
             f"{scene.name}: {scene.num_views} photographs and {scene.num_novel} novel views of {width} x "
-            f"{height}, {scene.path_samples:.0f} light paths a pixel on average; judged on "
+            f"{height}, {scene.path_samples:.0f} light paths per pixel on average; judged on "
             f"{len(scene.judged_views)} and {len(scene.novel_views)} of them."
         )
         for method in scene.methods:

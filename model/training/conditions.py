@@ -2,8 +2,8 @@
 """Random viewing and lighting conditions of the rendering loss, drawn from seeded generators.
 
 Maps are (B, C, H, W). Positions and normals are in camera space (metres; x right, y down, z forward; the
-camera at the origin), so that a pixel's original view direction is -position/|position|. Every draw is made
-per image of the batch on the CPU, so that the same seed gives the same conditions on every device.
+camera at the origin), so a pixel's original view direction is -position/|position|. Every draw is made per
+image of the batch on the CPU, so a seed gives the same conditions on every device.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Geometry:
     """Geometry of a crop for shading: ``position`` and unit ``normal`` (B, 3, H, W), ``mask`` (B, 1, H, W)
     bool.
 
-    Where ``mask`` is False there is no surface; normals are zero there and nothing is shaded.
+    Where ``mask`` is False there is no surface: normals and shading are zero.
     """
 
     position: Tensor
@@ -85,9 +85,7 @@ _CONDITION_PURPOSE = 0xC0
 
 
 def generator_for(*key: int) -> torch.Generator:
-    """A CPU generator seeded by a tuple such as (seed, purpose, step, rank); distinct keys give distinct
-    streams.
-    """
+    """CPU generator seeded by ``key``, such as (seed, purpose, step, rank); keys give independent streams."""
     state = 0x9E3779B97F4A7C15
     for part in key:  # splitmix64 of the running state: neighbouring keys give unrelated seeds
         state = (state ^ (part & 0xFFFFFFFFFFFFFFFF)) & 0xFFFFFFFFFFFFFFFF
@@ -101,8 +99,8 @@ def generator_for(*key: int) -> torch.Generator:
 
 
 def scene_scale(geometry: Geometry) -> Tensor:
-    """Unit of light distances (B, 1, 1, 1) in metres: half the side of the square with the same spread as the
-    crop's points.
+    """Unit of light distances (B, 1, 1, 1) in metres: half the side of a square with the spread of the
+    points.
 
     Deschaintre et al. give light distances in units of a patch on [-1, 1]^2, whose root-mean-square distance
     from its centre is sqrt(2/3). 1.0 for an empty crop.
@@ -119,7 +117,7 @@ def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
     """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
 
     The draw is a point of a disc in a frame that rotates with each pixel's original view direction and keeps
-    the camera's x axis, so that the new directions vary smoothly over the image, as from one camera.
+    the camera's x axis, so the new directions vary smoothly over the image, as from one camera.
     """
     original = normalize(-geometry.position)
     uv = draws.uniform(2).to(original)
@@ -145,7 +143,7 @@ def _anchor_pixels(geometry: Geometry, draws: SampleDraws) -> Tensor:
 
 
 def _pick(image: Tensor, index: Tensor) -> Tensor:
-    """Values (B, C, 1, 1) of (B, C, H, W) at flat pixel indices (B,)."""
+    """Values (B, C, 1, 1) of ``image`` (B, C, H, W) at flat pixel indices (B,)."""
     flat = image.flatten(2)
     picked = flat.gather(2, index.reshape(-1, 1, 1).expand(-1, flat.shape[1], 1))
     return picked.unsqueeze(-1)
@@ -155,7 +153,7 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
     """A view, and a point light in the mirror direction of that view at a random anchor pixel.
 
     The light is exp N(0.5, 0.75) scene scales away from the anchor. Its intensity gives radiance 1 to a white
-    Lambertian surface at the anchor that faces the light, so that exposure does not depend on the distance.
+    Lambertian surface at the anchor that faces the light, so exposure does not depend on the distance.
     """
     view_dir = sample_views(geometry, draws)
     anchor = _anchor_pixels(geometry, draws)
@@ -173,7 +171,7 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
 def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaCondition:
     """A view, and 5 spherical Gaussians uniformly distributed on the hemisphere behind the camera.
 
-    Visible surfaces face the camera, so that light must come from its side (z <= 0). Sharpness is log-uniform
+    Visible surfaces face the camera, so light must come from its side (z <= 0). Sharpness is log-uniform
     between 2 and 200, and colours are uniform; the lobes' integrals are scaled to sum, averaged over
     channels, to pi.
     """

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Training of the confidence networks: the filtered maps are compared with the truth; everything else is
-frozen.
-"""
+"""Loss of the confidence networks: the filtered maps are compared with the truth."""
 
 from __future__ import annotations
 
@@ -23,8 +21,7 @@ def confidence_loss(
     mask: Tensor,
     solver: SolverConfig,
 ) -> LossTerms:
-    """Mean squared error of the filtered maps over pixels with a surface; gradients reach the confidence nets
-    only.
+    """Mean squared error of the filtered maps over surface pixels; gradients reach only the confidence nets.
 
     ``nets`` is a :class:`model.confidence.ConfidenceNets`, wrapped for several ranks or not. ``image`` (B, 3,
     H, W) encoded to [-1, 1]; ``predicted`` all three maps of the frozen tracks; ``mask`` (B, 1, H, W) bool.

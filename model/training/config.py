@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Configuration of a training run: presets, files and flags.
 
-Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved beside the
-output before work starts.
+Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved in the run's
+folder before work starts.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ PHASE_TRACKS: dict[PhaseName, tuple[TrackName, ...]] = {
 
 
 class PhaseConfig(StrictModel):
-    """One stage of the schedule: ``epochs`` passes over the data, or exactly ``steps`` optimiser steps."""
+    """One phase of the schedule: ``epochs`` passes over the data, or exactly ``steps`` optimiser steps."""
 
     name: PhaseName
     epochs: int | None = Field(default=None, ge=1)
     steps: int | None = Field(default=None, ge=1)
     learning_rate: float | None = Field(default=None, gt=0)
-    """None uses the run's."""
+    """None: the run's rate."""
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """None uses the run's."""
+    """None: the run's rate."""
 
     @model_validator(mode="after")
     def _one_length(self) -> PhaseConfig:
@@ -67,27 +67,27 @@ class DataConfig(StrictModel):
     crops_per_view: int = Field(default=7, ge=1)
     flips: bool = True
     exposure_jitter_stops: float = Field(default=0.5, ge=0, le=4)
-    """Each crop's exposure is multiplied by 2^u, with u uniform between minus and plus this."""
+    """Each crop's exposure is multiplied by 2^u, with u uniform between minus and plus this value."""
     spread_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's minimum over views is divided, and its maximum multiplied, by 2^u with independent u
-    uniform from 0 to this: noise, and errors of cameras and of geometry, only ever widen this range."""
+    uniform from 0 to this value: noise, and errors of cameras and of geometry, only ever widen this range."""
     light_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's reflectance and mirror images are multiplied by one 2^u, with u uniform between minus and
-    plus this: errors of geometry and exposure scale the recorded light."""
+    plus this value: errors of geometry and exposure scale the recorded light."""
     noise: float = Field(default=0.0, ge=0, le=1)
     """Maximum relative deviation of a crop's Gaussian noise in ``beauty`` at an exposed radiance of 1; it
     grows with the square root of radiance, as photon noise does."""
     light_color_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel,
-    with u uniform between minus and plus this: channels of light do not mix, so that this is a room with
-    other colours. 0 leaves both out."""
+    with u uniform between minus and plus this value: channels of light do not mix, so the result is a room
+    with other colours. 0: neither."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
     """
     workers: int = Field(default=1, ge=0)
     """Loader processes per rank; 0 decodes in the training process."""
     on_bad_view: Literal["refuse", "skip"] = "refuse"
-    """``skip`` leaves bad views out of the loss and counts them."""
+    """``refuse`` raises for an invalid view, ``skip`` excludes it from the loss and counts its crops."""
 
 
 class ValidationConfig(StrictModel):
@@ -96,9 +96,9 @@ class ValidationConfig(StrictModel):
     num_views: int = Field(default=40, ge=0)
     """Maximum number of views of the validation split, evenly spaced; 0 turns validation off."""
     num_panels: int = Field(default=4, ge=0)
-    """Views shown as image panels."""
+    """Number of views logged as image panels."""
     every_steps: int | None = Field(default=None, ge=1)
-    """Also validate after this many steps, for long epochs."""
+    """Interval of additional validations in steps, for long epochs."""
 
 
 class TrainingConfig(StrictModel):
@@ -116,15 +116,14 @@ class TrainingConfig(StrictModel):
     accumulation: int = Field(default=1, ge=1)
     learning_rate: float = Field(default=2e-5, gt=0)
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """Each phase's rate falls to this along half a cosine; None keeps it constant."""
+    """Learning rate at the end of each phase, reached along half a cosine; None: constant rate."""
     adam_betas: tuple[float, float] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
     """Gradients with a larger norm, over all weights that a phase trains, are scaled down to it; None: no
     clipping. At a high rate one steep batch can push outputs into the flat part of tanh, from which no
     gradient leads back."""
     average_decay: float = Field(default=0.0, ge=0, lt=1)
-    """Validation and checkpoints use weights averaged over the last steps, about 1 / (1 - average_decay) of
-    them; 0: the last step's weights."""
+    """Validation and checkpoints use weights averaged over about the last 1 / (1 - average_decay) steps."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the networks' activations; losses and weights stay float32."""
     channels_last: bool = False
@@ -149,8 +148,8 @@ class TrainingConfig(StrictModel):
 def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Merge ``over`` into ``base``.
 
-    A custom network in ``over`` replaces the network of ``base`` with all settings, and the phases of its
-    tracks become one, as long as the first.
+    A custom network in ``over`` replaces all network settings of ``base``; the phases ``diffuse`` and
+    ``specular`` become a phase ``joint`` with the settings of the first phase.
     """
     network = over.get("network")
     if isinstance(network, dict) and network.get("factory") is not None:
@@ -196,8 +195,9 @@ def _read_mapping(path: Path) -> dict[str, Any]:
 def resolve_config(
     preset: str | None = None, file: Path | None = None, overrides: dict[str, Any] | None = None
 ) -> TrainingConfig:
-    """The configuration of a preset (default ``paper``), overridden by a YAML file, then by nested
-    ``overrides``.
+    """Configuration of a preset (default ``paper``), changed by a YAML file, then by nested ``overrides``.
+
+    Raises :class:`InputError` for unknown keys and invalid values.
     """
     preset = preset or "paper"
     if preset not in PRESETS:
@@ -222,7 +222,7 @@ def parse_overrides(items: list[str]) -> dict[str, Any]:
     for item in items:
         key, separator, text = item.partition("=")
         if not separator or not all(key.split(".")):
-            raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2", "write it so")
+            raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2", "write it in this form")
         try:
             value = yaml.safe_load(text)
         except yaml.YAMLError as error:

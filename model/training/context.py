@@ -27,7 +27,7 @@ _INIT_PURPOSE = 0x11
 
 
 class Ranks:
-    """This process's rank among the processes that train together; one rank without ``torchrun``."""
+    """The ranks of ``torchrun``, and this process's own; a single rank without ``torchrun``."""
 
     def __init__(self) -> None:
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -43,7 +43,7 @@ class Ranks:
         return self.index == 0
 
     def mean(self, values: dict[str, Tensor]) -> dict[str, float]:
-        """Means of scalars over the ranks."""
+        """Means of scalars over the ranks, by name."""
         stacked = torch.stack([v.detach().float() for v in values.values()])
         if self.count > 1:
             dist.all_reduce(stacked)
@@ -79,18 +79,18 @@ class TrainingContext:
     stopwatch: Stopwatch
 
     def order(self, index: int) -> tuple[CropOrder, int]:
-        """The order of crops of a phase, and the phase's seed."""
+        """The order of crops of phase ``index``, and the phase's seed."""
         data, seed = self.config.data, self.config.seed * 16 + index
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
     def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """This rank's micro-batches of a phase, starting at step ``start``."""
+        """This rank's micro-batches of phase ``index``, from step ``start`` to ``stop`` (None: endless)."""
         config, ranks = self.config, self.ranks
         order, _ = self.order(index)
         return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)
 
     def num_steps(self, index: int) -> int:
-        """Optimiser steps of a phase."""
+        """Number of optimiser steps of phase ``index``."""
         phase = self.config.phases[index]
         return phase.steps or (phase.epochs or 1) * self.plan(index, 0).steps_per_epoch
 
@@ -106,7 +106,7 @@ def make_context(
     device: torch.device | None = None,
     stopwatch: Stopwatch | None = None,
 ) -> TrainingContext:
-    """Models before the first step, and the loss, on ``device``."""
+    """Construct the models, with initial weights, and the loss on ``device``, by default a GPU if any."""
     ranks = Ranks()
     device = device or default_device(ranks.local_index)
     perceptual = None
@@ -125,9 +125,7 @@ def make_context(
 
 
 def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:
-    """Random weights from the run's seed, or the weights of ``initial_checkpoint`` and the records of its
-    data.
-    """
+    """Models with random weights or those of ``initial_checkpoint``, and the records of its data."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)
@@ -156,8 +154,8 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
 def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tensor]:
     """Weights of ``wider``, replaced by the weights of ``network`` where both have them.
 
-    Weights of new inputs are 0, so that the outputs of ``network`` are unchanged until training changes them.
-    New outputs keep the random weights of ``wider``, and do not affect the others.
+    Weights of new inputs are 0, so the outputs of ``network`` are unchanged before training. New outputs keep
+    the random weights of ``wider``, and do not affect the others.
     """
     weights, own = dict(network.state_dict()), wider.state_dict()
     for track in TRACK_OUTPUTS:

@@ -45,7 +45,7 @@ _ALBEDO = ("reflectance", MATERIAL_MAPS.diffuse_albedo, MATERIAL_MAPS.specular_a
 
 
 def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
-    """Buffers of a view that training reads."""
+    """Names of the stored buffers of a view that training reads."""
     inputs = network_inputs(network)
     stored = (name for name in (*COLOR_STATISTICS, *LIGHT_BUFFERS) if name in inputs)
     return ("beauty", *stored, *MATERIAL_MAPS, *_GEOMETRY_BUFFERS)
@@ -53,7 +53,7 @@ def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class DecodedView:
-    """A checked view: buffers (H, W, C) as stored, its record, and its maximum depth."""
+    """A checked view: its record, buffers (H, W, C) by name as stored, and maximum depth in metres."""
 
     record: ViewRecord
     buffers: dict[str, NDArray]
@@ -63,7 +63,9 @@ class DecodedView:
 def load_view(
     place: ViewPlace, names: Sequence[str], min_side_px: int = 1, size_px: tuple[int, int] | None = None
 ) -> DecodedView:
-    """Decode and check one view. ``InputError`` names the shard, the view and all its faults.
+    """Decode and check the buffers ``names`` of one view.
+
+    Raises :class:`InputError` that names shard, view and all faults, such as a side below ``min_side_px``.
 
     ``size_px`` (width, height) is the size of the training set's views; None accepts any.
     """
@@ -99,7 +101,7 @@ def _problems_of(
     camera = record.camera
     height, width = buffers["beauty"].shape[:2]
     if (height, width) != (camera.height_px, camera.width_px):
-        complain("size", f"{width} x {height}", f"{camera.width_px} x {camera.height_px} as its camera says")
+        complain("size", f"{width} x {height}", f"{camera.width_px} x {camera.height_px} as in its camera")
     if size_px is not None and (width, height) != size_px:
         complain("size", f"{width} x {height}", f"{size_px[0]} x {size_px[1]} as the rest of the data")
     if min(height, width) < min_side_px:
@@ -133,7 +135,7 @@ def _problems_of(
 
 @dataclass(frozen=True)
 class CropOrder:
-    """The order of crops in an epoch: ids (view * crops_per_view + crop), a permutation."""
+    """The order of crops in an epoch, a permutation of the ids view * crops_per_view + crop."""
 
     num_views: int
     crops_per_view: int
@@ -158,11 +160,12 @@ class CropOrder:
 
 
 class BatchPlan(Sampler[list[int]]):
-    """Micro-batches of one rank, from optimiser step ``start`` to ``stop``: lists of epoch * length + crop
-    id.
+    """Micro-batches of one rank, from optimiser step ``start`` to ``stop``, as lists of sample ids.
 
-    A step uses ``batch_size * accumulation * num_ranks`` crops of the order; an incomplete step at an epoch's
-    end is dropped.
+    A sample id is epoch * epoch_length + crop id.
+
+    A step uses ``batch_size * accumulation * num_ranks`` crops of the order; an incomplete step at the end of
+    an epoch is dropped. Raises :class:`InputError` if an epoch has no step.
     """
 
     def __init__(
@@ -186,7 +189,7 @@ class BatchPlan(Sampler[list[int]]):
                 "training data",
                 "crops",
                 order.epoch_length,
-                f"at least {step}, one step's",
+                f"at least {step}, those of one step",
                 "use more views, more crops per view, or a smaller batch",
             )
 
@@ -213,7 +216,7 @@ class BatchPlan(Sampler[list[int]]):
 
 
 class CropDataset(Dataset[dict[str, Tensor]]):
-    """Crops by id (see :class:`CropOrder`). Keeps the last block of decoded views."""
+    """Crops by sample id (see :class:`BatchPlan`). Keeps the last block of decoded views."""
 
     def __init__(
         self,
@@ -234,7 +237,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         return len(self.places) * self.config.crops_per_view
 
     def _view(self, index: int) -> DecodedView | None:
-        """A decoded view, or None for a bad one to be skipped."""
+        """Decoded view number ``index``, or None if it is invalid and skipped."""
         if index in self._cache:
             self._cache.move_to_end(index)
             return self._cache[index]
@@ -274,9 +277,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         return sample
 
     def _augment(self, sample: dict[str, Tensor], generator: torch.Generator) -> None:
-        """Change the colours, and add errors of recorded light and photon noise (``light_color_stops``,
-        ``light_jitter_stops``, ``noise``), in place.
-        """
+        """Change colours, and add errors of recorded light and photon noise, in place, by the config."""
         config = self.config
         if config.light_color_stops > 0:
             order = torch.randperm(3, generator=generator)
@@ -302,9 +303,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
 def view_sample(
     view: DecodedView, sample_id: int, window: tuple[int, int, int, int] | None = None
 ) -> dict[str, Tensor]:
-    """Tensors of a view or of its ``window`` (top, left, height, width), with normals and points in camera
-    space.
-    """
+    """Sample of a view or of its ``window`` (top, left, height, width), with geometry in camera space."""
     camera = view.record.camera
     top, left, height, width = window or (0, 0, camera.height_px, camera.width_px)
     rows, columns = slice(top, top + height), slice(left, left + width)
@@ -331,9 +330,7 @@ def view_sample(
 
 
 def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) -> dict[str, Tensor]:
-    """The mirror image of the whole scene: pixels are flipped, and x or y of normals and positions changes
-    sign.
-    """
+    """Mirror the scene: flip pixels, and change the sign of x (horizontal) or y of normals and positions."""
     for axis, component, wanted in ((-1, 0, horizontal), (-2, 1, vertical)):
         if wanted:
             sample = {n: v.flip(axis) if v.dim() == 3 else v for n, v in sample.items()}
@@ -343,7 +340,7 @@ def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) 
 
 
 def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, Tensor]:
-    """Replacement of a bad view: with an empty mask it does not contribute to any loss."""
+    """Replacement of a crop of an invalid view, whose empty mask excludes it from every loss."""
     renamed = [n for n in names if n not in ("normal_world", "surface_mask")] + ["normal_camera", "position"]
     channels = {"roughness": 1, "depth_z_m": 1}
     sample = {n: torch.zeros(channels.get(n, input_channels(n)), size, size) for n in renamed}
@@ -358,7 +355,7 @@ def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, 
 def make_loader(
     dataset: CropDataset, plan: BatchPlan, *, workers: int, pin_memory: bool = False
 ) -> DataLoader[dict[str, Tensor]]:
-    """Batches of a plan, decoded ahead of training by ``workers`` processes (0: in this one)."""
+    """Loader of a plan's batches, decoded in advance by ``workers`` processes (0: in this process)."""
     return DataLoader(
         dataset,
         batch_sampler=plan,
@@ -366,7 +363,7 @@ def make_loader(
         pin_memory=pin_memory,
         prefetch_factor=4 if workers else None,
         worker_init_fn=_one_thread,
-        generator=torch.Generator(),  # otherwise the loader would draw from the training's own stream
+        generator=torch.Generator(),  # otherwise the loader draws from the global generator
         multiprocessing_context="forkserver" if workers else None,
     )
 

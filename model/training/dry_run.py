@@ -23,7 +23,7 @@ from model.training.stopwatch import Stopwatch
 
 
 def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) -> dict[str, Tensor]:
-    """A batch with every tensor that training reads: smooth images of a plane 2 m away."""
+    """``batch`` crops, ``size`` pixels wide, with all tensors that training reads: a plane 2 m away."""
     generator = torch.Generator().manual_seed(seed)
 
     def smooth(channels: int) -> Tensor:
@@ -47,7 +47,7 @@ def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) 
 
 
 def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatch) -> float:
-    """Seconds of one optimiser step of a phase on a given batch."""
+    """Seconds of one optimiser step of a phase on ``batch``; ``key`` seeds its random numbers."""
     start = time.perf_counter()
     phase.optimizer.zero_grad(set_to_none=True)
     terms = phase.terms(batch, generator_for(key))
@@ -63,7 +63,7 @@ def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatc
 def predicted_step(
     phase: Phase, config: TrainingConfig, device: torch.device, budget_s: float = 3.0
 ) -> tuple[float, int]:
-    """Seconds of a step with a whole batch, and the number of crops with which it was measured.
+    """Predicted seconds of a step with a whole batch, and the number of crops of the measurement.
 
     One crop is timed, then as many as fit ``budget_s`` (at most the batch); the difference separates the cost
     per crop from the fixed cost of a step.
@@ -98,7 +98,7 @@ def saved_bytes(run: Callable[[], Any]) -> int:
 
 
 def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
-    """Text for ``--dry-run``. One step with few crops is timed per phase and scaled to the whole."""
+    """Text for ``--dry-run``. One step with few crops is timed per phase and scaled to the whole run."""
     data = open_data(folders, config.network, config.data.crop_px)
     context = make_context(config, data, device)
     device = context.device

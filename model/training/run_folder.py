@@ -41,7 +41,7 @@ class RunFolder:
 
     @property
     def final(self) -> Path:
-        """Path of the final weights."""
+        """Path of the file of the final weights."""
         return self.path / FINAL_FILE
 
     def open(self, data: Sequence[Path]) -> tuple[RunProgress, dict[str, Tensor]]:

@@ -16,14 +16,7 @@ from model.events import Event, Listeners
 from model.networks import encode_color
 
 CSV_FILE = "log.csv"
-_COLUMNS = (
-    "step",
-    "phase",
-    "epoch",
-    "kind",
-    "name",
-    "value",
-)
+_COLUMNS = ("step", "phase", "epoch", "kind", "name", "value")
 
 
 class RunLog:
@@ -58,24 +51,17 @@ class RunLog:
         self.close()
 
     def scalars(self, step: int, phase: str, epoch: int, kind: str, values: Mapping[str, float]) -> None:
-        """Record figures by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
+        """Record the figures ``values`` by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
         name = f"{kind}/{phase}"
         self.listeners.tell(Event("train", "scalars", self.folder, name, step, dict(values)))
         for name, value in values.items():
-            row = {
-                "step": step,
-                "phase": phase,
-                "epoch": epoch,
-                "kind": kind,
-                "name": name,
-                "value": repr(value),
-            }
-            self._writer.writerow(row)
+            cells = (step, phase, epoch, kind, name, repr(value))
+            self._writer.writerow(dict(zip(_COLUMNS, cells, strict=True)))
             if self._board is not None:
                 self._board.add_scalar(f"{kind}/{phase}/{name}", value, step)
 
     def panel(self, step: int, name: str, image: Tensor) -> None:
-        """Record an image (3, H, W) in [0, 1]."""
+        """Record an ``image`` (3, H, W) in [0, 1] as ``name``."""
         if self.listeners:
             pixels = (255.0 * image.clamp(0, 1) + 0.5).byte().permute(1, 2, 0).cpu().numpy()
             self.listeners.tell(Event("train", "image", self.folder, name, step, image=pixels))
@@ -97,7 +83,7 @@ class RunLog:
 
 
 def read_log(folder: Path, kind: str, name: str, phase: str | None = None) -> list[tuple[int, float]]:
-    """(step, value) rows of one figure of a run's CSV."""
+    """Rows (step, value) of the figure ``name`` in a run's CSV, of all phases or of ``phase``."""
     with (folder / CSV_FILE).open(newline="", encoding="utf-8") as file:
         return [
             (int(row["step"]), float(row["value"]))

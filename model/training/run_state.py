@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The state of an unfinished run, from which it resumes bit for bit, and the record of a batch that broke it.
+"""The state of an unfinished run, from which it resumes bit for bit, and batches with a non-finite loss.
 
-``state.safetensors`` holds the weights and the optimiser's moments; its header holds the progress. All random
-numbers of a step derive from (seed, phase, step, rank), so that no generator's state has to be stored.
+``state.safetensors`` contains the weights and the optimiser's moments; its header contains the progress. All
+random numbers of a step derive from (seed, phase, step, rank), so no generator's state has to be stored.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def check_same_run(path: Path, record: RunRecord) -> None:
     earlier = read_json(RunRecord, path)
     if earlier == record:
         return
-    remedy = "resume with what it was started with, or give another --out"
+    remedy = "resume with the inputs of its start, or choose another --out"
     raise InputError(
         *(
             Problem(path, field, now, f"{then} as at its start", remedy)
@@ -96,8 +96,7 @@ def save_state(
     optimizer: torch.optim.Optimizer | None,
     averages: Mapping[str, Tensor] | None = None,
 ) -> None:
-    """Write the state of a run atomically; ``averages`` are the phase's averaged
-    weights."""
+    """Write the state of a run atomically; ``averages`` are the phase's averaged weights."""
     from safetensors.torch import save
 
     tensors = {f"module.{name}": value for name, value in module.state_dict().items()}
@@ -111,7 +110,7 @@ def save_state(
 
 
 def load_state(folder: Path) -> tuple[RunProgress, dict[str, Tensor]] | None:
-    """Progress and tensors of a run, or None if none are saved yet."""
+    """Progress and tensors by name of a run, or None if none are saved yet. Raises :class:`InputError`."""
     from safetensors import SafetensorError, safe_open
     from safetensors.torch import load_file
 
@@ -129,7 +128,7 @@ def load_state(folder: Path) -> tuple[RunProgress, dict[str, Tensor]] | None:
 
 
 def restore_module(module: nn.Module, tensors: Mapping[str, Tensor], where: Path) -> None:
-    """Set a module's weights from a state's tensors, in place."""
+    """Set a module's weights from a state's tensors; raises :class:`InputError` if they do not fit."""
     own = {n.removeprefix("module."): v for n, v in tensors.items() if n.startswith("module.")}
     try:
         module.load_state_dict(own)
@@ -150,7 +149,7 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Te
 def save_bad_batch(
     folder: Path, batch: Mapping[str, Tensor], parts: Mapping[str, float], step: int, rank: int
 ) -> Path:
-    """Save a batch that gave a non-finite loss or gradient, with the loss's terms; returns its file."""
+    """Save a batch with a non-finite loss or gradient, and the loss's terms ``parts``; returns the file."""
     from safetensors.torch import save_file
 
     path = folder / f"bad_batch_step{step}_rank{rank}.safetensors"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views for training and validation: dataset folders with their index, checked before work starts."""
+"""Views of dataset folders for training and validation, checked before work starts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from model.training.dataset import buffer_names
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Views of both splits, their common size (width, height) in pixels, and the datasets' fingerprints."""
+    """Views of both splits, their common size (width, height) in pixels, and records of the datasets."""
 
     train: tuple[ViewPlace, ...]
     validation: tuple[ViewPlace, ...]
@@ -31,18 +31,18 @@ class TrainingData:
 
 
 def validation_note(data: TrainingData, num_views: int) -> str:
-    """Warning if the user asked for ``num_views`` validation views but there are none; "" otherwise."""
+    """Warning if ``num_views`` > 0 validation views are configured but there are none; "" otherwise."""
     if data.validation or not num_views:
         return ""
     return (
-        "no validation: the data has no views of the split `validation`, so nothing shows when learning ends "
-        "and best-*.safetensors are each phase's last; give the recipe splits: {train: 0.9, validation: 0.1} "
-        "or set validation.num_views=0"
+        "no validation: the data has no views of the split `validation`, so overfitting goes unnoticed "
+        "and best-*.safetensors contain each phase's last weights; give the recipe splits: {train: 0.9, "
+        "validation: 0.1} or set validation.num_views=0"
     )
 
 
 def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> TrainingData:
-    """The views of dataset folders, by the splits in their indices.
+    """Open the views of dataset folders, divided by the splits in their indices.
 
     Only tar headers and one JSON file are read. Raises :class:`InputError` if an index lacks a buffer that
     the network needs, a shard is missing or damaged, views are smaller than a crop, or no training views
@@ -56,7 +56,7 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
         missing = [name for name in needed if name not in dataset.index.buffers]
         if missing:
             where = Path(folder) / INDEX_FILE
-            problems.append(Problem(where, "buffers", f"no {', '.join(missing)}", "all that training reads"))
+            problems.append(Problem(where, "buffers", f"no {', '.join(missing)}", "all buffers for training"))
             continue
         for shard in dataset.index.shards:
             if shard.split == "test":
@@ -84,7 +84,7 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
     if min(size) < crop_px:
         first = places["train"][0]
         got = f"{size[0]} x {size[1]}"
-        remedy = "set data.crop_px to less"
+        remedy = "reduce data.crop_px"
         raise input_error(
             f"{first.shard}:{first.name}", "size", got, f"at least {crop_px} px per side", remedy
         )
@@ -92,7 +92,7 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
 
 
 def view_size(place: ViewPlace) -> tuple[int, int]:
-    """Width and height of a view from its record."""
+    """Width and height of a view in pixels, read from its record; raises :class:`InputError`."""
     where = f"{place.shard}:{place.name}"
     try:
         text = json.loads(read_member(place, place.record))
@@ -103,7 +103,7 @@ def view_size(place: ViewPlace) -> tuple[int, int]:
 
 
 def spread(places: Sequence[ViewPlace], count: int) -> list[ViewPlace]:
-    """At most ``count`` views, evenly spaced over all."""
+    """At most ``count`` of the views, evenly spaced."""
     if count >= len(places):
         return list(places)
     return [places[k * len(places) // count] for k in range(count)]

@@ -11,7 +11,7 @@ from typing import Any
 
 @contextmanager
 def stop_signals(request: Callable[[], None]) -> Iterator[None]:
-    """On SIGINT or SIGTERM, stop after the current step; on a second SIGINT, at once."""
+    """Context in which SIGINT and SIGTERM call ``request``, and a second SIGINT interrupts at once."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     try:
         earlier = {number: signal.getsignal(number) for number in numbers}

@@ -11,7 +11,7 @@ import torch
 
 
 class Stopwatch:
-    """Seconds by name. On a GPU every section waits for the device first, so use it for measurements only."""
+    """Seconds by name. On a GPU every section waits for the device, so use it for measurements only."""
 
     def __init__(self, device: torch.device | None = None):
         self.seconds: dict[str, float] = {}
@@ -19,7 +19,7 @@ class Stopwatch:
 
     @contextmanager
     def section(self, name: str) -> Iterator[None]:
-        """Add the time spent inside to ``name``."""
+        """Context whose duration is added to ``name``."""
         start = self._now()
         try:
             yield
@@ -27,7 +27,7 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + self._now() - start
 
     def take(self) -> dict[str, float]:
-        """The seconds since the previous call."""
+        """The seconds by name since the previous call."""
         taken, self.seconds = self.seconds, {}
         return taken
 

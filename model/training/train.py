@@ -32,7 +32,7 @@ _STEP_PURPOSE = 0x57
 
 
 class Trainer:
-    """One run, from a new or an interrupted folder to ``final.safetensors``."""
+    """Trains a run, in a new folder or that of an interrupted run, up to ``final.safetensors``."""
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class Trainer:
                     step, total_step = self.progress.step, self.progress.total_step
                     epoch, is_last = (step - 1) // phase.steps_per_epoch, step == phase.num_steps
 
-                    # Figures: beside the bar after every step, in the log at intervals.
+                    # Figures: next to the progress bar after every step, in the log at intervals.
                     speed = self._speed()
                     bars.tell("training", total_step, total, self._note(phase, values, speed))
                     if log is not None and (step % config.log_every_steps == 0 or is_last):
@@ -171,7 +171,7 @@ class Trainer:
         raise NonFiniteError(f"{phase.config.name}, step {step}: {what}; the batch is in {path}")
 
     def _speed(self) -> dict[str, float]:
-        """Crops per second over the last step, and the share of it spent waiting for data."""
+        """Crops per second in the last step, and the share of its time spent waiting for data."""
         seconds = self.context.stopwatch.take()
         crops = self.config.batch_size * self.config.accumulation * self.ranks.count
         return {
@@ -206,7 +206,7 @@ class Trainer:
         self.stop_requested = True
 
     def _stops(self) -> bool:
-        """Whether any rank was asked to stop."""
+        """Whether any rank received a request to stop."""
         if self.ranks.count == 1:
             return self.stop_requested
         flag = torch.tensor(float(self.stop_requested), device=self.context.device)

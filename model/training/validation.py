@@ -23,12 +23,12 @@ from model.training.sources import spread
 
 ALL_TRACKS = PHASE_TRACKS["joint"]
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
-"""Maps by name from a batch of buffers."""
+"""Function from a batch of buffers to maps, both by name."""
 
 
 @dataclass
 class MapErrors:
-    """Sums of squared and absolute errors over surface pixels and channels, by map."""
+    """Sums, by map, of squared and absolute errors over surface pixels and channels, and their numbers."""
 
     squared: dict[str, float] = field(default_factory=dict)
     absolute: dict[str, float] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class MapErrors:
             self.counts[name] = self.counts.get(name, 0.0) + pixels
 
     def metrics(self) -> dict[str, float]:
-        """``<map>_mse`` and ``<map>_l1`` of every map counted."""
+        """``<map>_mse`` and ``<map>_l1`` of every map that was added."""
         result = {}
         for name, count in self.counts.items():
             result[f"{name}_mse"] = self.squared[name] / max(count, 1.0)
@@ -63,7 +63,7 @@ def score_of(metrics: Mapping[str, float]) -> float:
 def whole_views(
     places: Iterable[ViewPlace], names: Sequence[str], device: torch.device
 ) -> Iterable[dict[str, Tensor]]:
-    """Batches of one whole view each."""
+    """Yield a batch of one whole view for each place, with the buffers ``names``."""
     for index, place in enumerate(places):
         sample = view_sample(load_view(place, names), index)
         yield {name: value.unsqueeze(0).to(device) for name, value in sample.items()}
@@ -71,7 +71,7 @@ def whole_views(
 
 @torch.no_grad()
 def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dict[str, float]:
-    """Metrics of a predictor over batches."""
+    """Metrics (:meth:`MapErrors.metrics`) of a predictor over batches."""
     errors = MapErrors()
     for batch in batches:
         errors.add(predict(batch), batch)
@@ -81,7 +81,7 @@ def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dic
 def network_predictor(
     network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str = "float32"
 ) -> Predictor:
-    """A predictor that runs the tracks in eval mode."""
+    """A predictor that runs the tracks of ``network`` in eval mode."""
 
     def predict(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         modes = [(module, module.training) for module in network.modules()]
@@ -89,7 +89,7 @@ def network_predictor(
         device = batch["beauty"].device.type
         with torch.autocast(device, torch.bfloat16, enabled=precision == "bfloat16"):
             maps = network(batch, batch["exposure"], batch["depth_max_m"], tracks)
-        for module, was_training in modes:  # one by one, since a phase may train one track only
+        for module, was_training in modes:  # each, since a phase may train a single track
             module.training = was_training
         return maps
 
@@ -97,7 +97,7 @@ def network_predictor(
 
 
 def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverConfig) -> Predictor:
-    """A predictor's maps after the bilateral solver; only the filtered maps are returned."""
+    """A predictor that returns S and R of ``predict``, filtered by the bilateral solver."""
 
     def filtered(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         maps = predict(batch)
@@ -155,7 +155,7 @@ def mean_maps(batches: Iterable[Mapping[str, Tensor]]) -> dict[str, Tensor]:
 
 
 def constant_predictor(means: Mapping[str, Tensor]) -> Predictor:
-    """Baseline: the training set's mean everywhere."""
+    """Baseline: the ``means`` (C, 1, 1) of the training set everywhere."""
     return lambda batch: {name: value.expand_as(batch[name]) for name, value in means.items()}
 
 

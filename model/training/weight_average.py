@@ -21,7 +21,7 @@ class WeightAverage:
 
     @torch.no_grad()
     def update(self, step: int) -> None:
-        """Include the weights after step number ``step`` (from 1)."""
+        """Include the current weights, those after step number ``step`` (from 1)."""
         share = 1.0 - min(self.decay, step / (_WARM_UP + step))
         for value, parameter in zip(self.values, self.parameters, strict=True):
             value.lerp_(parameter, share)

@@ -36,8 +36,7 @@ MEMBER_SHA256 = "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9
 VALUES_SHA256 = "40acdda7c6b05249f81637b2571671ce938507c5f986db17af374cf62a2f42a6"
 """Hash of the 26 convolution tensors as float32 bytes, in order; the same for every file format."""
 HUB_FILE, HUB_SHA256_PREFIX = "vgg16-397923af.pth", "397923af"
-"""torchvision's file in torch hub's cache, and the start of its SHA-256, which torchvision puts into the
-name."""
+"""torchvision's file in torch hub's cache, and the start of its SHA-256, which is part of the name."""
 VGG_FILE = "vgg16_imagenet.safetensors"
 HEADS_FILE = "elpips_vgg_linear_weights.npz"
 LPIPS_HEADS_FILE = "lpips_vgg_heads.safetensors"
@@ -104,9 +103,7 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
-    """Nested dictionaries of float arrays from a pickle's bytes. Raises :class:`InputError` for anything
-    else.
-    """
+    """Nested dictionaries of float arrays from a pickle. Raises :class:`InputError` for other content."""
     if len(data) > _MAX_PICKLE_BYTES:
         raise input_error(where, "size", len(data), f"at most {_MAX_PICKLE_BYTES} bytes")
     try:
@@ -124,7 +121,7 @@ def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
 
 
 def _checked(layers: list[Convolution], where: str | Path, known_file: bool = False) -> list[Convolution]:
-    """The layers, if their shapes and (unless the whole file's hash is known) their values are VGG16's."""
+    """Return the layers; raises if shapes or, unless the file's hash is known, values are not VGG16's."""
     num_in = 3
     for index, (layer, channels) in enumerate(zip(layers, VGG_CHANNELS, strict=True)):
         shape = tuple(layer.weight.shape)
@@ -140,7 +137,7 @@ def _checked(layers: list[Convolution], where: str | Path, known_file: bool = Fa
 
 
 def values_sha256(layers: list[Convolution]) -> str:
-    """Hash of all weights and biases as little-endian float32 in layer order."""
+    """SHA-256 of all weights and biases as little-endian float32 in layer order, in hexadecimal."""
     digest = hashlib.sha256()
     for layer in layers:
         for tensor in (layer.weight, layer.bias):
@@ -165,7 +162,7 @@ def layers_from_tree(tree: dict[str, Any], where: str | Path) -> list[Convolutio
 
 
 def load_vgg(path: Path) -> list[Convolution]:
-    """VGG16's 13 convolutions from the project's safetensors file or a torchvision ``.pth`` file, checked."""
+    """VGG16's 13 convolutions from the project's safetensors file or torchvision's .pth file, checked."""
     if path.suffix == ".safetensors":
         from safetensors.torch import load_file
 
@@ -270,7 +267,7 @@ class Heads:
 
 
 def load_elpips_heads(path: Path) -> Heads:
-    """The 14 vectors ``layer_00`` ... ``layer_13`` of an .npz file, never unpickled."""
+    """E-LPIPS' 14 vectors ``layer_00`` ... of an .npz file, never unpickled; raises :class:`InputError`."""
     widths = (3, *VGG_CHANNELS)
     vectors = []
     try:
@@ -303,8 +300,7 @@ def load_lpips_heads() -> Heads:
 
 
 def find_heads(path: Path | None = None) -> Heads:
-    """E-LPIPS' 14 heads from ``path`` or the weights folder (or ``SCENE_DATA/weights``), else LPIPS' five
-    heads."""
+    """E-LPIPS' heads from ``path``, the weights folder or ``SCENE_DATA/weights``, else LPIPS' five heads."""
     candidates = [path] if path is not None else [weights_folder() / HEADS_FILE]
     if path is None and os.environ.get("SCENE_DATA"):
         candidates.append(Path(os.environ["SCENE_DATA"]) / "weights" / HEADS_FILE)

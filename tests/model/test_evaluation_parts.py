@@ -73,7 +73,7 @@ def test_absent_ablation_is_announced(tmp_path: Path) -> None:
     text = SMALL.read_text().replace("kind: texture", "kind: network, checkpoint: none.safetensors")
     text = text.replace("small_room/", f"{SMALL.parent}/small_room/")
     (tmp_path / "suite.yaml").write_text(text)
-    assert "not there: it will be left out" in describe_suite(read_suite(tmp_path / "suite.yaml"))
+    assert "missing: left out" in describe_suite(read_suite(tmp_path / "suite.yaml"))
 
 
 def test_paper_suite_is_sound() -> None:

@@ -234,7 +234,7 @@ def test_a_scene_brings_assets_to_draw_from(tmp_path: Path, shared_data: Path) -
 def test_wrong_sources_are_refused(prepared: PreparedScene, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         prepare_scene(small_scene(source=tmp_path / "absent.xml"), tmp_path)
-    with pytest.raises(InputError, match="free way"):
+    with pytest.raises(InputError, match="free path"):
         single = small_scene(source=prepared.package, views=1, novel_views=3)
         prepare_scene(single, tmp_path)
 

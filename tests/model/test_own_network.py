@@ -101,13 +101,13 @@ def test_a_preset_trains_it_in_one_phase_for_its_tracks() -> None:
     ("settings", "message"),
     [
         (("phases=[{name: diffuse, steps: 1}]",), "network.factory has no tracks"),
-        (("network.base_channels=8",), "no base_channels beside factory"),
+        (("network.base_channels=8",), "no base_channels with factory"),
     ],
 )
 def test_settings_of_the_tracks_are_refused(settings: tuple[str, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
         _config(f"network.factory={TOY}", *settings)
-    with pytest.raises(InputError, match="arguments only beside factory"):
+    with pytest.raises(InputError, match="arguments only with factory"):
         _config("network.arguments.width=8")
 
 
@@ -117,8 +117,8 @@ def test_settings_of_the_tracks_are_refused(settings: tuple[str, ...], message: 
         ("tests.model.toy_network", "no MODULE:NAME"),
         ("tests.model.toy_network:Missing", "no attribute 'Missing'"),
         ("no.such.module:Class", "No module named 'no"),
-        ("tests.model.toy_network:not_a_class", "no class of networks"),
-        ("subprocess:Popen", "no class of networks"),
+        ("tests.model.toy_network:not_a_class", "not a class of networks"),
+        ("subprocess:Popen", "not a class of networks"),
         ("tests.model.toy_network:Curious", r"expected some of beauty, .*known_share"),
         ("tests.model.toy_network:Aimless", "inputs = None"),
     ],
@@ -136,7 +136,7 @@ def test_a_checkpoint_cannot_call_what_is_no_network(tmp_path: Path) -> None:
         factory="subprocess:Popen", arguments={"args": ["touch", str(tmp_path / "called")]}
     )
     save_checkpoint(path, card.model_copy(update={"network": config}), make_network(_own("Toy")))
-    with pytest.raises(InputError, match="no class of networks"):
+    with pytest.raises(InputError, match="not a class of networks"):
         load_checkpoint(path)
     assert not (tmp_path / "called").exists()
 
