@@ -30,8 +30,8 @@ MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
 MAX_RATIO_SURFELS = 8000
 """Number of surfels from whose reflectance the room's mean is computed."""
 MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
-"""Rays per mixed surfel for the bound on its radiance, and limits on the known share of its light: there is no
-bound below the first and the full bound above the second."""
+"""Rays per mixed surfel for the bound on its radiance, and known shares of its light below which the bound
+has no effect and above which it has its full effect."""
 ESTIMATE_ROUNDS = 5
 """Number of bounces between unphotographed surfaces, one per round. The first round assumes unknown light to
 be as bright as known light; from the fifth on, the mean changes by less than 2 %."""
