@@ -86,7 +86,7 @@ class PixelFilter:
         return dr.lerp(low, high, position - mi.Float(cell))
 
     def variates_inside(self, pixel: Array, size: int) -> tuple[Any, Any]:
-        """Range of variates whose offsets from the centre of ``pixel`` (column or row) stay in [0, size]."""
+        """Range of variates that place the samples of ``pixel``, a column or row, within [0, ``size``]."""
         if not self.is_cut_off:
             return mi.Float(0.0), mi.Float(1.0)
         scale = self.TABLE_SIZE / (2.0 * self._radius)
@@ -124,7 +124,7 @@ class _View:
 
     @property
     def is_layered(self) -> bool:
-        """Whether rays can pass through surfaces, so that more than one hit counts."""
+        """Whether rays can pass through surfaces."""
         return self.materials.has_transparency or self.hide_emitters
 
 

@@ -116,7 +116,7 @@ def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array
 
 
 def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: int = 400) -> float:
-    """Directional albedo of the specular term for one ``wi`` (3,), by quadrature over visible normals."""
+    """Directional albedo of the specular term for one ``wi`` (3,), by quadrature over microfacet normals."""
     alpha = float(alpha_from_roughness(np.float64(roughness)))
     h, weight = slopes_grid(alpha, num)
     cos_h = h @ wi

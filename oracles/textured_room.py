@@ -21,7 +21,7 @@ _AXES = (0, 0, 1, 1, 2, 2)
 
 
 def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
-    """Corners (4, 3) of a box's side, counter-clockwise when seen from inside or outside."""
+    """Corners (4, 3) of a box's side, counter-clockwise from inside if ``is_inward``, else from outside."""
     axis, at = _AXES[side], (low, high)[side % 2]
     a, b = (axis + 1) % 3, (axis + 2) % 3
     corners = np.empty((4, 3))

@@ -70,7 +70,7 @@ class TracedGeometry:
         self._emits = geometry.emitter_mask()
 
     def trace_view(self, camera: Camera, valid_mask: NDArray[np.bool_] | None = None) -> ViewGeometry:
-        """Trace rays through ``camera``'s pixel centres; those outside ``valid_mask`` (H, W) hit nothing."""
+        """Trace the pixel centres of ``camera``; outside ``valid_mask`` (H, W), nothing counts as hit."""
         import drjit as dr
         import mitsuba as mi
 

@@ -94,7 +94,7 @@ class Surfels:
         return len(self.position_m)
 
     def surfel_of_observation(self) -> NDArray[np.int32]:
-        """Surfel (M,) of each observation."""
+        """Index (M,) of each observation's surfel."""
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.observations.start))
 
     def directions(self, surfel: NDArray, view: NDArray) -> Floats32:
@@ -184,7 +184,7 @@ def _extent(
 
 @compiled
 def cell_of(position, normal, low, cell_m, shape):
-    """Index of the cell and side of a point, -1 outside the grid."""
+    """Key of the cell side of a point (3,) with a normal (3,), -1 outside the grid."""
     index = 0
     for axis in range(3):
         at = int(np.floor((position[axis] - low[axis]) / cell_m))
@@ -389,7 +389,7 @@ def _gathered(
 def weighted_medians(start, values, weight):
     """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
 
-    The mean of the two values at which the cumulative weight reaches and exceeds one half.
+    The value at which the cumulative weight reaches one half; if it equals one half, the mean with the next.
     """
     num = len(start) - 1
     found = np.zeros((num, 3), np.float32)

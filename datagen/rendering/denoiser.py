@@ -32,7 +32,7 @@ class Denoiser(Protocol):
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Denoise ``color``, linear radiance, by ``albedo`` in [0, 1] and unit ``normal``, all (H, W, 3)."""
+        """Denoise ``color``, linear radiance, with guides ``albedo`` and unit ``normal``, all (H, W, 3)."""
         ...
 
 
@@ -91,7 +91,7 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """A committed filter and its buffers, kept because building takes longer than a small image."""
+        """A committed filter and its buffers; building takes longer than denoising a small image."""
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3

@@ -102,7 +102,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
 
 
 def outside_distance(scene: Any) -> float:
-    """Distance in metres that is outside a scene from each of its points; 2 for an empty scene."""
+    """Distance in metres at which one is outside a scene, from any of its points; 2 for an empty scene."""
     box = scene.bbox()
     extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
     reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
@@ -184,7 +184,7 @@ class SunDisc(mi.Emitter):
         return mi.ScalarBoundingBox3f()
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Expose the irradiance."""
+        """Expose the irradiance to ``mi.traverse``."""
         callback.put("irradiance", self.irradiance, mi.ParamFlags.Differentiable)
 
     def to_string(self) -> str:

@@ -283,7 +283,7 @@ class _Builder:
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """Scale of the part's UVs: the assignment's, else that for an assigned material's real size, else 1."""
+    """Factor of the part's UVs: the assignment's, else for the real size of an assigned material, else 1."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

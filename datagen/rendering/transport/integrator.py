@@ -81,7 +81,7 @@ class PathTracer:
     # ---- state shared by all views -------------------------------------------------------------------
 
     def fit_sky_guide(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
-        """Estimate a sky guide from ``num_samples`` paths per pixel of ``sensors`` if there is a sky."""
+        """Estimate the sky guide, if there is a sky, from ``num_samples`` paths per pixel of ``sensors``."""
         self.use_sky_guide(None)
         if self.scene.environment() is None:
             return

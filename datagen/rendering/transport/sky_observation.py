@@ -57,8 +57,8 @@ def observe_sky(
 ) -> SkyObservations:
     """Observe the sky along paths from the cameras.
 
-    ``camera_rays``: for each camera, rays and a sampler for as many lanes. ``is_hidden(si, depth)``: whether
-    a light that was hit is hidden from the camera.
+    ``camera_rays``: for each camera, its rays and the sampler of their paths. ``is_hidden(si, depth)``:
+    whether a light that was hit is hidden from the camera.
     """
     points, origins, directions, radiance = [], [], [], []
     sums = np.zeros(2)
