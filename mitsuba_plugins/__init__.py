@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The project's own Mitsuba plugins: the BSDF ``cook_torrance`` and the integrator ``material_buffers``.
+"""The project's Mitsuba plugins: the BSDF ``cook_torrance`` and the integrator ``material_buffers``.
 
 Choose the variant first, then register::
 
@@ -41,10 +41,10 @@ def register() -> None:
 
 
 def load_dict(scene: dict[str, Any], **options: Any) -> Any:
-    """``mitsuba.load_dict`` that raises one :class:`InputError` for all bad materials.
+    """As ``mitsuba.load_dict``, but raises one :class:`InputError` with the faults of all materials.
 
-    Mitsuba itself turns exceptions of a plugin's constructor into a ``RuntimeError`` with a stack trace, at
-    the first fault. ``options`` are passed to ``mitsuba.load_dict`` (``parallel``, ``optimize``).
+    ``mitsuba.load_dict`` raises a ``RuntimeError`` with a stack trace at the first exception of a plugin.
+    ``options`` are passed to it (``parallel``, ``optimize``).
     """
     import mitsuba as mi
 

@@ -3,15 +3,16 @@
 
 Letters: ``alpha`` is the slope width (perceptual roughness squared, clamped to [:data:`MIN_ALPHA`, 1]); ``w``
 a unit direction in the local frame (z is the normal); ``h`` the half vector, *of any positive length*;
-``cos``/``sin`` belong to ``w`` and ``tan2`` to ``h``. Sources: Walter et al. 2007 (D, G1), Heitz 2014 and
-Heitz & d'Eon 2014 (visible normals).
+``cos`` and ``sin`` are those of the angle between ``w`` and the normal, ``tan2`` the squared tangent of that
+between ``h`` and the normal. Sources: Walter et al. 2007 (D, G1), Heitz 2014 and Heitz & d'Eon 2014 (visible
+normals).
 
 Three measures keep float32 accurate down to alpha = 1e-3 (docs/bsdf.md has the errors, in eps):
 
-* tan^2 comes from the tangential part of ``h``. ``wi.x + wo.x`` cancels exactly near the mirror direction,
-  whereas 1 - cos^2 has lost all its digits there (26 % error in D at alpha = 1e-3).
+* tan^2 is computed from the tangential part of ``h``. ``wi.x + wo.x`` cancels exactly near the mirror
+  direction, whereas 1 - cos^2 has no correct digit there (26 % error in D at alpha = 1e-3).
 * The half vector is never normalised: cos(theta_h) and wi.h follow from tan2 and from |wi + wo|.
-* G1 is only ever used divided by its cosine, :func:`smith_g1_over_cos`, which has no 0/0 at the horizon.
+* G1 is always computed from :func:`smith_g1_over_cos`, G1 / cos, which has no 0/0 at the horizon.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ MAX_COTANGENT = 10.0
 """1 + erf(a) is 2 to the last bit of float32 for a > 4; this bound avoids a division by zero at the normal.
 """
 NEWTON_STEPS = 3
-"""Steps of the slopes' inversion: 3e-6 from the exact variate; a fourth reaches float32's limit."""
+"""Newton steps for sampling slopes: errors of 3e-6 in the variate; a fourth step would reach float32's limit.
+"""
 # Dr.Jit arrays have no useful common static type: their class depends on the variant chosen at run time.
 Array = Any
 
@@ -40,8 +42,8 @@ Array = Any
 def alpha_from_roughness(roughness: Array) -> Array:
     """Slope width of a perceptual roughness, alpha = clamp(R^2, 1e-3, 1). All conversions use this function.
 
-    Defined for every float: negative values count as 0, values above 1 as 1, and NaN as 1 (the roughest
-    surface cannot cause fireflies). The derivative is 2R on (sqrt(1e-3), 1] and 0 outside.
+    Negative values count as 0, values above 1 as 1, and NaN as 1, which causes no fireflies. The derivative
+    is 2R on (sqrt(1e-3), 1] and 0 outside.
     """
     bounded = effective_roughness(roughness)
     return dr.maximum(dr.square(bounded), MIN_ALPHA)
@@ -68,15 +70,15 @@ def beckmann_d(h: Array, alpha: Array) -> Array:
     """
     tangential2 = dr.square(h.x) + dr.square(h.y)
     normal2 = dr.square(h.z)
-    # Compared before the division: an h in the tangent plane, or a zero vector, is divided by 1.
+    # Compared before the division, so that an h in the tangent plane or of zero length is divided by 1.
     valid = (h.z > 0.0) & (tangential2 < MAX_TAN2 * normal2)
     inverse_z = 1.0 / dr.select(valid, h.z, 1.0)
     tan2 = dr.select(valid, dr.square(h.x * inverse_z) + dr.square(h.y * inverse_z), 0.0)
     alpha2 = dr.square(alpha)
     exponent = tan2 / alpha2
     valid &= exponent < MAX_EXPONENT
-    # Not in the log domain: tan2 < 1e3 bounds every factor (docs/decisions/0002), and ln(alpha^2) = -13.8
-    # would cost three bits.
+    # Not computed by logarithms: tan2 < 1e3 bounds every factor (docs/decisions/0002), and adding
+    # ln(alpha^2) = -13.8 would lose three bits.
     density = dr.exp(-dr.minimum(exponent, MAX_EXPONENT)) * dr.square(1.0 + tan2) / (dr.pi * alpha2)
     return dr.select(valid, density, 0.0)
 
@@ -91,7 +93,7 @@ def smith_g1_over_cos(w: Array, alpha: Array) -> Array:
     valid = w.z > 0.0
     cos = dr.select(valid, w.z, 1.0)
     sin2 = dr.square(w.x) + dr.square(w.y)
-    # sqrt has an infinite derivative at 0, where the sine no longer matters: alpha sin < cos / 10.
+    # The bound avoids sqrt's infinite derivative at 0, where the sine has no effect: alpha sin < cos / 10.
     alpha_sin = alpha * dr.sqrt(dr.maximum(sin2, 1e-30))
     a = cos / dr.maximum(alpha_sin, cos / MAX_COTANGENT)
     denominator = cos * (1.0 + dr.erf(a)) + alpha_sin * dr.exp(-dr.square(a)) * (1.0 / math.sqrt(math.pi))
@@ -109,9 +111,9 @@ def visible_normal_pdf(w: Array, h: Array, alpha: Array) -> Array:
 
 
 def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
-    """Draw a unit half vector from :func:`visible_normal_pdf`; ``sample`` is uniform on [0,1]^2; w.z > 0.
+    """Draw a unit half vector from :func:`visible_normal_pdf` by ``sample`` in [0, 1]^2; requires w.z > 0.
 
-    The surface is stretched until alpha = 1, slopes are drawn there, and the result is stretched back.
+    The surface is stretched to alpha = 1, slopes are drawn there, and the result is stretched back.
     """
     stretched = dr.normalize(mi.Vector3f(alpha * w.x, alpha * w.y, w.z))
     radial = dr.sqrt(dr.square(stretched.x) + dr.square(stretched.y))
@@ -128,10 +130,10 @@ def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
 def sample_visible_slopes(
     cos: Array, sin: Array, sample: Array, num_steps: int = NEWTON_STEPS
 ) -> tuple[Array, Array]:
-    """Slopes visible from an angle with the given cosine and sine, at alpha = 1, azimuth 0.
+    """Draw slopes (x, y) visible from an angle with the given cosine and sine, at alpha = 1 and azimuth 0.
 
     Inverts the distribution function C(s) = 1 + erf(s) + tan exp(-s^2) / sqrt(pi) of Heitz & d'Eon 2014 by
-    Newton's method in x = erf(s); the start inverts the function's limit at grazing incidence.
+    Newton's method in x = erf(s), which starts at the inverse of the function's limit at grazing incidence.
     """
     edge = 1.0 - 6e-8  # the last float32 below 1: erfinv stays finite
     u = dr.clip(sample.x, 6e-8, edge)

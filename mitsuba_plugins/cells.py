@@ -7,11 +7,10 @@ from typing import Any
 
 
 def cell_of(position: Any, count: int) -> Any:
-    """The cell (UInt32) in [0, ``count``) of a Dr.Jit position in units of cells; clamped to the first or the
-    last cell.
+    """Cell (UInt32) in [0, ``count``) of a Dr.Jit position in units of cells, clamped to first and last cell.
 
-    NaN also gives a valid cell. dr.clip keeps NaN, and NaN converted to an unsigned integer depends on the
-    processor: 2^31 with AVX2, where gathering from there crashes the process, and 2^32 - 1 with AVX-512.
+    NaN also gives a valid cell. dr.clip keeps NaN, whose conversion to an unsigned integer depends on the
+    processor: 2^32 - 1 with AVX-512, and 2^31 with AVX2, which would crash the process when gathered from.
     """
     import drjit as dr
     import mitsuba as mi

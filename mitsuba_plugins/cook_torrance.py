@@ -4,9 +4,9 @@
 f(wi, wo) = (1 - S) D / pi  +  F(S, wi.h) D_b(h; alpha) G1(wi) G1(wo) / (4 cos_i cos_o)
 
 D is ``diffuse_albedo``, S ``specular_albedo`` (the reflectance F0 at normal incidence), R ``roughness``
-(perceptual; alpha = R^2), F Schlick's Fresnel term, D_b and G1 are from :mod:`mitsuba_plugins.beckmann`.
-``wi`` points to the viewer, ``wo`` is sampled, both are unit and local (z is the shading normal); ``eval``
-includes cos_o. Component 0 is diffuse, component 1 glossy.
+(perceptual; alpha = R^2), F Schlick's Fresnel term; D_b and G1 are defined in
+:mod:`mitsuba_plugins.beckmann`. ``wi`` points to the viewer, ``wo`` is sampled; both are unit vectors in the
+local frame (z is the shading normal). ``eval`` includes cos_o. Component 0 is diffuse, component 1 glossy.
 
 The surface is two-sided unless ``two_sided`` is false: its back is the mirror image of its front.
 """
@@ -34,10 +34,10 @@ INVERSE_PI = 1.0 / math.pi
 
 
 class CookTorrance(mi.BSDF):
-    """Lambertian plus Cook-Torrance with a Beckmann lobe.
+    """A Lambertian plus a Cook-Torrance lobe with Beckmann distribution.
 
     Parameters: ``diffuse_albedo``, ``specular_albedo`` (RGB or texture, linear, [0, 1]), ``roughness``
-    (number or texture, [0, 1]; of an RGB texture the luminance is used), ``two_sided`` (default true).
+    (number or texture, [0, 1]; an RGB texture gives its luminance), ``two_sided`` (default true).
 
     Raises :class:`InputError` if a parameter contains NaN, Inf or a value outside its range. Values set later
     through ``mi.traverse`` are clamped at evaluation instead.
@@ -75,16 +75,16 @@ class CookTorrance(mi.BSDF):
         return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
 
     def eval_attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a spectrum; a scalar attribute is repeated in every channel."""
+        """As :meth:`eval_attribute_3`."""
         return mi.Color3f(self._attribute(name, si, active))
 
     def eval_attribute_1(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a number; the luminance of a colour."""
+        """An attribute as a number: a scalar, or the luminance of a colour; 0 if unknown."""
         value = self._attribute(name, si, active)
         return mi.luminance(value) if name in COLOR_ATTRIBUTES else value
 
     def eval_attribute_3(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a colour; a scalar attribute is repeated in every channel."""
+        """An attribute as a colour, with scalars repeated in every channel; 0 if unknown."""
         return mi.Color3f(self._attribute(name, si, active))
 
     def _attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array) -> Array:
@@ -92,11 +92,11 @@ class CookTorrance(mi.BSDF):
             return beckmann.effective_albedo(getattr(self, name).eval(si, active))
         if name in SCALAR_ATTRIBUTES:
             return beckmann.effective_roughness(getattr(self, name).eval_1(si, active))
-        # As in Mitsuba's own BSDFs: an indirect call queries all BSDFs of a scene, also those without it.
+        # As Mitsuba's BSDFs: an indirect call queries all BSDFs of a scene, even those without the attribute.
         return mi.Float(0.0)
 
     def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """(1 - S) D, the albedo of the diffuse term alone."""
+        """(1 - S) D, the albedo of the diffuse term."""
         diffuse, specular, _ = self.surface_parameters(si, active)
         return (1.0 - specular) * diffuse
 
@@ -105,7 +105,7 @@ class CookTorrance(mi.BSDF):
     def eval(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> Array:
-        """f(wi, wo) cos_o, RGB."""
+        """f(wi, wo) cos_o (Color3f)."""
         return self.eval_pdf(ctx, si, wo, active)[0]
 
     def pdf(self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True) -> Array:
@@ -115,7 +115,7 @@ class CookTorrance(mi.BSDF):
     def eval_pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """Value and density together, which share all but a few multiplications."""
+        """:meth:`eval` and :meth:`pdf` together, which share all but a few multiplications."""
         return _Lobes(self, ctx, si, active).eval_pdf(wo)
 
     def sample(
@@ -126,10 +126,9 @@ class CookTorrance(mi.BSDF):
         sample2: Array,
         active: Array = True,
     ) -> tuple[Any, Any]:
-        """Draw ``wo``: from the visible normals with the probability of the specular lobe, else
-        cosine-distributed.
+        """Draw ``wo`` from one of the lobes, which ``sample1`` chooses.
 
-        Returns the sample and f cos_o / pdf, which stays below 10 per channel (see docs/bsdf.md).
+        Returns the sample and f cos_o / pdf, which is below 10 in each channel (docs/bsdf.md).
         """
         return _Lobes(self, ctx, si, active).sample(sample1, sample2)
 
@@ -142,7 +141,7 @@ class CookTorrance(mi.BSDF):
         sample2: Array,
         active: Array = True,
     ) -> tuple[Any, Any, Any, Any]:
-        """:meth:`eval_pdf` and :meth:`sample` with one look-up of the textures."""
+        """:meth:`eval_pdf` and :meth:`sample` with a single evaluation of the textures."""
         lobes = _Lobes(self, ctx, si, active)
         return (*lobes.eval_pdf(wo), *lobes.sample(sample1, sample2))
 
@@ -156,9 +155,7 @@ class CookTorrance(mi.BSDF):
 
 
 class _Lobes:
-    """Both lobes at one interaction: quantities that depend on the surface and on ``wi``, but not on
-    ``wo``.
-    """
+    """Both lobes at an interaction, with all quantities that do not depend on ``wo``."""
 
     def __init__(self, bsdf: CookTorrance, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array):
         self.has_diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
@@ -182,7 +179,7 @@ class _Lobes:
             return mi.Float(1.0)
         if not self.has_specular:
             return mi.Float(0.0)
-        # The sampling density must not carry derivatives into eval or into a detached estimator's weights.
+        # The sampling density must not add derivatives to eval or to the weights of detached sampling.
         specular, diffuse = dr.detach(self.specular), dr.detach(self.diffuse)
         grazing = _fifth_power(1.0 - dr.maximum(dr.detach(self.wi.z), 0.0))
         specular_energy = dr.mean(specular + (1.0 - specular) * grazing)
@@ -198,13 +195,12 @@ class _Lobes:
         value, pdf = mi.Color3f(0.0), mi.Float(0.0)
         if self.has_specular:
             half = self.wi + wo
-            # wi.h = |wi + wo| / 2 for unit vectors: exact where 1 + wi.wo would cancel. Likewise 1 - wi.h is
-            # sin^2 / (1 + wi.h) with sin = |wi - wo| / 2: no cancellation where light and viewer coincide.
+            # Without cancellation: wi.h = |wi + wo| / 2 for unit vectors, and 1 - wi.h = sin^2 / (1 + wi.h)
+            # with sin = |wi - wo| / 2.
             cos_half = 0.5 * dr.sqrt(dr.maximum(dr.squared_norm(half), 1e-30))
             one_minus_cos = 0.25 * dr.squared_norm(self.wi - wo) / (1.0 + cos_half)
             fresnel = self.specular + (1.0 - self.specular) * _fifth_power(dr.minimum(one_minus_cos, 1.0))
-            # D_b G1(wi) / (4 cos_i): the density of wo when h follows the visible normals, and a factor of
-            # the lobe.
+            # D_b G1(wi) / (4 cos_i): density of wo for visible normals h, and a factor of the lobe
             visible = 0.25 * beckmann.beckmann_d(half, self.alpha) * self.masking
             value += fresnel * (visible * beckmann.smith_g1(wo, self.alpha))
             pdf += self.specular_probability * visible

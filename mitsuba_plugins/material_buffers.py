@@ -4,16 +4,16 @@
 Two kinds of buffer, computed in one kernel with one thread per pixel:
 
 * *blended*: diffuse_albedo, specular_albedo, roughness, normal_world and surface_mask are averaged over
-  ``spp`` sub-pixel samples with the film's reconstruction filter, the same as the beauty image's. The average
-  is over reflecting surface only; ``surface_mask`` is that share of the pixel. Normals are renormalised
-  after averaging.
-* *at the centre*: depth_z_m, position_world, instance_id and material_id belong to one ray through the
-  pixel's centre (and the lens' centre), because means of depths or of ids would be meaningless.
+  ``spp`` sub-pixel samples with the film's reconstruction filter, as the beauty image is. The average is over
+  reflecting surface only; ``surface_mask`` is its share of the pixel. Normals are renormalised after
+  averaging.
+* *at the centre*: depth_z_m, position_world, instance_id and material_id are those of one ray through the
+  centres of pixel and lens, because means of depths or of ids would be meaningless.
 
-Samples follow the filter (drawn from its normalised absolute value by its inverse distribution function, with
-its sign as weight), so that no pixel writes into another: any filter costs the same, without atomics.
-Emitters and the background are masked: surface_mask 0, ids 0, channels 0. Emitters keep their depth, because
-they occlude. Axis order of arrays: (H, W, C), row 0 at the top.
+Samples are drawn from the filter's normalised absolute value by its inverse distribution function, with its
+sign as weight: no pixel writes into another, so any filter costs the same, without atomics. Emitters and the
+background are masked: surface_mask 0, ids 0, channels 0. Emitters keep their depth, because they occlude.
+Axis order of arrays: (H, W, C), row 0 at the top.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 Array = Any
 
 MAX_LAYERS = 32
-"""Maximum number of transparent surfaces along a ray; behind 32 of opacity 0.2, 0.08 % are left."""
+"""Maximum number of surfaces along a ray; 32 of opacity 0.2 transmit 0.08 %."""
 MIN_THROUGHPUT = 1e-3
-"""Transmittance below which rays end, since the remainder is negligible."""
+"""Transmittance at which rays end, since the remainder is negligible."""
 SOLID_OPACITY = 0.5
-"""Minimum opacity of the surface that gives a pixel's depth and ids."""
+"""Minimum opacity of the surface that determines a pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
-"""Minimum coverage of a pixel: below, a channel's average is noise, and the pixel is masked."""
+"""Coverage up to which a pixel is masked, since averages over so little surface are noise."""
 # Fractions of 2^32, independent over the rationals, so that their multiples fill five dimensions evenly: 1/g
 # and 1/g^2 with g^3 = g + 1 for the pixel (the R2 sequence of M. Roberts), sqrt(2) and sqrt(3) for the lens,
 # sqrt(5) for time (their fractional parts).
@@ -47,15 +47,15 @@ _PIXEL_X, _PIXEL_Y, _LENS_X, _LENS_Y, _TIME = 3242174889, 2447445413, 1779033703
 CHANNELS = {name: BUFFERS[name].channels for name in GROUND_TRUTH_BUFFERS} | {
     "position_world": ("X", "Y", "Z")
 }
-"""Name and channels of each buffer, in the order of the integrator's output: the registry's ground truth, and
+"""Channels of each buffer by name, in the order of the integrator's output: the registered ground truth, and
 positions."""
 
 
 class PixelFilter:
     """Draws sub-pixel offsets along one axis in proportion to a film's reconstruction filter.
 
-    Films ignore samples beyond their border unless ``sample_border`` is set, so that the filter of a pixel at
-    the border is cut off there: variates are mapped to the remaining part.
+    Films ignore samples beyond their border unless ``sample_border`` is set; the filter of a pixel near the
+    border is cut off there, and variates are mapped to the remaining part.
     """
 
     TABLE_SIZE = 4096
@@ -79,14 +79,14 @@ class PixelFilter:
         self._quantiles = mi.Float(quantiles.astype(np.float32))
 
     def _look_up(self, table: Array, position: Array) -> Array:
-        """Linear interpolation at a position in [0, TABLE_SIZE], clamped to it."""
+        """Interpolate ``table`` linearly at a position, which is clamped to [0, TABLE_SIZE]."""
         position = dr.clip(position, 0.0, float(self.TABLE_SIZE))
         cell = cell_of(position, self.TABLE_SIZE)
         low, high = dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
         return dr.lerp(low, high, position - mi.Float(cell))
 
     def variates_inside(self, pixel: Array, size: int) -> tuple[Any, Any]:
-        """Range of variates whose offsets stay within [0, size] for a pixel of that column or row."""
+        """Range of variates that place the samples of ``pixel``, a column or row, within [0, ``size``]."""
         if not self.is_cut_off:
             return mi.Float(0.0), mi.Float(1.0)
         scale = self.TABLE_SIZE / (2.0 * self._radius)
@@ -95,7 +95,7 @@ class PixelFilter:
         return first, last
 
     def sample(self, u: Array) -> tuple[Any, Any]:
-        """(offset from the pixel's centre [px], weight +-1) for a variate in [0, 1]."""
+        """Offset from the pixel's centre [px] and weight (1 or -1) for a variate in [0, 1]."""
         if self.is_box:
             return u - 0.5, mi.Float(1.0)
         offset = self._look_up(self._quantiles, u * self.TABLE_SIZE)
@@ -116,7 +116,7 @@ class _View:
     height: int
 
     def ray(self, x: Array, y: Array, time: Array, lens: Array) -> Any:
-        """Camera ray through a continuous position [px] of the (cropped) film."""
+        """Camera ray through position (x, y) of the (cropped) film [px]; ``time`` and ``lens`` in [0, 1]."""
         position = mi.Point2f(x / self.width, y / self.height)
         shutter = self.sensor.shutter_open() + time * self.sensor.shutter_open_time()
         ray, _ = self.sensor.sample_ray(shutter, mi.Float(0.5), position, lens)
@@ -124,21 +124,19 @@ class _View:
 
     @property
     def is_layered(self) -> bool:
-        """Whether rays can pass through surfaces, so that more than one hit counts."""
+        """Whether rays can pass through surfaces."""
         return self.materials.has_transparency or self.hide_emitters
 
 
 def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
-    """One coordinate of the shifted lattice's point ``index``, in [0, 1)."""
+    """Coordinate, in [0, 1), of point ``index`` of a shifted lattice."""
     bits = index * mi.UInt32(generator) + shift
     return mi.Float(bits >> 8) * (1.0 / (1 << 24))
 
 
 @dataclass(frozen=True)
 class _RayResult:
-    """First surface along a ray. Channels are weighted by coverage; depth and ids come from the solid
-    point.
-    """
+    """First surfaces along a ray: channels weighted by coverage, and point and shape of the solid surface."""
 
     diffuse_albedo: Array
     specular_albedo: Array
@@ -150,7 +148,7 @@ class _RayResult:
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """Fields in order: the state of a symbolic loop."""
+        """The fields in order, as state of a symbolic loop."""
         return tuple(vars(self).values())
 
 
@@ -168,8 +166,8 @@ def _nothing_seen(num_rays: int) -> _RayResult:
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
-    """(interaction, whether the ray may continue, contribution of this hit); opacity is the coverage."""
-    # Camera rays are coherent: Embree's packets are three times as fast here.
+    """The next hit along a ray, whether the ray may continue, and the hit's result (coverage = opacity)."""
+    # Camera rays are coherent, which makes Embree's packets three times as fast.
     si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
     is_hit = active & si.is_valid()
     is_emitter = view.materials.is_emitter(si, is_hit)
@@ -190,16 +188,16 @@ def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _Ray
 
 
 def _trace(view: _View, ray: Any) -> _RayResult:
-    """First surface along a camera ray; partly transparent surfaces are crossed, front to back."""
+    """Trace a camera ray to its first surface, through partly transparent surfaces from front to back."""
     if not view.is_layered:
         return _trace_surface(view, ray, mi.Bool(True))[2]
 
     def cond(active: Any, *_: Any) -> Any:
         return active
 
-    def body(active: Any, ray: Any, depth: Any, left: Any, *seen: Any) -> tuple[Any, ...]:
+    def body(active: Any, ray: Any, depth: Any, left: Any, *result: Any) -> tuple[Any, ...]:
         si, may_pass, hit = _trace_surface(view, ray, active)
-        *sums, point, shape_index = seen
+        *sums, point, shape_index = result
         sums = [total + left * value for total, value in zip(sums, hit.state[:5], strict=True)]
         is_first_solid = (shape_index == 0) & (hit.shape_index != 0)
         point = dr.select(is_first_solid, hit.point, point)
@@ -211,18 +209,17 @@ def _trace(view: _View, ray: Any) -> _RayResult:
         return (active, ray, depth, left, *sums, point, shape_index)
 
     state = (mi.Bool(True), mi.Ray3f(ray), mi.UInt32(0), mi.Float(1.0), *_nothing_seen(1).state)
-    _, _, _, _, *seen = dr.while_loop(state, cond, body, label="layers")
-    return _RayResult(*seen)
+    _, _, _, _, *result = dr.while_loop(state, cond, body, label="layers")
+    return _RayResult(*result)
 
 
 def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, Any]:
-    """(filter-weighted sums over a pixel's samples with the solid point of its centre, sum of the weights).
+    """Filter-weighted sums over each pixel's samples with the solid point of its centre, and sums of weights.
 
-    One symbolic loop, so that the scene's intersection code is traced once: sample 0 is the centre.
+    Sample 0 is the centre, so a single symbolic loop contains the scene's intersection code.
     """
     pixel: Any = mi.UInt32(y) * view.width + mi.UInt32(x)
-    # Opaque: the seed is an argument of the kernel, not part of its code, which is compiled once for all
-    # seeds.
+    # opaque: one compiled kernel serves all seeds
     key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
     shift_x, shift_y = mi.sample_tea_32(pixel, key)
     lens_x, lens_y = mi.sample_tea_32(pixel, key ^ 0x9E3779B9)
@@ -234,8 +231,8 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
     def cond(i: Any, *_: Any) -> Any:
         return i <= num_samples
 
-    def body(i: Any, total_weight: Any, *seen: Any) -> tuple[Any, ...]:
-        *sums, point, shape_index = seen
+    def body(i: Any, total_weight: Any, *result: Any) -> tuple[Any, ...]:
+        *sums, point, shape_index = result
         is_centre = i == 0
         offset_x, sign_x = pixel_filter.sample(dr.lerp(first_x, last_x, _lattice_point(i, shift_x, _PIXEL_X)))
         offset_y, sign_y = pixel_filter.sample(dr.lerp(first_y, last_y, _lattice_point(i, shift_y, _PIXEL_Y)))
@@ -256,16 +253,16 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
     num_pixels = dr.width(x)
     zero = dr.zeros(mi.Float, num_pixels)
     state = (dr.zeros(mi.UInt32, num_pixels), zero, *_nothing_seen(num_pixels).state)
-    _, total_weight, *seen = dr.while_loop(state, cond, body, label="sub-pixel samples")
-    return _RayResult(*seen), total_weight
+    _, total_weight, *result = dr.while_loop(state, cond, body, label="sub-pixel samples")
+    return _RayResult(*result), total_weight
 
 
 def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
-    """Flat Dr.Jit arrays by buffer name; not yet evaluated."""
+    """Flat, unevaluated Dr.Jit arrays (H W) by buffer name."""
     index = dr.arange(mi.UInt32, view.width * view.height)
     row = index // view.width
     sums, weight = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
-    # A filter with negative lobes can give a pixel almost zero, or negative, coverage.
+    # With negative lobes, a pixel's coverage may be almost zero or negative.
     share = dr.select(weight > 0.0, sums.coverage / dr.select(weight > 0.0, weight, 1.0), 0.0)
     is_covered = share > MIN_COVERAGE
     scale = dr.select(is_covered, 1.0 / dr.select(is_covered, sums.coverage, 1.0), 0.0)
@@ -314,13 +311,13 @@ def render_material_buffers(
     ids: IdTable | SceneMaterials | None = None,
     hide_emitters: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Ground-truth buffers of one view as NumPy arrays (H, W, C), by the names of ``foundation.buffers``.
+    """Render the ground-truth buffers of a view: arrays (H, W, C) by the names of ``foundation.buffers``.
 
-    float32 except for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers, the
-    result contains ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids
-    to (instance id, material id); a :class:`SceneMaterials` made once serves all views of a scene.
-    ``hide_emitters`` must be as in the beauty image's integrator. Raises :class:`InputError` if a shape's
-    material has no D, S and R or a shape is missing from ``ids``.
+    They are float32 except for ``instance_id`` and ``material_id`` (uint32). The result also contains
+    ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to (instance
+    id, material id); a :class:`SceneMaterials` can be shared by all views of a scene. ``hide_emitters`` must
+    be as in the beauty image's integrator. Raises :class:`InputError` if ``spp`` is below 1, a shape's
+    material has no D, S and R, or a shape is missing from ``ids``.
     """
     _check_spp(spp)
     view = _make_view(scene, sensor, ids, hide_emitters)
@@ -338,9 +335,8 @@ def render_material_buffers(
 class MaterialBuffers(mi.SamplingIntegrator):
     """The integrator ``material_buffers``: all channels of :data:`CHANNELS` as one tensor (H, W, 17).
 
-    Parameter ``hide_emitters`` (default false). Ids are numbered in the scene's order by
-    :func:`mitsuba_plugins.surface_material.number_shapes`; assign ``integrator.ids`` to choose them. Ids
-    below 2^24 are exact as floats.
+    Parameter ``hide_emitters`` (default false). Ids are those of ``integrator.ids`` or, if that is None, of
+    :func:`mitsuba_plugins.surface_material.number_shapes`. Ids below 2^24 are exact as floats.
     """
 
     def __init__(self, props: mi.Properties):
@@ -360,7 +356,10 @@ class MaterialBuffers(mi.SamplingIntegrator):
         develop: bool = True,
         evaluate: bool = True,
     ) -> mi.TensorXf:
-        """All channels of one view; ``spp`` 0 uses the sensor's sample count. ``develop`` must be true."""
+        """All channels of a view; ``spp`` 0 uses the sensor's sample count. ``develop`` must be true.
+
+        Raises ``ValueError`` if it is not.
+        """
         if not develop:
             raise ValueError("material_buffers writes no film: develop must be True")
         view = _make_view(scene, sensor, self.ids, bool(self.hide_emitters))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Materials of a scene's surfaces by lookup: shape -> (material channels, ids), for ground-truth passes.
+"""Looks up material channels and ids of a scene's shapes inside kernels, for ground-truth passes.
 
-A shape's material may be inside wrappers (``mask``, ``normalmap``, ``twosided``). Mitsuba forwards attributes
-through none of them. The tree of wrappers is therefore traversed once per scene, and gives a Python function
-per material, which Dr.Jit compiles into one indirect call, :func:`drjit.switch`.
+A shape's material may be nested in wrappers (``mask``, ``normalmap``, ``twosided``), none of which forwards
+attributes in Mitsuba. The tree of wrappers is therefore traversed once per scene and converted to a Python
+function per material; Dr.Jit compiles these into one indirect call, :func:`drjit.switch`.
 
 Shapes are identified by their index in Mitsuba's registry, the value of a ``ShapePtr`` in a kernel. The index
 changes from process to process; the tables here map it to the caller's numbers.
@@ -18,6 +18,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.foundation.errors import Problem, Problems, raise_problems
 from mitsuba_plugins.cook_torrance import CookTorrance
@@ -32,7 +33,7 @@ IdTable = Mapping[str, tuple[int, int]]
 class SurfaceChannels:
     """Material channels of a hit: D, S (Color3f), R (Float), the shading normal and the opacity in [0, 1].
 
-    The normal is in the *local* frame of the interaction, unit and on the viewer's side.
+    The unit normal is in the *local* frame of the interaction and on the viewer's side.
     """
 
     diffuse_albedo: Array
@@ -76,7 +77,7 @@ def _normal_map_evaluator(texture: Any, nested: Evaluator) -> Evaluator:
         length2 = dr.squared_norm(normal)
         is_degenerate = ~(length2 > 1e-12)  # a black texel encodes no direction
         normal = dr.select(is_degenerate, mi.Normal3f(0.0, 0.0, 1.0), normal * dr.rsqrt(length2))
-        # The nested material gets wi in the mapped frame; it depends on the side of wi alone.
+        # The nested material depends only on the side of wi in the mapped frame.
         side = dr.mulsign(mi.Float(1.0), dr.dot(normal, si.wi))
         nested_si = mi.SurfaceInteraction3f(si)
         nested_si.wi = mi.Vector3f(0.0, 0.0, side)
@@ -103,14 +104,14 @@ def _two_sided_evaluator(front: Evaluator, back: Evaluator) -> Evaluator:
 
 
 class UnsupportedBsdf(Exception):
-    """A BSDF in the tree without diffuse albedo, specular albedo and roughness of the project's kind."""
+    """Raised for a BSDF that is not a ``cook_torrance`` in supported wrappers."""
 
 
 def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
-    """(function of an interaction -> channels, whether it can be transparent) for a tree of BSDFs.
+    """Convert a tree of BSDFs to an evaluator of its channels; also return whether it can be transparent.
 
-    Raises :class:`UnsupportedBsdf` with the offending plugin's class if the tree contains anything but
-    ``cook_torrance`` under ``mask``, ``normalmap`` and ``twosided``.
+    Raises :class:`UnsupportedBsdf` with the plugin's class if the tree contains anything but
+    ``cook_torrance`` in ``mask``, ``normalmap`` and ``twosided``.
     """
     if isinstance(bsdf, CookTorrance):
         return _cook_torrance_evaluator(bsdf), False
@@ -144,9 +145,9 @@ def invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
 
 
 def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
-    """An id table for a scene without one: shapes and their BSDFs numbered from 1 in the scene's order.
+    """Create an id table: shapes and their BSDFs, numbered from 1 in the scene's order.
 
-    Keys are shape ids; scenes read from XML have equal ids, which become ``id#2``, ``id#3``...
+    Keys are shape ids; equal ids, as in scenes read from XML, become ``id``, ``id#2``, ``id#3``...
     """
     materials: dict[int, int] = {}
     bsdfs = []  # kept alive: id() is unique only while objects exist
@@ -158,6 +159,12 @@ def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
         material = materials.setdefault(id(bsdfs[-1]), len(materials) + 1)
         table[name] = (len(table) + 1, material)
     return table
+
+
+def registry_indices(scene: mi.Scene) -> NDArray[np.int64]:
+    """Index of each shape of a scene in Mitsuba's registry, in the scene's order."""
+    pointers: Any = scene.shapes_dr()
+    return np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
 
 
 def _unique_names(shapes: Sequence[Any]) -> list[str]:
@@ -173,8 +180,8 @@ class SceneMaterials:
     """The materials and ids of every shape of a scene, ready to be evaluated inside a kernel.
 
     ``ids`` maps shape ids to (instance id, material id), both in [1, 2^24); None numbers them in the scene's
-    order. Raises :class:`InputError` with every shape whose BSDF has no counterpart among the project's
-    channels, that is missing from ``ids``, or whose texture needs UVs that its mesh lacks.
+    order. Raises :class:`InputError` with every shape whose BSDF is not supported, that is missing from
+    ``ids``, or whose texture needs UVs that its mesh lacks.
     """
 
     def __init__(self, scene: mi.Scene, ids: IdTable | None = None):
@@ -184,12 +191,10 @@ class SceneMaterials:
         self.has_transparency = False
         self._index_of_bsdf: dict[int, int] = {}
         self._needs_uv: dict[int, bool] = {}
-        # Python wrappers of C++ objects are created on each access; they are kept, so that their id() is
-        # valid.
+        # Python wrappers of C++ objects are created on each access; kept so that their id() is valid
         self._bsdfs: list[Any] = []
         shapes: Sequence[Any] = scene.shapes()
-        pointers: Any = scene.shapes_dr()
-        registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
+        registry = registry_indices(scene)
         size = int(registry.max(initial=0)) + 1
         evaluator_index = np.zeros(size, np.uint32)
         instance_ids = np.zeros(size, np.uint32)
@@ -232,7 +237,7 @@ class SceneMaterials:
         return instance, material
 
     def _evaluator_index(self, shape: Any, name: str, problems: list[Problem]) -> int:
-        """Index of the shape's material among the evaluators; 0 after a problem."""
+        """Index of the shape's material among the evaluators; 0 if a problem was added."""
         if shape.class_name() == "Instance":
             got, expected, remedy = "an instance", "a shape with its own material", "expand instances"
             problems.append(Problem("scene", f"shape {name}", got, expected, remedy))
@@ -270,13 +275,16 @@ class SceneMaterials:
         """Arrays that a recorded kernel with :meth:`channels_at` reads, in addition to the scene's own."""
         return [self._evaluator_of_shape]
 
-    def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
-        """Registry index of the shape that was hit; 0 for none."""
+    def _registry_index(self, si: mi.SurfaceInteraction3f) -> Array:
         return dr.reinterpret_array(mi.UInt32, si.shape)
 
+    def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
+        """Registry index of the shape that was hit; 0 for none."""
+        return self._registry_index(si)
+
     def is_emitter(self, si: mi.SurfaceInteraction3f, active: Array) -> Array:
-        """Whether a hit lies on a light."""
-        return dr.gather(mi.Bool, self._is_emitter_shape, self.shape_index(si), active)
+        """Mask of hits on lights."""
+        return dr.gather(mi.Bool, self._is_emitter_shape, self._registry_index(si), active)
 
     def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
         """(instance id, material id) of shapes by registry index; 0 for none and for lights."""
@@ -287,5 +295,5 @@ class SceneMaterials:
 
     def channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
         """The material's channels at a hit; zeros where inactive or on a light."""
-        index = dr.gather(mi.UInt32, self._evaluator_of_shape, self.shape_index(si), active)
+        index = dr.gather(mi.UInt32, self._evaluator_of_shape, self._registry_index(si), active)
         return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))

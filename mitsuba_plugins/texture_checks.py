@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Checks of material parameters when a material is created: ranges, NaN, and UVs if a texture needs them.
+"""Checks of material parameters when a material is created: range, NaN, and whether textures need UVs.
 
-A NaN in a rendering spreads through path sums and denoisers to whole tiles, far from its cause; it is
-rejected here, where the file's name and the texel are still known.
+A NaN would spread through path sums and denoisers to whole tiles of an image; it is rejected here, where file
+and texel are known.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from datagen.foundation.errors import InputError, Problem, Problems
 
 TOLERANCE = 1e-4
-"""Values this far outside [0, 1] are rounding (half floats, resampling) and are clamped, not refused."""
-# Texture plugins whose lookup depends on the UV coordinates of the surface (beginnings of class names).
+"""Values up to this far outside [0, 1] are due to rounding or resampling; they are accepted and clamped."""
 UV_TEXTURES = ("BitmapTexture", "Checkerboard")
+"""Prefixes of the class names of textures that depend on UVs."""
 
 
 class _Collector(mi.TraversalCallback):
-    """Collects the values and the child objects that an object exposes, by name."""
+    """Collects by name the values and the child objects that an object exposes."""
 
     def __init__(self, parent: Any) -> None:
         super().__init__()
@@ -33,7 +33,7 @@ class _Collector(mi.TraversalCallback):
         self.objects: dict[str, Any] = {}
 
     def put(self, name: str, value: Any, flags: int, cpp_type: Any = None) -> None:
-        """Called by ``traverse`` for everything that an object exposes."""
+        """Collect a value or object; called by ``traverse``."""
         if isinstance(value, mi.Object):
             self.objects[name] = value
         else:  # C++ objects expose addresses of their fields
@@ -41,7 +41,7 @@ class _Collector(mi.TraversalCallback):
 
 
 def exposed(obj: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(child objects, values) that a Mitsuba object exposes to ``mi.traverse``, by name, one level deep."""
+    """Child objects and values, by name, that a Mitsuba object exposes to ``mi.traverse`` directly."""
     collector = _Collector(obj)
     obj.traverse(collector)
     return collector.objects, collector.values
@@ -55,7 +55,7 @@ def needs_uv(obj: Any) -> bool:
 
 
 def _file_of(texture: Any) -> str:
-    """ " in FILE" for a texture that was read from a file, else ""."""
+    """The suffix " in FILE" for a texture that was read from a file, else ""."""
     found = re.search(r'^  name = "(.+)",$', str(texture), re.MULTILINE)
     return f" in {found.group(1)}" if found else ""
 
@@ -70,7 +70,7 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
             continue
         stored = np.asarray(value)
         if stored.dtype == np.uint8:
-            continue  # 8-bit texels stay encoded in memory and can hold neither NaN nor values beyond [0, 1]
+            continue  # 8-bit texels stay encoded in memory: they are never NaN and always within [0, 1]
         data = stored.astype(np.float32)
         field = name if key == "value" else f"{name}.{key}"
         is_bad = ~np.isfinite(data)
@@ -92,17 +92,13 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     return problems
 
 
-# Problems collected while a scene loads, or None outside such a context. A plain list: appending is
-# atomic, and Mitsuba builds plugins on several threads.
+# Problems collected within gathering_problems(), else None. Mitsuba creates plugins on several threads;
+# extending a list is atomic.
 _gathered: list[Problem] | None = None
 
 
 def check_parameter(material: str, name: str, texture: Any) -> None:
-    """Report all faults of one parameter.
-
-    Raises :class:`datagen.foundation.errors.InputError`, or passes the problems to
-    :func:`gathering_problems`.
-    """
+    """Raise one :class:`InputError` for all faults of a parameter; :func:`gathering_problems` defers it."""
     problems = parameter_problems(material, name, texture)
     if problems and _gathered is None:
         raise InputError(*problems)
@@ -112,7 +108,7 @@ def check_parameter(material: str, name: str, texture: Any) -> None:
 
 @contextmanager
 def gathering_problems() -> Iterator[None]:
-    """Context in which bad parameters do not raise one by one; on exit, one InputError contains them all."""
+    """Context manager that raises the faults of all parameters checked in it as one :class:`InputError`."""
     global _gathered
     problems: list[Problem] = []
     _gathered = problems

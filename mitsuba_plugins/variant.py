@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Chooses the Mitsuba variant and its LLVM library, once per process.
 
-Mitsuba's LLVM back end aborts the whole process ("Cannot select: fminimum") with LLVM 14 to 16, which no
-exception handler can catch. The newest suitable library is therefore chosen *before* mitsuba is imported, and
-a machine without a suitable library is refused with the remedy in the message.
+With LLVM 14 to 16, Mitsuba aborts the whole process ("Cannot select: fminimum"), which no exception handler
+can catch. The newest library is therefore chosen *before* mitsuba is imported, and an error with the remedy
+is raised if that is too old.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def find_llvm_libraries() -> list[LlvmLibrary]:
 
 
 def llvm_major(path: Path) -> int | None:
-    """Major version reported by the library itself, or None if it cannot be loaded."""
+    """Major version that the library reports, or None if it cannot be loaded or is older than LLVM 16."""
     try:
         library = ctypes.CDLL(str(path))
         get_version = library.LLVMGetVersion  # since LLVM 16
@@ -83,16 +83,16 @@ def llvm_major(path: Path) -> int | None:
 def choose_llvm() -> LlvmLibrary:
     """The LLVM library to compile with: ``DRJIT_LIBLLVM_PATH`` if set, else the newest library found.
 
-    Raises :class:`InputError` with the remedy if none is new enough.
+    Raises :class:`InputError` with the remedy if it is missing or too old.
     """
     override = os.environ.get("DRJIT_LIBLLVM_PATH")
     if override:
         path = Path(override)
         major = llvm_major(path)
         if major is None or major < MIN_LLVM_MAJOR:
-            what = "no loadable LLVM of 16 or later" if major is None else f"LLVM {major}"
+            got = "no loadable LLVM of 16 or later" if major is None else f"LLVM {major}"
             expected = f"LLVM {MIN_LLVM_MAJOR} or later"
-            raise input_error("LLVM", "DRJIT_LIBLLVM_PATH", f"{override}, {what}", expected, REMEDY)
+            raise input_error("LLVM", "DRJIT_LIBLLVM_PATH", f"{override}, {got}", expected, REMEDY)
         return LlvmLibrary(path, major)
     libraries = find_llvm_libraries()
     for library in libraries:
@@ -103,7 +103,7 @@ def choose_llvm() -> LlvmLibrary:
 
 
 def has_cuda() -> bool:
-    """Whether an NVIDIA driver responds on this machine (determined without importing mitsuba)."""
+    """Whether the NVIDIA driver reports a GPU, without importing mitsuba."""
     if shutil.which("nvidia-smi") is None and not Path("/dev/nvidia0").exists():
         return False
     try:
@@ -115,9 +115,9 @@ def has_cuda() -> bool:
 
 
 def resolve_variant(name: str | None = None) -> str:
-    """Name of the variant that :func:`select_variant` would choose, without importing mitsuba.
+    """Name of the variant that :func:`select_variant` would choose if none is active.
 
-    None and ``auto`` choose as that function does. Raises :class:`InputError` on an unsupported name.
+    Does not import mitsuba. Raises :class:`InputError` for an unsupported name.
     """
     name = None if name == "auto" else name
     name = name or os.environ.get("SCENE_MATERIALS_VARIANT") or (CUDA_VARIANT if has_cuda() else CPU_VARIANT)
@@ -128,9 +128,7 @@ def resolve_variant(name: str | None = None) -> str:
 
 
 def check_variant(name: str | None = None) -> None:
-    """Raise :class:`InputError` if :func:`select_variant` would, without importing mitsuba; for commands that
-    start processes.
-    """
+    """Raise the :class:`InputError` of :func:`select_variant` without importing mitsuba."""
     if resolve_variant(name) == CPU_VARIANT:
         choose_llvm()
 
@@ -138,10 +136,10 @@ def check_variant(name: str | None = None) -> None:
 def select_variant(name: str | None = None) -> str:
     """Set the Mitsuba variant of this process and return its name. Repeated calls are cheap.
 
-    ``name`` is one of :data:`VARIANTS`. None and ``auto`` choose the active variant, else
-    ``SCENE_MATERIALS_VARIANT`` from the environment, else CUDA if a GPU responds, else LLVM. Raises
-    ``RuntimeError`` if another variant is already active, and :class:`InputError` if the installed LLVM is
-    too old.
+    ``name`` is one of :data:`VARIANTS`. None and ``auto`` choose the active variant, else the value of the
+    environment variable ``SCENE_MATERIALS_VARIANT``, else CUDA if there is a GPU, else LLVM. Raises
+    ``RuntimeError`` if another variant is active, and :class:`InputError` if the name is unsupported or LLVM
+    is missing or too old.
     """
     if "mitsuba" in sys.modules:
         import mitsuba as mi
@@ -151,7 +149,7 @@ def select_variant(name: str | None = None) -> str:
             if name not in (None, "auto", active):
                 raise RuntimeError(
                     f"variant {active} is already active in this process; expected {name}; "
-                    "use one variant a process"
+                    "use one variant per process"
                 )
             return active
     name = resolve_variant(name)

@@ -11,17 +11,21 @@ from numpy.typing import NDArray
 
 @dataclass
 class DenseSystem:
-    """S (V, P) and the smoothness term lambda (diag(m) - diag(n) B diag(n)) of one image."""
+    """Matrices of an image of P pixels in V grid cells.
+
+    ``splat`` S (V, P) sums pixels by cell; ``smoothness`` (V, V) is lambda (diag(m) - diag(n) B diag(n)),
+    with blur B, and n and m from bistochastisation.
+    """
 
     splat: NDArray
     smoothness: NDArray
 
     def matrix(self, confidence: NDArray) -> NDArray:
-        """The matrix A for one channel's confidence (P,)."""
+        """The system's matrix (V, V) for a channel with ``confidence`` (P,)."""
         return self.smoothness + np.diag(self.splat @ confidence)
 
     def solve(self, target: NDArray, confidence: NDArray) -> NDArray:
-        """Filtered pixels (P,) of one channel."""
+        """Filtered pixels (P,) of a channel with values ``target`` (P,) and ``confidence`` (P,)."""
         y = np.linalg.solve(self.matrix(confidence), self.splat @ (confidence * target))
         return self.splat.T @ y
 
@@ -34,7 +38,10 @@ def build(
     lam: float,
     num_bistochastize: int = 10,
 ) -> DenseSystem:
-    """The system of a guide image (H, W, 3), linear RGB: cells by a dictionary, neighbours by comparison."""
+    """Build the system of a linear RGB ``guide`` (H, W, 3): cells by a dictionary, neighbours by comparison.
+
+    Cell sides: ``sigma_xy`` in pixels, ``sigma_luma`` and ``sigma_chroma`` in 1/255 of the maximum of YUV.
+    """
     height, width, _ = guide.shape
     rgb = guide.astype(np.float64) / guide.max() * 255.0
     yuv = np.stack(
@@ -50,8 +57,8 @@ def build(
     for row in range(height):
         for column in range(width):
             y, u, v = yuv[row, column]
-            place = (row / sigma_xy, column / sigma_xy, y / sigma_luma, u / sigma_chroma, v / sigma_chroma)
-            cell = tuple(int(np.floor(p)) for p in place)
+            scaled = (row / sigma_xy, column / sigma_xy, y / sigma_luma, u / sigma_chroma, v / sigma_chroma)
+            cell = tuple(int(np.floor(s)) for s in scaled)
             pixel_cells.append(cells.setdefault(cell, len(cells)))
     splat = np.zeros((len(cells), height * width))
     splat[pixel_cells, np.arange(height * width)] = 1.0

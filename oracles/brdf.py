@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The material model in float64 NumPy, written from its equations: slow, plain and exact.
+"""The material model in float64 NumPy, written directly from its equations.
 
-Letters: ``wi`` viewer, ``wo`` light, unit (..., 3), local frame with z the normal; ``alpha`` the slope width;
-D, S, R the material's channels, D and S (..., 3) or broadcastable, R (...). Directions are used as given:
-rounding them to float32 first isolates the error of an implementation from the error of its input.
+Letters: ``wi`` and ``wo`` are the unit directions (..., 3) to viewer and light, in a local frame whose z is
+the normal; ``alpha`` the slope width; D, S (..., 3) and R (...) the material's channels. Callers round
+directions to float32 first, which separates the error of an implementation from that of its input.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ def effective_albedo(albedo: Array) -> Array:
 
 
 def theta(w: Array) -> Array:
-    """Angle from the normal, accurate near 0 and near pi/2."""
+    """Angle in radians of directions (..., 3) from the normal, accurate near 0 and pi/2."""
     return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2])
 
 
 def beckmann_d(h: Array, alpha: Array) -> Array:
-    """Beckmann's distribution (Walter et al. 2007, eq. 25), for ``h`` of any length."""
+    """Beckmann's distribution [1/sr] (Walter et al. 2007, eq. 25), for ``h`` of any length."""
     t = theta(h)
     inside = t < np.pi / 2
     t = np.where(inside, t, 0.0)
@@ -54,7 +54,7 @@ def smith_g1(w: Array, alpha: Array) -> Array:
 
 
 def schlick(specular_albedo: Array, one_minus_cos: Array) -> Array:
-    """Schlick's Fresnel term with the fifth power, from 1 - cos, so that nothing cancels."""
+    """Schlick's Fresnel term, from 1 - cos to avoid cancellation."""
     return specular_albedo + (1.0 - specular_albedo) * one_minus_cos**5
 
 
@@ -65,7 +65,7 @@ def one_minus_cos_half(wi: Array, wo: Array) -> Array:
 
 
 def specular_lobe(wi: Array, wo: Array, alpha: Array) -> Array:
-    """D_b G1(wi) / (4 cos_i): the density of wo when h follows the visible normals [1/sr]."""
+    """D_b G1(wi) / (4 cos_i): density [1/sr] of wo if h is drawn from the visible normals."""
     cos_i = np.where(wi[..., 2] > 0, wi[..., 2], 1.0)
     value = beckmann_d(wi + wo, alpha) * smith_g1(wi, alpha) / (4.0 * cos_i)
     return np.where((wi[..., 2] > 0) & (wo[..., 2] > 0), value, 0.0)
@@ -82,7 +82,7 @@ def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: A
 
 
 def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
-    """Share of samples that the specular lobe gets (a choice of the sampler, not of the model)."""
+    """Probability that the sampler chooses the specular lobe."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     s = np.mean(schlick(specular, 1.0 - wi[..., 2:]), -1)
     d = np.mean((1.0 - specular) * diffuse, -1)
@@ -98,7 +98,7 @@ def pdf(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array)
 
 
 def direction(angle_rad: Array, azimuth_rad: Array) -> Array:
-    """Unit vector at an angle from the normal."""
+    """Unit vectors (..., 3) at an angle from the normal."""
     s = np.sin(angle_rad)
     x, y, z = np.broadcast_arrays(s * np.cos(azimuth_rad), s * np.sin(azimuth_rad), np.cos(angle_rad))
     return np.stack([x, y, z], -1)
@@ -116,7 +116,7 @@ def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array
 
 
 def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: int = 400) -> float:
-    """Directional albedo of the specular term for one ``wi`` (3,), by quadrature over visible normals."""
+    """Directional albedo of the specular term for one ``wi`` (3,), by quadrature over microfacet normals."""
     alpha = float(alpha_from_roughness(np.float64(roughness)))
     h, weight = slopes_grid(alpha, num)
     cos_h = h @ wi
@@ -128,5 +128,5 @@ def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: i
 
 
 def directional_albedo(wi: Array, diffuse: float, specular: float, roughness: float) -> float:
-    """Share of the light from ``wi`` that is reflected: passes 1 at grazing angles (docs/bsdf.md)."""
+    """Share of the light from ``wi`` that is reflected; exceeds 1 at grazing angles (docs/bsdf.md)."""
     return (1.0 - specular) * diffuse + specular_albedo_towards(wi, specular, roughness)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Calls the BSDF on arrays of directions and materials, NumPy in, NumPy out."""
+"""Evaluates the BSDF for NumPy arrays of directions and materials."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _layout(n: int) -> tuple[int, int]:
 
 
 def interaction(wi: np.ndarray) -> Any:
-    """Interaction with the given local directions (n, 3); lane i looks up texel i of :func:`material`."""
+    """Interaction with the local directions ``wi`` (n, 3); lane i looks up texel i of :func:`material`."""
     n = len(wi)
     width, height = _layout(n)
     index = np.arange(n)
@@ -75,9 +75,9 @@ def _texels(values: np.ndarray) -> np.ndarray:
 
 
 def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **options: Any) -> Any:
-    """A cook_torrance whose channels differ from lane to lane: D, S (n, 3) or a number, R (n,) or a number.
+    """A ``cook_torrance`` with ``num`` (n) texels: D, S (n, 3) or a number, R (n,) or a number.
 
-    Values are set after construction, so that they may lie outside the range that the plugin accepts.
+    Values are set after construction and may be outside the range that the plugin accepts.
     """
     d, s = (np.broadcast_to(np.asarray(a, np.float32), (num, 3)) for a in (diffuse, specular))
     r = np.broadcast_to(np.asarray(roughness, np.float32), (num,))[:, None]
@@ -102,5 +102,5 @@ def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **option
 
 
 def unit_float32(w: np.ndarray) -> np.ndarray:
-    """Directions rounded to float32, as float64: the exact input of the implementation."""
+    """Directions rounded to float32, as float64: the input that the implementation gets."""
     return np.asarray(w, np.float32).astype(np.float64)

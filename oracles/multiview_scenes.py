@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """A small scene of axis-aligned boxes with exact depth, normals and occlusion, for the multi-view tests.
 
-A floor, one wall and two boxes: rays past them hit the background. The cameras include one behind the wall's
-front, one that looks away from everything, and one that grazes the floor. Colours are white noise, so that a
-fetch from a wrong place is detected.
+A floor, a wall and two boxes in front of an empty background. One of the cameras is behind the wall, one
+looks away from all surfaces, and one grazes the floor. Colours are white noise, which reveals every fetch
+from a wrong position.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ POSES = (  # position, target
 
 
 def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> tuple[NDArray, NDArray]:
-    """Minimum t > 0 (N,), Inf without a hit, and outward normal (N, 3); ``boxes`` (B, 2, 3) by corners."""
+    """Ray parameter (N,), Inf without a hit, and outward normal (N, 3) of the first hits of rays (N, 3).
+
+    ``boxes`` (B, 2, 3): lower and upper corners.
+    """
     nearest = np.full(len(origins), np.inf)
     normals = np.zeros((len(origins), 3))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -54,9 +57,8 @@ def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> 
 
 
 def is_occluded(centres: NDArray, points: NDArray) -> NDArray:
-    """Whether a box lies between camera and point, (N,); the point's own surface does not count."""
-    offset = points - centres
-    t, _ = hit_boxes(centres, offset)
+    """Mask (N,) of points (N, 3) occluded from camera centres (N, 3) by other surfaces than their own."""
+    t, _ = hit_boxes(centres, points - centres)
     return t < 1 - 1e-3
 
 
@@ -66,7 +68,10 @@ def make_views(
     seed: int = 5,
     is_noise: bool = True,
 ) -> list[StatisticsView]:
-    """Views of the scene; ``sizes`` are (width, height), used in turn. Some pixels are not surface."""
+    """Views of the scene; ``sizes`` (width, height) are used in turn. 3 % of the pixels are emitters.
+
+    Colours are white noise if ``is_noise``, else they show the normals.
+    """
     rng = np.random.default_rng(seed)
     views = []
     for index, (position, target) in enumerate(POSES[:num_views]):
@@ -84,7 +89,7 @@ def make_views(
         t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
         depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0).reshape(height, width, 1)
         mask = (depth > 0).astype(np.float32)
-        emitters = rng.random(mask.shape) < 0.03  # hit, but no reflecting surface
+        emitters = rng.random(mask.shape) < 0.03
         mask[emitters] *= 0.3
         if is_noise:
             color = rng.random((height, width, 3))
@@ -104,7 +109,7 @@ def make_views(
 
 
 def mitsuba_scene():
-    """The same boxes as a Mitsuba scene; the variant must have been selected."""
+    """The boxes as a Mitsuba scene; the variant must have been selected."""
     import mitsuba as mi
 
     scene = {"type": "scene"}

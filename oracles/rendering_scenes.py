@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scenes of a few quads and boxes whose images can be computed by hand, for the tests of the renderer."""
+"""Scenes of a few quads and boxes with analytic images, for the tests of the renderer."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GREY = SlotMaterial(diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.0, 0.0, 0
 
 
 def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: bool = False) -> Mesh:
-    """A rectangle whose front faces edge_u x edge_v, with UVs (0, 0) at its origin."""
+    """A rectangle whose front faces along edge_u x edge_v, with UVs (0, 0) at its origin."""
     o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, edge_u, edge_v))
     normal = np.cross(u, v)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -47,7 +47,7 @@ def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: 
 
 
 def box(side: float = 1.0) -> Mesh:
-    """Cube on z = 0 around the z axis, flat shaded, without UVs."""
+    """Flat-shaded cube on z = 0 around the z axis, without UVs; ``side`` in metres."""
     shape = trimesh.creation.box([side, side, side])
     shape.apply_translation([0, 0, side / 2])
     return flat_shaded(Mesh(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32)))
@@ -56,7 +56,7 @@ def box(side: float = 1.0) -> Mesh:
 def down_camera(
     width: int = 8, height: int = 8, view_m: float = 0.01, at: Any = (0.0, 0.0), z: float = 1.0
 ) -> Camera:
-    """Camera at height ``z`` that sees ``view_m`` metres of the plane z = 0 across its width.
+    """Camera at height ``z`` whose image shows ``view_m`` metres of the plane z = 0 across its width.
 
     The image's right is +x and its top is +y.
     """
@@ -67,10 +67,10 @@ def down_camera(
 
 @dataclass
 class SmallScene:
-    """Input of :func:`renderer`: meshes and materials by name, and their assignment.
+    """Input of :func:`renderer`: meshes and materials by name.
 
-    ``parts``: (mesh, slot) by part of the environment; ``objects``: (mesh, material) by asset, with one slot
-    ``skin``; ``materials``: (material, files) by package.
+    Of the environment: ``parts``, (mesh, slot) by name; materials ``slots`` by slot; ``files`` by name.
+    ``objects``: (mesh, material of the slot ``skin``) by asset. ``materials``: (material, files) by package.
     """
 
     parts: dict[str, tuple[Mesh, str]] = field(
@@ -83,7 +83,7 @@ class SmallScene:
     uv_per_m: float | None = None
 
     def write(self, root: Path) -> Library:
-        """Write the packages and open them."""
+        """Write the packages to the folder ``root`` and open them."""
         environment = EnvironmentAsset(
             id="room",
             title="room",
@@ -116,7 +116,7 @@ class SmallScene:
 
 
 def configure(library: Library, cameras: list[Camera], **fields: Any) -> Configuration:
-    """A configuration of the room, with every package of the library listed."""
+    """A configuration of the room that lists every package of the library; ``fields`` override its fields."""
     fields.setdefault("environment", PlacedAsset(name="room", asset="room"))
     views = tuple(ViewCamera.from_camera(f"view_{k}", camera) for k, camera in enumerate(cameras))
     assets = {package.id: package.sha256 for package in library}
@@ -137,7 +137,7 @@ def renderer(
 
 
 def placed(x: float, y: float, yaw: float = 0.0, scale: float = 1.0, z: float = 0.0) -> Any:
-    """``world_from_asset`` in the form that a configuration stores."""
+    """``world_from_asset`` of a configuration from position [m], yaw [rad] and scale."""
     cosine, sine = scale * np.cos(yaw), scale * np.sin(yaw)
     matrix = np.array([[cosine, -sine, 0, x], [sine, cosine, 0, y], [0, 0, scale, z], [0, 0, 0, 1.0]])
     return tuple(tuple(float(c) for c in row) for row in matrix)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Spherical Gaussians by brute force in float64: midpoint sums over the sphere or the hemisphere."""
+"""Integrals of spherical Gaussians in float64, by midpoint sums over the sphere or the hemisphere."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 
 
 def inner_product(axis1: NDArray, sharpness1: float, axis2: NDArray, sharpness2: float) -> float:
-    """Integral of the product of two lobes, on a grid aligned with the product's own axis."""
+    """Integral over the sphere of the product of two lobes with unit axes (3,), on a grid along its axis."""
     axis = sharpness1 * axis1 + sharpness2 * axis2
     length = np.linalg.norm(axis)
-    # the product is exp(m.w - l1 - l2), m = axis: integrate over the angle from m analytically gridded in z
+    # the product at direction w is exp(axis.w - sharpness1 - sharpness2); z is the cosine of w with the axis
     z = (np.arange(4_000_000) + 0.5) / 4_000_000 * 2 - 1
     values = np.exp(length * z - sharpness1 - sharpness2)
     return float(2 * np.pi * values.mean() * 2)
 
 
 def irradiance(sharpness: float, cos_beta: float, num_z: int = 3000, num_phi: int = 600) -> float:
-    """Integral over the upper hemisphere of a lobe at ``cos_beta`` from the pole, times the cosine."""
+    """Integral over the hemisphere of a lobe times the cosine; ``cos_beta`` is that of the lobe's axis."""
     z = (np.arange(num_z) + 0.5) / num_z
     phi = (np.arange(num_phi) + 0.5) / num_phi * 2 * np.pi
     z, phi = np.meshgrid(z, phi, indexing="ij")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
-The loops follow the definitions literally and are correct by inspection. The vectorised version must equal
-them; it also returns the distance of every pixel from a decision that could differ in float32, and is the
-baseline for speed. Both are independent of the kernels that they check. A view is any object with ``camera``,
-``color`` (H, W, 3), ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
+The loops follow the definitions literally. The vectorised version must give equal results; it also returns
+each pixel's margin from a decision that could differ in float32, and is the baseline for speed. Both are
+independent of the kernels that they check. A view is any object with ``camera``, ``color`` (H, W, 3),
+``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Occlusion = Callable[[NDArray, NDArray], NDArray]
-"""(N, 3) camera centres, (N, 3) points to (N,) True where something lies between."""
+"""Mask (N,) of the occluded points, as a function of camera centres (N, 3) and points (N, 3)."""
 
 
 @dataclass(frozen=True)
 class OracleOptions:
-    """The options of the project's kernels; ``occlusion`` replaces the depth test by an exact test."""
+    """As ``StatisticsOptions`` and ``VisibilityOptions``; ``occlusion`` replaces the test of depth."""
 
     best_views: int = 12
     include_self: bool = True
@@ -57,7 +57,7 @@ def _projection(view: Any, point: NDArray) -> tuple[float, float, float]:
     return x / z * camera.fx_px + camera.cx_px, y / z * camera.fy_px + camera.cy_px, z
 
 
-def _sees(view: Any, point: NDArray, normal: NDArray, options: OracleOptions) -> bool:
+def _is_visible(view: Any, point: NDArray, normal: NDArray, options: OracleOptions) -> bool:
     camera = view.camera
     u, v, z = _projection(view, point)
     if not (z > 0 and 0 <= u < camera.width_px and 0 <= v < camera.height_px):
@@ -115,7 +115,7 @@ def statistics_by_loops(
                 if i == index:
                     is_candidate = options.include_self
                 else:
-                    is_candidate = _sees(view, point, normal, options)
+                    is_candidate = _is_visible(view, point, normal, options)
                 if is_candidate:
                     toward = (centres[i] - point) / distances[i]
                     candidates.append((-float(normal @ toward) + distances[i] / max(distances), i))
@@ -144,9 +144,10 @@ def statistics_vectorized(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
     """As :func:`statistics_by_loops`, with the margin (H, W) of each pixel's closest decision.
 
-    The margin is the least of the distance in pixels to an image border or, with depth test or nearest fetch,
-    to a pixel's border; and, multiplied by 20 because they err less in float32, of the differences of n .
-    omega from 0, of the relative depth difference from its tolerance, and of the costs at the cut.
+    The margin is the minimum over all views of the projection's distance in pixels to the image's border or,
+    with test of depth or nearest fetch, to a pixel's border; and, times 20 because their float32 errors are
+    smaller, of |n . omega|, of the differences between relative depth differences and their tolerance, and of
+    the difference in cost between the last chosen and the first rejected view.
     """
     own = views[index]
     height, width = own.color.shape[:2]

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A room with a block in it, unwrapped by hand, with smooth known materials: the oracle of the
-reconstruction tests.
+"""A room with a block in it and known, smooth materials: the oracle of the reconstruction tests.
 
-Twelve quads, each in a cell of a 4 x 3 grid of the atlas: the room's six walls seen from inside, the block's
-six sides seen from outside (its bottom is never seen). Materials are smooth functions of the UVs.
+Twelve quads, each in a cell of a 4 x 3 grid of the atlas: the room's six sides, which face inwards, and the
+block's, which face outwards (its bottom is never visible). Materials are smooth functions of the UVs.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _AXES = (0, 0, 1, 1, 2, 2)
 
 
 def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
-    """Corners (4, 3) of a box's side, counter-clockwise seen from the side that shows."""
+    """Corners (4, 3) of a box's side, counter-clockwise from inside if ``is_inward``, else from outside."""
     axis, at = _AXES[side], (low, high)[side % 2]
     a, b = (axis + 1) % 3, (axis + 2) % 3
     corners = np.empty((4, 3))
@@ -34,7 +33,7 @@ def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
 
 
 def room_mesh() -> Mesh:
-    """Mesh with 48 vertices, 24 triangles and unique UVs; flat normals."""
+    """The room's mesh: 48 vertices, 24 triangles, unique UVs and flat normals."""
     quads = [_quad(*np.array(ROOM), side, True) for side in range(6)]
     quads += [_quad(*np.array(BLOCK), side, False) for side in range(6)]
     positions, uvs, normals, faces = [], [], [], []
@@ -52,7 +51,7 @@ def room_mesh() -> Mesh:
 
 
 def materials_at(uv: NDArray) -> dict[str, NDArray[np.float32]]:
-    """Maps (..., 3 or 1) in [0.05, 0.95] at UVs (..., 2): waves of at most one period per cell."""
+    """Maps (..., 3 or 1) in [0.05, 0.95] at UVs (..., 2): waves of one period per cell and axis."""
     u, v = uv[..., 0] * 4 * 2 * np.pi, uv[..., 1] * 3 * 2 * np.pi
     diffuse = np.stack([0.5 + 0.3 * np.sin(u), 0.5 + 0.3 * np.cos(v), 0.4 + 0.2 * np.sin(u + v)], axis=-1)
     specular = np.stack([0.1 + 0.05 * np.cos(u), 0.1 + 0.05 * np.sin(v), 0.2 + 0.1 * np.cos(u - v)], axis=-1)
@@ -70,17 +69,13 @@ def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4)
         eye = [2.0 + 1.7 * np.cos(angle), 1.5 + 1.25 * np.sin(angle), rng.uniform(1.2, 2.2)]
         target = np.array([2.0, 1.5, 0.6]) + rng.uniform(-0.9, 0.9, 3) * [1, 1, 1.5]
         width, height = size if index % 2 == 0 else (size[0] + 8, size[1] - 6)
-        camera = Camera(width, height, 0.62 * width, 0.63 * width, 0.49 * width, 0.52 * height, np.eye(4))
-        pose = look_at(eye, target)
-        cameras.append(Camera(*(getattr(camera, n) for n in _INTRINSICS), pose))
+        intrinsics = 0.62 * width, 0.63 * width, 0.49 * width, 0.52 * height
+        cameras.append(Camera(width, height, *intrinsics, look_at(eye, target)))
     return cameras
 
 
-_INTRINSICS = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
-
-
 class _MapSource:
-    """Images of the room without rendering: the diffuse albedo serves as the photograph."""
+    """Source of a view's images: ``maps``, of which the diffuse albedo serves as the photograph."""
 
     def __init__(self, maps: dict[str, NDArray]):
         self.maps = maps
@@ -94,27 +89,25 @@ class _MapSource:
 
 
 def geometry_of(mesh: Mesh) -> CaptureGeometry:
-    """The mesh as one part without lamps."""
+    """The mesh as geometry with a single part and no lamps."""
     return CaptureGeometry(mesh, (GeometryPart("room", 0, len(mesh.faces)),))
 
 
 def view_maps(mesh: Mesh, camera: Camera) -> dict[str, NDArray]:
-    """Exact maps (H, W, C) of a view by float64 rays against the quads, without the tracer under test."""
+    """Exact maps (H, W, C) of a view by float64 ray casting, independent of the tracer under test."""
     uv, _ = uv_of_pixels(mesh, camera)
     return materials_at(np.nan_to_num(uv))
 
 
 def uv_of_pixels(mesh: Mesh, camera: Camera) -> tuple[NDArray, NDArray]:
-    """UV (H, W, 2), NaN where nothing is hit, and depth (H, W) through the pixels' centres; brute force."""
+    """UV (H, W, 2) and depth (H, W) at the pixel centres, NaN and 0 without a hit; tests all triangles."""
     assert mesh.uv is not None
     directions = camera.ray_directions().reshape(-1, 3)
     nearest, uv = np.full(len(directions), np.inf), np.full((len(directions), 2), np.nan)
     for face in mesh.faces:
         a, b, c = mesh.positions[face].astype(np.float64)
-        matrix = np.stack([b - a, c - a, np.zeros(3)], axis=1)
-        rhs = camera.position_m - a
-        # a + s (b - a) + t (c - a) = o + r d, by Cramer's rule for every direction
-        e1, e2 = matrix[:, 0], matrix[:, 1]
+        e1, e2, rhs = b - a, c - a, camera.position_m - a
+        # a + s e1 + t e2 = position + r direction, by Cramer's rule for every direction
         normal = np.cross(e1, e2)
         with np.errstate(divide="ignore", invalid="ignore"):
             r = -(rhs @ normal) / (directions @ normal)
@@ -133,7 +126,7 @@ def uv_of_pixels(mesh: Mesh, camera: Camera) -> tuple[NDArray, NDArray]:
 def room_capture(
     num: int = 10, size: tuple[int, int] = (96, 72), *, has_equal_views: bool = False
 ) -> Capture:
-    """The room as a capture with ground-truth maps. ``has_equal_views``: one size, square pixels."""
+    """The room as a capture with ground-truth maps. ``has_equal_views``: equal sizes and square pixels."""
     mesh = room_mesh()
     cameras = room_cameras(num, size)
     if has_equal_views:

@@ -7,30 +7,30 @@ import numpy as np
 
 from datagen.foundation.meshes.mesh import Mesh, welded
 
-CREASE_RAD = np.radians(40.0)  # of meshes without normals
+CREASE_RAD = np.radians(40.0)  # minimum angle between the triangle normals at a crease
 _MAX_AROUND = 128  # maximum number of triangles at a vertex
 
 
 def with_normals(mesh: Mesh) -> Mesh:
-    """The mesh with its normals or, if it has none, with normals that are discontinuous at creases.
+    """Return ``mesh`` itself if it has normals, else a copy with normals that are discontinuous at creases.
 
-    Vertices are split at creases; faces keep their order. A corner's normal is the area-weighted mean over
-    the triangles at its vertex whose normals differ by less than ``CREASE_RAD`` from its own: large flat
-    walls stay flat beside narrow bevels, as with the weighted normals of modelling tools.
+    Vertices are split at creases; faces keep their order. The normal of a triangle's corner is the
+    area-weighted mean over the triangles at the same vertex whose normals differ by less than ``CREASE_RAD``
+    from the triangle's: large flat walls stay flat next to narrow bevels.
     """
     if mesh.normals is not None:
         return mesh
     corners = mesh.triangles().astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
-    place = welded(mesh)[1][mesh.faces].ravel()
-    order = np.argsort(place, kind="stable")  # corners by vertex; corner k is of face k // 3
-    start = np.concatenate([[0], np.cumsum(np.bincount(place))])
-    size = (start[1:] - start[:-1])[place[order]]
-    local = np.arange(len(order)) - start[:-1][place[order]]
+    vertex = welded(mesh)[1][mesh.faces].ravel()
+    order = np.argsort(vertex, kind="stable")  # corners by vertex; corner k is of face k // 3
+    start = np.concatenate([[0], np.cumsum(np.bincount(vertex))])
+    size = (start[1:] - start[:-1])[vertex[order]]
+    local = np.arange(len(order)) - start[:-1][vertex[order]]
     total = np.repeat(cross, 3, axis=0)
     for step in range(1, min(int(size.max(initial=1)), _MAX_AROUND)):
-        rows = np.flatnonzero(size > step)  # pairs corners ``step`` apart around their vertex
+        rows = np.flatnonzero(size > step)  # paired with the corner ``step`` entries later at the same vertex
         other = rows - local[rows] + (local[rows] + step) % size[rows]
         a, b = order[rows] // 3, order[other] // 3
         is_near = (unit[a] * unit[b]).sum(axis=1) > np.cos(CREASE_RAD)

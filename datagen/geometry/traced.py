@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Visible geometry of a capture's mesh in each view: depth, normals and faces at the pixel centres, by ray
-tracing.
+"""Traces rays through the pixel centres of a capture's views: depth, normals and triangles of its mesh.
 
-Rendered and photographed rooms are treated alike: no stored buffers are used, so that the geometry may be
-coarser than the room, as a retopologised mesh is.
+Stored buffers of rendered captures are not used, since the mesh may be coarser than the rendered room.
 """
 
 from __future__ import annotations
@@ -28,11 +26,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """The mesh in a view's pixels.
+    """The mesh at the pixel centres of a view.
 
     ``depth_z_m`` (H, W, 1), 0 where nothing is hit; ``normal_world`` (H, W, 3), unit, facing the camera, 0
-    where nothing is hit; ``surface_mask`` (H, W, 1), 1 on surfaces that do not emit; ``face`` (H, W), -1
-    where nothing is hit; ``is_front`` (H, W), whether the face's outer side is visible.
+    where nothing is hit; ``surface_mask`` (H, W, 1), 1 on surfaces that do not emit, else 0; ``face`` (H, W),
+    index of the triangle, -1 where nothing is hit; ``is_front`` (H, W), whether the triangle appears
+    counter-clockwise.
     """
 
     depth_z_m: NDArray[np.float32]
@@ -43,7 +42,7 @@ class ViewGeometry:
 
 
 def mesh_scene(mesh: Mesh) -> mi.Scene:
-    """A Mitsuba scene of one mesh, for rays only."""
+    """Return a Mitsuba scene for ray tracing that contains only ``mesh``."""
     select_variant()
     import mitsuba as mi
 
@@ -62,7 +61,7 @@ def mesh_scene(mesh: Mesh) -> mi.Scene:
 
 
 class TracedGeometry:
-    """A capture's mesh, ready for ray tracing. ``scene`` also serves shadow rays."""
+    """A capture's ``mesh``, with normals, and the Mitsuba ``scene`` that contains it."""
 
     def __init__(self, geometry: CaptureGeometry):
         mesh = with_normals(geometry.mesh)
@@ -71,7 +70,7 @@ class TracedGeometry:
         self._emits = geometry.emitter_mask()
 
     def trace_view(self, camera: Camera, valid_mask: NDArray[np.bool_] | None = None) -> ViewGeometry:
-        """The view through ``camera``; pixels outside ``valid_mask`` (H, W) count as empty."""
+        """Trace the pixel centres of ``camera``; outside ``valid_mask`` (H, W), nothing counts as hit."""
         import drjit as dr
         import mitsuba as mi
 
@@ -104,9 +103,9 @@ class TracedGeometry:
 def reachable_faces(
     geometry: TracedGeometry, position_m: NDArray, normal: NDArray, num_rays: int = 400_000
 ) -> NDArray[np.bool_]:
-    """Mask (M,) of the triangles hit by cosine-distributed rays from points (N, 3) with normals (N, 3).
+    """Mask (M,) of the triangles hit by cosine-distributed rays from random ones of the points (N, 3).
 
-    These are the triangles visible from the space in front of the points.
+    ``normal`` (N, 3) is the axis of each point's distribution.
     """
     import mitsuba as mi
 
@@ -114,14 +113,14 @@ def reachable_faces(
     if not len(position_m):
         return found
     random = np.random.default_rng(0)
-    which = random.integers(0, len(position_m), num_rays)
+    point = random.integers(0, len(position_m), num_rays)
     sphere = random.normal(size=(num_rays, 3))
-    way = normal[which] + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    direction = normal[point] + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
     size_m = float(np.linalg.norm(np.ptp(geometry.mesh.positions, axis=0)))
-    start = position_m[which] + normal[which] * (1e-4 * size_m)
+    start = position_m[point] + normal[point] * (1e-4 * size_m)
     pi = geometry.scene.ray_intersect_preliminary(
-        mi.Ray3f(mi.Point3f(vectors_from_rows(start)), vectors_from_rows(way))
+        mi.Ray3f(mi.Point3f(vectors_from_rows(start)), vectors_from_rows(direction))
     )
     hit = np.asarray(pi.is_valid().numpy(), dtype=bool)
     found[np.asarray(pi.prim_index.numpy()).astype(np.int64)[hit]] = True
@@ -129,9 +128,9 @@ def reachable_faces(
 
 
 def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
-    """Outer side of each triangle (M,): 1, or -1 for triangles that the views mostly show from behind.
+    """Sign (M,) of each triangle's outer side: 1 if more pixels show its front than its back, -1 if fewer.
 
-    The winding of a mesh may be wrong. Triangles at no pixel centre get the side of the majority of the mesh.
+    The sign corrects a wrong winding. Triangles without a majority get the sign of most other triangles.
     """
     balance = np.zeros(num_faces, dtype=np.int64)
     for view in views:
@@ -143,7 +142,7 @@ def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.floa
 
 
 def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Unit normals (M, 3) of the triangles, flipped by ``sides`` (M,)."""
+    """Unit normals (M, 3) of the triangles, multiplied by the signs ``sides`` (M,) if given."""
     corners = mesh.triangles()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
@@ -153,10 +152,10 @@ def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArra
 
 
 def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.int32]:
-    """Index (M,) of each triangle's smooth region: triangles joined over edges bent less than the angle.
+    """Index (M,) of each triangle's smooth region.
 
-    Vertices at equal positions count as one. The two sides of a sharp edge, and objects that do not touch,
-    are different regions.
+    Triangles that share an edge belong to the same region if their normals differ by less than
+    ``max_angle_rad``. Vertices at equal positions count as one.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -170,6 +169,6 @@ def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.i
     same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     a, b = face[same], face[same + 1]
     normals = face_normals(mesh).astype(np.float64)
-    smooth = np.abs((normals[a] * normals[b]).sum(axis=1)) > np.cos(max_angle_rad)  # either winding
+    smooth = np.abs((normals[a] * normals[b]).sum(axis=1)) > np.cos(max_angle_rad)  # whatever the winding
     graph = coo_array((np.ones(int(smooth.sum())), (a[smooth], b[smooth])), shape=(num, num))
     return connected_components(graph, directed=False)[1].astype(np.int32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A capture's views, read and traced: input of all later stages of a reconstruction."""
+"""Reads a capture's views and traces its mesh in them: the input of all later stages of a reconstruction."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from datagen.multiview.statistics import StatisticsView
 
 @dataclass(frozen=True)
 class TracedView:
-    """A view of a capture.
+    """A view of a capture, with the mesh at its pixel centres (``geometry``).
 
-    ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False at pixels without a photographed value;
+    ``color`` (H, W, 3), linear radiance; ``valid_mask`` (H, W), False at pixels without a photographed value;
     ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None if there is no such pixel;
-    ``limit``, the radiance at the sensor's limit, None if unknown.
+    ``limit``, the radiance at which the sensor clips, None if unknown.
     """
 
     camera: Camera
@@ -35,16 +35,16 @@ class TracedView:
 
     @property
     def statistics(self) -> StatisticsView:
-        """The view as input of the multi-view statistics; arrays are shared."""
-        seen = self.geometry
+        """The view as input of the multi-view statistics; its arrays are not copied."""
+        mesh = self.geometry
         return StatisticsView(
-            self.camera, self.color, seen.depth_z_m, seen.normal_world, seen.surface_mask, self.name
+            self.camera, self.color, mesh.depth_z_m, mesh.normal_world, mesh.surface_mask, self.name
         )
 
 
 @dataclass(frozen=True)
 class TracedCapture:
-    """A capture, its mesh ready for ray tracing, and its views in the capture's order."""
+    """A capture, its mesh prepared for ray tracing, and its views in the capture's order."""
 
     capture: Capture
     geometry: TracedGeometry
@@ -52,21 +52,20 @@ class TracedCapture:
 
     @property
     def statistics(self) -> list[StatisticsView]:
-        """Inputs of the multi-view statistics, for every view."""
+        """The views as input of the multi-view statistics."""
         return [view.statistics for view in self.views]
 
 
 def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None = None) -> TracedCapture:
-    """Read and trace every view. The Mitsuba variant must have been selected.
+    """Read and trace every view; ``progress(done, total)`` is called after each.
 
     Raises :class:`InputError` if no view shows a reflecting surface.
     """
     geometry, views = TracedGeometry(capture.geometry), []
     for number, view in enumerate(capture.views, start=1):
         image = view.read()
-        seen = geometry.trace_view(view.camera, image.valid_mask)
-        shown = image.color, seen, image.valid_mask
-        views.append(TracedView(view.camera, *shown, view.name, image.clipped_mask, image.limit))
+        pixels = image.color, geometry.trace_view(view.camera, image.valid_mask), image.valid_mask
+        views.append(TracedView(view.camera, *pixels, view.name, image.clipped_mask, image.limit))
         if progress is not None:
             progress(number, len(capture.views))
     if not any(view.geometry.surface_mask.any() for view in views):
@@ -77,17 +76,15 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
 
 
 def visible_faces(traced: TracedCapture) -> NDArray[np.bool_]:
-    """Mask (M,) of the triangles visible in a view or from a surface visible in a view; excludes the outside
-    of walls.
-    """
+    """Mask (M,) of the triangles visible in a view or from a visible surface, not the outside of walls."""
     found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)
-    places, normals = [], []
+    points, normals = [], []
     for view in traced.views:
         hit = np.flatnonzero(view.geometry.face.ravel() >= 0)
         found[view.geometry.face.ravel()[hit]] = True
         pixel = hit[:: max(1, len(hit) // 500)]
-        way = view.camera.ray_directions().reshape(-1, 3)[pixel]
-        distance = view.geometry.depth_z_m.ravel()[pixel] / (way @ view.camera.forward)
-        places.append(view.camera.position_m + way * distance[:, None])
+        ray = view.camera.ray_directions().reshape(-1, 3)[pixel]
+        distance = view.geometry.depth_z_m.ravel()[pixel] / (ray @ view.camera.forward)
+        points.append(view.camera.position_m + ray * distance[:, None])
         normals.append(view.geometry.normal_world.reshape(-1, 3)[pixel])
-    return found | reachable_faces(traced.geometry, np.concatenate(places), np.concatenate(normals))
+    return found | reachable_faces(traced.geometry, np.concatenate(points), np.concatenate(normals))

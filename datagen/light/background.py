@@ -2,13 +2,12 @@
 """Background radiance of rays that leave the mesh, estimated from the pixels that show no surface.
 
 Near light, such as light through a window pane, is binned by direction and by the position at which a ray
-leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depends on direction alone and has
+leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depends only on direction and has
 finer bins (:data:`FAR`). Half of the views predict the background pixels of the other half, once by direction
-alone and once by position too; near light is used unless far light predicts clearly better
-(:data:`FAR_GAIN`). A bin holds the median of its pixels, or their mean in :data:`FAR`. An empty bin is filled
-from the nearest filled one, where a shift by the box's diagonal counts as :data:`PLACE_WEIGHT` radians. The
-result counts as photographed within the layout's ``photographed_reach``, as an estimate within :data:`REACH`,
-and as unknown beyond.
+and once by position; light counts as near unless direction predicts clearly better (:data:`FAR_GAIN`). A
+bin's radiance is the median of its pixels, in :data:`FAR` their mean. An empty bin gets the radiance of the
+nearest filled one; the box's diagonal counts as :data:`PLACE_WEIGHT` radians. It counts as photographed at
+distances up to the layout's ``photographed_reach``, as estimated up to :data:`REACH`, else as unknown.
 """
 
 from __future__ import annotations
@@ -30,10 +29,9 @@ MIN_PIXELS = 3
 """Pixels that a bin needs to count as filled."""
 PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
-"""Light counts as far if the error by direction is below this share of the error by position. Of equally good
-predictions, near light is preferred."""
+"""Light counts as far if the error by direction is below this share of the error by position."""
 JUDGED_PLACES = 24
-"""Squares along both sides of a face of the box in that test; its directions are those of :data:`FAR`."""
+"""Squares along each side of a face of the box in that test, which bins directions as in :data:`FAR`."""
 _MIN_GAIN = 1e-3  # in ln radiance; keeps rounding from deciding
 _MAX_PIXELS = 6000  # per view
 
@@ -42,10 +40,11 @@ _MAX_PIXELS = 6000  # per view
 class Layout:
     """Layout of the background's bins.
 
-    ``faces`` of the box (1: direction alone), ``places`` along both sides of a face, ``azimuths``, and
-    ``heights`` in equal steps of the direction's z, for equal solid angles. ``photographed_reach`` is in
-    radians. ``gain_blocks``: number of blocks along places, heights and azimuths; the bins of a block share
-    one gain of estimated light.
+    Numbers of ``faces`` of the box (1: bins by direction only), ``places`` along each side of a face,
+    ``azimuths``, and ``heights`` in equal steps of the direction's z, for equal solid angles.
+    ``photographed_reach``: distance in radians to the nearest filled bin up to which an empty one counts as
+    photographed. ``gain_blocks``: numbers of blocks along places, heights and azimuths; the bins of a block
+    share one gain of estimated light.
     """
 
     faces: int
@@ -57,7 +56,7 @@ class Layout:
 
     @property
     def is_far(self) -> bool:
-        """Whether bins depend on direction alone."""
+        """Whether bins depend only on direction."""
         return self.faces == 1
 
     @property
@@ -85,7 +84,7 @@ class Layout:
         return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
     def bins_of(self, origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
-        """Bins (N,) of rays (N, 3) that start inside the box from ``low`` to ``high`` (3,)."""
+        """Bins (N,) of rays (N, 3) that start inside the box with corners ``low`` and ``high`` (3,)."""
         azimuth = np.arctan2(direction[:, 1], direction[:, 0]) * (self.azimuths / (2 * np.pi))
         column = np.clip(azimuth + 0.5 * self.azimuths, 0, self.azimuths - 1).astype(np.int64)
         row = np.clip((direction[:, 2] * 0.5 + 0.5) * self.heights, 0, self.heights - 1).astype(np.int64)
@@ -102,7 +101,7 @@ FAR = Layout(1, 1, 128, 64, photographed_reach=0.15, gain_blocks=(1, 4, 8))
 
 @dataclass(frozen=True)
 class Background:
-    """Radiance of rays that leave the box from corner ``low`` to corner ``high``, (3,) each.
+    """Radiance of rays that leave the box with corners ``low`` and ``high`` (3,), in metres.
 
     Per bin of the ``layout``: ``radiance`` (B, 3), ``is_known`` and ``is_photographed`` (B,).
     """
@@ -148,7 +147,7 @@ def box_squares(
     """Face (N,) of the box through which rays (N, 3) leave it, and the square (N, 2) hit on that face.
 
     The face index is twice the axis, plus 1 for the upper face; the square is (row, column) in a grid of
-    ``across`` x ``across``.
+    ``across`` x ``across`` squares.
     """
     safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
     leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
@@ -171,7 +170,7 @@ class OutsidePixels:
 
 
 def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
-    """A subset of the background pixels of each view."""
+    """A regular subset of each view's background pixels."""
     parts: list[tuple[NDArray, ...]] = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
     for number, view in enumerate(views):
         pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())
@@ -184,7 +183,7 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Whether direction alone predicts pixels of other views clearly better than direction and position."""
+    """Whether direction predicts the pixels of other views clearly better than position."""
     if not len(pixels.view):
         return False
     face, square = box_squares(pixels.origin, pixels.direction, low, high, JUDGED_PLACES)
@@ -210,8 +209,9 @@ def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
 def photographed_background(
     views: Sequence[TracedView], low: NDArray, high: NDArray, layout: Layout | None = None
 ) -> Background:
-    """The background of ``views`` beyond the box from ``low`` to ``high`` (3,); ``layout`` None chooses by
-    :func:`is_far`."""
+    """The background of ``views`` outside the box with corners ``low`` and ``high`` (3,).
+
+    If ``layout`` is None, :func:`is_far` chooses it."""
     pixels = outside_pixels(views)
     if layout is None:
         layout = FAR if is_far(pixels, low, high) else NEAR
@@ -235,8 +235,8 @@ def photographed_background(
 
 
 def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDArray[np.float64]:
-    """Features (N, 6) for the distance between bins: position in :data:`PLACE_WEIGHT` diagonals, and
-    direction.
+    """Features (N, 6) whose distance is that of the bins: position, of which one diagonal of the box is
+    :data:`PLACE_WEIGHT`, and unit direction.
     """
     places = layout.places
     face, direction = np.divmod(bins, places * places * layout.directions)
@@ -253,7 +253,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
 
 
 def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Indices (K,) of the bins with at least :data:`MIN_PIXELS` colours, and the medians (K, 3) of these."""
+    """Indices (K,) of the bins with at least :data:`MIN_PIXELS` colours, and medians (K, 3) by channel."""
     order = np.argsort(bins, kind="stable")
     keys, first, num = np.unique(bins[order], return_index=True, return_counts=True)
     medians = np.empty((len(keys), 3), np.float32)
@@ -265,7 +265,7 @@ def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[
 
 
 def _means(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """As :func:`_medians`, with means, which preserve the irradiance of skies with trees and clouds."""
+    """As :func:`_medians`, but with means, which preserve the irradiance of skies with trees and clouds."""
     keys, of_pixel, num = np.unique(bins, return_inverse=True, return_counts=True)
     sums = [np.bincount(of_pixel, color[:, channel].astype(np.float64)) for channel in range(3)]
     enough = num >= MIN_PIXELS

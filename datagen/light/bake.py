@@ -7,9 +7,9 @@ With the project's BRDF and Schlick's Fresnel term, the radiance of a point towa
     Ls0 = mean of L_in G1(wo) (1 - f),  Ls1 = mean of L_in G1(wo) f,  f = (1 - wi.h)^5,
 
 over half vectors h drawn from the distribution of visible normals at roughness R (Heitz & d'Eon 2014), with
-wo the mirror image of wi about h. Emitters and bright surface are also sampled directly, and the techniques
-are combined by the balance heuristic (Veach 1997). Each point uses a rank-1 lattice with its own shift, so
-that its result depends on its index alone.
+wo the mirror image of wi about h. Emitters and bright surfaces are also sampled directly, and the techniques
+are combined by the balance heuristic (Veach 1997). Each point uses a rank-1 lattice whose shift depends on
+the point's index, so its result does not depend on other points.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ _SHADOW = 1e-3  # of the distance to an emitter by which a shadow ray is shorten
 class Irradiance:
     """Diffuse shading of N points.
 
-    ``diffuse`` (N, 3): Ld = E / pi of all known light. Cosine-weighted shares of the hemisphere: ``known``
-    (N,), photographed or estimated, and ``photographed`` (N,).
+    ``diffuse`` (N, 3): Ld = E / pi of all known light. Cosine-weighted shares of the hemisphere, in [0, 1]:
+    ``known`` (N,), with photographed or estimated radiance, and ``photographed`` (N,).
     """
 
     diffuse: NDArray[np.float32]
@@ -53,7 +53,7 @@ class Irradiance:
 class SpecularShading:
     """Specular shading of K observations: ``ls0`` and ``ls1`` (K, 3), defined in the module's docstring.
 
-    ``known`` and ``photographed`` (K,) are shares as in :class:`Irradiance`, of the lobe.
+    ``known`` and ``photographed`` (K,) are shares as in :class:`Irradiance`, but of the specular lobe.
     """
 
     ls0: NDArray[np.float32]
@@ -63,7 +63,7 @@ class SpecularShading:
 
 
 def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:
-    """``num_rays`` cosine-distributed rays for each point (N, 3) with normal (N, 3), grouped by point.
+    """``num_rays`` cosine-distributed rays (``mi.Ray3f``) for each point (N, 3) with normal (N, 3), by point.
 
     Origins are offset by ``start_m`` along the normal.
     """
@@ -78,7 +78,7 @@ def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: fl
 
 
 class Baker:
-    """Computes shading at points in a radiance field. ``size_m``: diagonal of the room."""
+    """Computes shading at points in a radiance field. ``size_m``: diagonal of the room in metres."""
 
     def __init__(self, field: RadianceField, size_m: float):
         self.field = field
@@ -116,8 +116,8 @@ class Baker:
         num_rays: int,
         seed: int = 0,
     ) -> SpecularShading:
-        """Specular shading of observations: points (K, 3), normals (K, 3), unit directions to the cameras (K,
-        3) and ``roughness`` (K,)."""
+        """Specular shading of observations, from ``num_rays`` rays each: points (K, 3), normals (K, 3), unit
+        directions to the cameras ``view`` (K, 3) and ``roughness`` (K,)."""
         import drjit as dr
         import mitsuba as mi
 
@@ -143,12 +143,12 @@ class Baker:
         )
 
     def meet(self, ray: Any, active: Any, sample: Any) -> Met:
-        """Trace a ray into the field; metals mirror bright surface without noise."""
+        """Trace ``ray`` into the field; reflections at metals sample bright surfaces directly."""
         return self.field.meet(ray, active, sample, self.guide)
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """Sampled point of an emitter: local direction, radiance if visible, density [1/sr], and validity
-        mask.
+        """Sample a point of an emitter: local direction, radiance (0 if occluded), density [1/sr], and mask
+        of the visible points.
         """
         import drjit as dr
         import mitsuba as mi
@@ -168,7 +168,7 @@ class Baker:
         return wo, dr.select(counts, radiance, 0.0), pdf, counts
 
     def emitter_pdf(self, met: Met, ray: Any) -> Any:
-        """Density [1/sr] with which :meth:`emitter_sample` samples the hit of a ray."""
+        """Density [1/sr] with which :meth:`emitter_sample` samples ``ray``, whose result is ``met``."""
         import drjit as dr
         import mitsuba as mi
 
@@ -180,7 +180,7 @@ class Baker:
         return dr.select(is_emitter, area * dr.square(met.distance_m) / facing, 0.0)
 
     def lobe_weight(self, pdf: Any, met: Met, ray: Any) -> Any:
-        """Weight of a ray drawn from a lobe with density ``pdf``, beside the other techniques."""
+        """Weight, by the balance heuristic, of a ray that was drawn from a lobe with density ``pdf``."""
         import drjit as dr
         import mitsuba as mi
 
@@ -190,7 +190,7 @@ class Baker:
         return pdf / dr.maximum(pdf + others, 1e-20)
 
     def guide_pdf(self, p: Any, direction: Any) -> Any:
-        """Density [1/sr] with which the guide, if there is one, samples a direction."""
+        """Density [1/sr] with which the guide samples ``direction`` from ``p``; 0 without a guide."""
         import mitsuba as mi
 
         return mi.Float(0.0) if self.guide is None else self.guide.pdf(p, direction)
@@ -206,7 +206,7 @@ def _rows(values: Any) -> NDArray[np.float32]:
 
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Five numbers in [0, 1) for one sample of a point: a rank-1 lattice with a shift for each point."""
+    """Five numbers in [0, 1) for sample ``index`` of ``count`` of point ``lane``: a shifted lattice."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed)
@@ -223,7 +223,7 @@ def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, An
 
 
 def _shifted(step: Any, shift: Any) -> Any:
-    """A step of a sequence with a random ``shift``, modulo 1."""
+    """``step`` plus a random 32-bit ``shift`` / 2^32, modulo 1."""
     import drjit as dr
     import mitsuba as mi
 
@@ -232,7 +232,7 @@ def _shifted(step: Any, shift: Any) -> Any:
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
-    """Numbers for the reflection at a metal (:meth:`RadianceField.meet`); None without metals."""
+    """The argument ``sample`` of :meth:`RadianceField.meet`; None without metals."""
     import mitsuba as mi
 
     if baker.field.metals is None:
@@ -244,7 +244,7 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
 
 
 def _guide_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
-    """Three more numbers of a sample, for a direction towards bright surface."""
+    """The arguments ``sample_1`` and ``sample_2`` of :meth:`BrightGuide.sample`."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed + 15485863)

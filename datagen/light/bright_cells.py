@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Bright surface that rays seldom hit: lamps that the geometry does not name, sunlit spots.
+"""Bright surfaces that rays seldom hit: lamps that the geometry does not name, and sunlit spots.
 
-Rays drawn from a lobe seldom hit a lamp of a few cells, which may give most of a room's light. Clusters of
-adjacent bright cells of one side get a rectangle across the side's axis, towards which directions are sampled
-(:mod:`datagen.light.bright_guide`).
+Rays drawn from a lobe seldom hit a lamp of a few cells, which may give most of a room's light. Each cluster
+of adjacent bright cells of one side is enclosed in a rectangle perpendicular to the side's axis, towards
+which directions are sampled (:mod:`datagen.light.bright_guide`).
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from datagen.light.bright_guide import BrightRectangle
 from datagen.light.cells import Cells, cell_indices
 
 BRIGHT = 10.0
-"""Minimum luminance of a bright cell, relative to the median."""
+"""Minimum luminance of a bright cell, relative to the median of all cells."""
 MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4
-"""Minimum relative variance of a single ray because of a sampled cluster, and maximum number of clusters. The
-variance is s^2 (1 / a - 1) with its shares s of the power and a of the area.
+"""Minimum relative variance that a sampled cluster adds to the result of a single ray, and maximum number of
+clusters. With a cluster's share s of the power and a of the area, the variance is s^2 (1 / a - 1).
 """
 
 
 def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[BrightRectangle]:
     """Rectangles of the clusters of bright ``cells`` that rays seldom hit, by decreasing variance.
 
-    ``is_emitter`` (K,): rows of the cells' radiance on emitters, which are sampled already.
+    ``is_emitter`` (K,): whether each row of the cells' radiance belongs to an emitter; emitters are sampled
+    separately.
     """
     keys = np.flatnonzero(cells.index >= 0)
     keys = keys[~is_emitter[cells.index[keys]]]
@@ -51,7 +52,7 @@ def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[Brigh
 def _rectangle(
     cells: Cells, at: NDArray[np.int64], side: int, power: float, variance: float
 ) -> BrightRectangle:
-    """Rectangle around cells (K, 3) of one side, across the side's axis at their median."""
+    """Rectangle that covers cells (K, 3) of one side, perpendicular to the side's axis at their median."""
     axis, is_upper = side // 2, side % 2 == 1
     low = cells.low + at.min(axis=0) * cells.cell_m
     high = cells.low + (at.max(axis=0) + 1) * cells.cell_m
@@ -65,7 +66,7 @@ def _rectangle(
 
 
 def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Clusters of adjacent cells (K, 3) of the same ``side`` (K,): their indices, ascending."""
+    """Ascending row indices of each cluster of adjacent cells (K, 3) of the same ``side`` (K,)."""
     if not len(at):
         return []
     pairs = cKDTree(apart_by_side(at, side)).query_pairs(1.5, p=np.inf, output_type="ndarray")
@@ -75,5 +76,5 @@ def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArr
 
 
 def apart_by_side(at: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Points (K, 4) for neighbour searches, with cells of other sides far away."""
+    """Points (K, 4) for neighbour searches among cells (K, 3), far apart for different ``side`` (K,)."""
     return np.column_stack([at, side * 4 * int(at.max() + 1)])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Sampling of directions towards rectangles around bright surface (:mod:`datagen.light.bright_cells`).
+"""Sampling of directions towards rectangles around bright surfaces (:mod:`datagen.light.bright_cells`).
 
-Rectangles are sampled in proportion to the light that they may give at the point. The ray has the radiance of
-whatever it hits, so that the rectangles determine the noise only; with the other techniques it is combined by
-the balance heuristic.
+Rectangles are sampled in proportion to their estimated light at the point. A sampled ray returns the radiance
+of the surface that it hits, so rectangles affect only the noise; the balance heuristic combines it with rays
+of the other techniques.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _MIN_FACING = 0.05  # of the cosine at a rectangle, for points beside or behind 
 
 @dataclass(frozen=True)
 class BrightRectangle:
-    """Rectangle with a corner, two edges and the unit normal of its bright side.
+    """Rectangle with a corner, two edges and the unit normal of its bright side, (3,) each.
 
-    ``power``: luminance times area, summed over its cells; ``variance``: relative variance
-    of the irradiance by one cosine-weighted ray (``bright_cells``).
+    ``power``: luminance times area, summed over its cells; ``variance``: relative variance of the irradiance
+    estimated by one cosine-distributed ray (:data:`~datagen.light.bright_cells.MIN_VARIANCE`).
     """
 
     corner_m: NDArray[np.float64]
@@ -62,7 +62,7 @@ class BrightGuide:
         return dr.gather(mi.Vector3f, self._rows, mi.UInt32(rectangle * _ROWS + row))
 
     def _shares(self, p: Any) -> list[Any]:
-        """Probabilities of the rectangles at point ``p``: by power, cosine and squared distance."""
+        """Probabilities of the rectangles at ``p``, proportional to power x cosine / squared distance."""
         import drjit as dr
 
         found = []
@@ -75,7 +75,7 @@ class BrightGuide:
         return [share / total for share in found]
 
     def sample(self, p: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any]:
-        """Direction from ``p`` and its density [1/sr], 0 for points in the plane of the rectangle."""
+        """Sample a direction from ``p``; also return its density [1/sr], 0 in the plane of the rectangle."""
         import drjit as dr
         import mitsuba as mi
 
@@ -89,7 +89,7 @@ class BrightGuide:
         return direction, self.pdf(p, direction)
 
     def pdf(self, p: Any, direction: Any) -> Any:
-        """Density [1/sr] with which :meth:`sample` gives ``direction``."""
+        """Density [1/sr] with which :meth:`sample` samples ``direction`` from ``p``."""
         import drjit as dr
         import mitsuba as mi
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cells with the radiance of surface: the surfels' cells, larger cells that enclose them, and larger cells
+"""Cells with the radiance of surfaces: the surfels' cells, larger cells that enclose them, and larger cells
 outside their grid.
 """
 
@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
 
 NUM_LEVELS = 3
-"""Number of cell sizes: one, two and four times the surfels' side."""
+"""Number of cell sizes: one, two and four times the side of the surfels' cells."""
 OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
-"""Side of the cells outside the surfels' grid, in surfel cells, and how far they extend beyond it, which
-is the diagonal of the photographed box."""
+"""Side of the cells outside the surfels' grid, and distance to which they extend beyond it, both in sides of
+the surfels' cells; the distance is the diagonal of the photographed box."""
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Radiance (K, 3) of cells.
+    """A grid of C cells with six sides each, of which K have radiance.
 
-    ``index`` maps the cells of a level to rows of the radiance, -1 for none; ``low`` corner (3,), ``cell_m``
-    side and ``shape`` (3,) of the grid.
+    ``index`` (6 C,): row of each cell side in ``radiance`` (K, 3) and ``is_photographed`` (K,), -1 for none;
+    ``low`` corner (3,), ``cell_m`` side and ``shape`` (3,) of the grid.
     """
 
     index: NDArray[np.int32]
@@ -43,14 +43,14 @@ def surfel_cells(surfels: Surfels) -> Cells:
 
 
 def unmixed_cells(surfels: Surfels) -> Cells:
-    """Cells of all surfels but the mixed ones."""
+    """Cells of all surfels except the mixed ones."""
     cells = surfel_cells(surfels)
     is_mixed = (cells.index >= 0) & surfels.is_mixed[cells.index]
     return replace(cells, index=np.where(is_mixed, -1, cells.index).astype(np.int32))
 
 
 def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Index (N,) of the cell and side of points, -1 outside the grid."""
+    """Key (N,) of the cell side of points (N, 3) with normals (N, 3), -1 outside the grid."""
     at = np.floor((position_m - grid.low) / grid.cell_m).astype(np.int64)
     inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
     key = ((at[:, 0] * grid.shape[1] + at[:, 1]) * grid.shape[2] + at[:, 2]) * NUM_SIDES + side_of(normal)
@@ -58,21 +58,21 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
 
 
 def cell_indices(keys: NDArray[np.int64], shape: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices (K, 3) along the axes and sides (K,) of cells with these keys, in a grid of ``shape`` (3,)."""
+    """Indices (K, 3) along the axes, and sides (K,), of cell sides by key, in a grid of ``shape`` (3,)."""
     side, rest = keys % NUM_SIDES, keys // NUM_SIDES
     row, z = np.divmod(rest, shape[2])
     return np.stack([row // shape[1], row % shape[1], z], axis=1), side
 
 
 def side_of(normal: NDArray) -> NDArray[np.int64]:
-    """Cell side (N,) of normals (N, 3)."""
+    """Cell side (N,) of normals (N, 3): twice the axis of the largest component, plus 1 if it is positive."""
     axis = np.abs(normal).argmax(axis=1)
     return 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Index (N,) of the cell and side of points: in the surfels' grid, else in the larger cells around it,
-    else -1.
+    """Key (N,) of the cell side of points: in the surfels' grid, else in the larger cells around it (after
+    the grid's keys), else -1.
     """
     keys = cell_keys(grid, position_m, normal)
     around = cell_keys(_outer_grid(grid), position_m, normal)
@@ -88,7 +88,7 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 
 def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
-    """Estimated radiance (K, 3) of surface outside the surfels' grid; None if there is no such surface."""
+    """Larger cells with the estimated ``radiance`` (N, 3) of points (N, 3); None if they contain no point."""
     outer = _outer_grid(grid)
     keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
     keys, first = keys[keys >= 0], first[keys >= 0]
@@ -103,7 +103,7 @@ def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: 
 
 
 def pyramid(cells: Cells) -> list[Cells]:
-    """The cells, then those of twice and of four times the side with the mean radiance of their children."""
+    """``cells``, then grids of two and four times their side, with the mean radiance of the cells inside."""
     levels = [cells]
     occupied = np.flatnonzero(cells.index >= 0)
     at, side = cell_indices(occupied, cells.shape)

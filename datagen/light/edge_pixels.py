@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Radiance of surfels that are visible only at depth edges, where a pixel shows several surfaces.
 
-With a_p the share of pixel p that its own surface covers, and b_p the radiance of everything else in the
-pixel times its share, the pixel's radiance is L = a_p x + b_p. Rays through the pixel give both: other
-surfaces have the radiance of their surfels, the outside that of the empty pixels around. The result is
+Let x be the radiance of the surface at the centre of pixel p, a_p the share of the pixel that it covers, and
+b_p the radiance of everything else in the pixel times its share: the pixel has the radiance L = a_p x + b_p.
+Rays through the pixel estimate a_p and b_p: other surfaces have the radiance of their surfels, the outside
+that of nearby empty pixels. The result is
 
     x_p = (L - b_p) / a_p,
 
-shrunk to the surfel's median of x_p, weighted by a_p^2. A mesh with errors predicts its edges badly: 1 - a_p
-and b_p are multiplied by a slope, the median of (L - X) / (a_p X + b_p - X) over edge pixels of surfels whose
-radiance X is known from pixels without edges.
+shrunk towards the surfel's median of x_p, weighted by a_p^2. Since a mesh with errors predicts its edges
+badly, 1 - a_p and b_p are multiplied by a slope, the median of (L - X) / (a_p X + b_p - X) over edge pixels
+of surfels whose radiance X is known from pixels without edges.
 """
 
 from __future__ import annotations
@@ -33,21 +34,21 @@ from datagen.light.surfels import Surfels, build_surfels, weighted_medians
 RAYS = 16
 """Rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
 SHRINKAGE = 0.1
-"""Squared share of its own surface at which a pixel and its surfel's median have equal weight."""
+"""a_p^2 at which x_p and the surfel's median have equal weight."""
 MIN_SHARE = 0.1
-"""Minimum share in the division."""
+"""Minimum of a_p in the division."""
 WINDOW, MIN_SPREAD = 9, 0.01
 """Side in pixels of the window of the regression for the outside's radiance, and variance of the shares at
-which the regression has the weight of the nearest empty pixel."""
+which the regression and the nearest empty pixel have equal weight."""
 SAMPLED_EVERY = 7
-"""Of the edge pixels far from mixed surfels, one in so many is used, for the slope alone."""
+"""One in this number of edge pixels far from mixed surfels is used, only for the slope."""
 MIN_CONTRAST = 0.2
-"""Minimum difference between a pixel's surfaces, relative to the brighter one, for the slope."""
+"""Minimum difference between X and the predicted L, relative to the larger one, of pixels for the slope."""
 EXACT_SLOPE = 0.9
-"""Slope from which on the mesh counts as exact: the development rooms have 0.90 to 1.04 with their own
-meshes, 0.25 to 0.84 with worse ones."""
+"""Minimum slope of an exact mesh: the development rooms have 0.90 to 1.04 with their own meshes, 0.25 to 0.84
+with worse ones."""
 PRIOR_PIXELS = 1000
-"""Number of pixels of sufficient contrast at which the measured slope has the weight of the prior, 1."""
+"""Number of pixels of sufficient contrast at which the measured slope and the prior, 1, have equal weight."""
 
 
 def unmixed(
@@ -56,10 +57,9 @@ def unmixed(
     emits: NDArray[np.bool_],
     region_of_face: NDArray[np.int32],
 ) -> list[TracedView]:
-    """The views with the radiance of mixed surfels alone in the pixels of those surfels.
+    """The views without the radiance of other surfaces in the edge pixels of mixed surfels.
 
-    ``emits`` (M,) and ``region_of_face`` (M,), the smooth surfaces, as in
-    :func:`~datagen.light.lighting.light_surfels`.
+    ``emits`` (M,) and ``region_of_face`` (M,) are as in :func:`~datagen.light.lighting.light_surfels`.
     """
     surfels = build_surfels(views)
     emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
@@ -93,10 +93,10 @@ def unmixed(
 def edge_slope(
     color: NDArray, share: NDArray, other: NDArray, known: NDArray, is_known: NDArray[np.bool_]
 ) -> float:
-    """Share, in [0, 1], of the predicted mixture that the ``color`` (K, 3) of edge pixels shows.
+    """Slope, in [0, 1], of the ``color`` (K, 3) of edge pixels against its prediction (module docstring).
 
     The prediction is ``share`` (K,) times the own surface's radiance ``known`` (K, 3), valid where
-    ``is_known`` (K,), plus ``other`` (K, 3). Returns 1 without evidence.
+    ``is_known`` (K,), plus ``other`` (K, 3). Returns 1 if no pixel has sufficient contrast.
     """
     own = known @ LUMINANCE_WEIGHTS
     expected = share * own + other @ LUMINANCE_WEIGHTS - own
@@ -111,8 +111,8 @@ def edge_slope(
 
 
 def _edge_pixels(surfels: Surfels, place: int, view: TracedView) -> NDArray[np.int64]:
-    """Indices (K,) of a view's unclipped pixels at edges and creases: those of mixed surfels, those around
-    them, and a sample of the rest.
+    """Flat indices (K,) of a view's unclipped pixels at edges and creases: those of mixed surfels, those
+    around them, and a sample of the rest.
     """
     from scipy.ndimage import maximum_filter
 
@@ -129,9 +129,9 @@ def _edge_pixels(surfels: Surfels, place: int, view: TracedView) -> NDArray[np.i
 def _parts(
     field: RadianceField, view: TracedView, pixel: NDArray[np.int64], region_of_face: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Share (K,) of each pixel's own surface, and radiance (K, 3) of everything else times its share.
+    """a_p (K,) and b_p (K, 3) of the pixels with flat indices (K,); see the module's docstring.
 
-    Surface of unknown radiance counts as the pixel's own.
+    Surfaces of unknown radiance count as the pixel's own.
     """
     from scipy.ndimage import maximum_filter
 
@@ -188,10 +188,10 @@ def _rays_through(
 
 
 def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDArray[np.float32] | None:
-    """Radiance (K, 3) of the outside at ``pixel`` (K,).
+    """Radiance (K, 3) of the outside at the pixels with flat indices (K,); None without empty pixels.
 
-    A regression of radiance on ``share`` (H, W), the part of each pixel without surface, around the pixel, at
-    a share of 1; where shares hardly differ, the nearest empty pixel. None without empty pixels.
+    Radiance is regressed on ``share`` (H, W), the part of each pixel without surface, in a window around the
+    pixel, and evaluated at 1. Where shares hardly vary, the colour of the nearest empty pixel is used.
     """
     from scipy.ndimage import distance_transform_edt, uniform_filter
 
@@ -217,7 +217,7 @@ def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDAr
 
 
 def _medians(owner: NDArray, values: NDArray, weight: NDArray, num: int) -> NDArray[np.float32]:
-    """Weighted median (``num``, 3) of the ``values`` (K, 3) of each owner (K,)."""
+    """Median (``num``, 3) by channel of each owner's ``values`` (K, 3), weighted by ``weight`` (K,)."""
     order = np.argsort(owner, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=num))]).astype(np.int64)
     return weighted_medians(start, values[order].astype(np.float32), weight[order].astype(np.float32))

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Emitters of a room: emissive triangles, their photographed radiance, and their sampling.
 
-The capture's geometry may name emitters; others are found where a surface's radiance exceeds any albedo below
-1 (``lamps``). The triangles of one smooth region form one emitter with the median radiance of its pixels.
+The capture's geometry may name emitters; others are found where the radiance of a surface exceeds what an
+albedo of 1 could reflect (``model.reconstruction.light.lamps``). The triangles of one smooth region form one
+emitter with the median radiance of its pixels.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from datagen.geometry.traced import seen_sides
 from datagen.geometry.views import TracedView
 
 MIN_PIXELS = 4
-"""Emitters with fewer pixels get the radiance of their neighbours."""
+"""Minimum number of pixels of an emitter in all views; with fewer, it counts as unphotographed."""
 
 
 @dataclass(frozen=True)
 class Emitters:
-    """Emitters (K) of the mesh (M triangles), with the emissive triangles (T) that are sampled.
+    """K emitters of a mesh of M triangles, T of which emit.
 
-    ``of_face`` (M,) emitter of each triangle, -1 for none; ``radiance`` (K, 3); ``side_of_face`` (M,) 1 or
-    -1, the emitting side. For sampling: ``triangles`` (T,) indices, ``vertices`` (T, 3, 3) in metres and
-    ``power`` (T,), area times luminance.
+    ``of_face`` (M,): emitter of each triangle, -1 for none; ``radiance`` (K, 3); ``side_of_face`` (M,): 1 if
+    the triangle's front emits, -1 if its back. For sampling: indices ``triangles`` (T,), ``vertices``
+    (T, 3, 3) in metres and ``power`` (T,), area times luminance.
     """
 
     of_face: NDArray[np.int32]
@@ -44,7 +45,7 @@ class Emitters:
 
     @property
     def is_dark(self) -> NDArray[np.bool_]:
-        """Whether each emitter (K,) has no photographed radiance."""
+        """Mask (K,) of the emitters without photographed radiance."""
         return ~self.radiance.any(axis=1)
 
     def with_radiance(self, radiance: NDArray) -> Emitters:
@@ -58,7 +59,10 @@ class Emitters:
 def photographed_emitters(
     views: Sequence[TracedView], mesh: Mesh, emits: NDArray[np.bool_], region_of_face: NDArray[np.int32]
 ) -> Emitters:
-    """Emitters among the triangles where ``emits`` (M,); radiance 0 where no photograph shows the emitter."""
+    """Emitters of the triangles in the mask ``emits`` (M,), one per smooth region of ``region_of_face`` (M,).
+
+    The radiance is 0 if the views show less than :data:`MIN_PIXELS` pixels of the emitter.
+    """
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
         none = np.zeros(0, np.float32)
@@ -123,7 +127,7 @@ class EmitterSampler:
         dr.eval(self._corner, self._edge_u, self._edge_v, self._normal, self._radiance, self._area_pdf)
 
     def sample(self, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """Sampled point, normal, radiance and density by area [1/m^2]."""
+        """Sample a point on an emitter: its position, normal, radiance and density by area [1/m^2]."""
         import drjit as dr
         import mitsuba as mi
 

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Gains of estimated light, fitted to the surfaces that it illuminates.
+"""Fits gains of estimated light to the surfaces that it illuminates.
 
-Rays that leave the room outside all photographs, or that hit unphotographed surface, have estimated radiance.
-Estimates of similar place and direction form groups with one unknown gain each. The irradiance of surfel i is
-E_i + sum_k g_k F_ik, with F_ik the estimate's share from group k, and the albedo of a smooth surface r is
-nearly constant. With residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik), ln g minimises
+Rays that leave the room outside all photographs, or that hit unphotographed surfaces, have estimated
+radiance. Estimates of similar position and direction form K groups with one unknown gain each. The irradiance
+of surfel i is E_i + sum_k g_k F_ik, with E_i its known part and F_ik the estimate of group k. The albedo of a
+smooth region r is nearly constant. With residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik), ln g minimises
 
     sum_i huber(e_i - mean of e in r(i)) + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
 
-by Gauss-Newton steps, with one mean for rays outside and one for surface inside. Texture acts as noise: it is
-uncorrelated with the light.
+by Gauss-Newton steps, with one mean of ln g for groups outside the room and one for groups inside. Texture
+acts as noise: it is uncorrelated with the light.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ ROOM_PARTS = 5
 """Number of parts of the room along its longest side; surfaces in one part and of one orientation share a
 gain."""
 MIN_SHARE, MAX_GROUPS = 0.002, 96
-"""Groups with less than this mean share of the surfels' irradiance keep their estimate; and maximum number of
-fitted groups."""
+"""Minimum mean share of the surfels' irradiance for fitting a group's gain, and maximum number of fitted
+groups."""
 SURFELS_A_SAMPLE = 10.0
 """Number of neighbouring surfels that count as one sample, since their errors are correlated."""
 PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
-"""Strengths of the priors, in samples: a gain equals the mean of its kind; that mean is 1; a region's albedo
-equals the room's."""
+"""Strengths of the priors, in samples: a gain equals the mean of its kind (outside or inside); that mean is
+1; a region's albedo equals the room's."""
 MAX_LOG_GAIN = 2.5
 HIDDEN_GAIN = 4.0
 """Surface brighter than this multiple of its estimate is attributed to a lamp that no photograph shows."""
 MAX_REFLECTED = 1.1
-"""Largest ratio of radiance to Ld of a white surface, with noise."""
+"""Maximum ratio of radiance to Ld of a white surface, including noise."""
 _HUBER = 0.25  # in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
 _MIN_REST = 0.02  # of the irradiance: its parts are sampled separately and need not add up to it exactly
@@ -56,7 +56,7 @@ class EstimateGains:
 
     ``of_group`` (:data:`NUM_GROUPS`,): gain of each group, 1 if undetermined. ``hidden`` (N,): share of the
     surfels' irradiance from groups with gains above :data:`HIDDEN_GAIN`, averaged by region; at least the
-    share of the room's surfels that reflect more than the light that reaches them without gains.
+    share of the room's surfels that reflect more than their incident light before gains are applied.
     """
 
     of_group: NDArray[np.float64]
@@ -85,7 +85,7 @@ def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> ND
 
 
 def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGains:
-    """Gains of all estimates; ``region`` (N,) is the smooth surface of each surfel."""
+    """Fit the gains of all estimates; ``region`` (N,) is the index of each surfel's smooth region."""
     step = max(1, len(surfels) // MAX_SURFELS)
     position, normal = surfels.position_m[::step], surfels.normal[::step]
     whole = luminance(baker.irradiance(position, normal, RAYS).diffuse.astype(np.float64))
@@ -122,7 +122,7 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGai
 
 
 def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Means (N,) of sampled values by region; the overall mean for regions without samples."""
+    """Mean (N,) over each surfel's ``region`` (N,) of samples (K,); the overall mean without samples."""
     num = int(region.max()) + 1
     count = np.bincount(sampled_region, minlength=num)
     total = np.bincount(sampled_region, values, num)
@@ -132,9 +132,10 @@ def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDA
 def solve_gains(
     log_radiance: NDArray, rest: NDArray, parts: NDArray, region: NDArray, is_outside: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Gains (K,) of the estimated ``parts`` (N, K) of the irradiance; ``rest`` (N,) is its known part.
+    """Gains (K,) of the estimated ``parts`` (N, K) of the irradiance, whose known part is ``rest`` (N,).
 
-    ``is_outside`` (K,): whether a group lies outside the room.
+    Of each surfel: ``log_radiance`` and index ``region`` (N,). ``is_outside`` (K,): whether a group is
+    outside the room.
     """
     num_groups = parts.shape[1]
     region = np.unique(region, return_inverse=True)[1]
@@ -156,7 +157,7 @@ def solve_gains(
 
 
 def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Huber weights (N,) of the residuals about the mean of their region, in samples."""
+    """Huber weights (N,), in samples, of residuals (N,) relative to the mean of their region."""
     weight = np.ones(len(residual))
     for _ in range(_REWEIGHTINGS):
         mean = np.bincount(region, weight * residual) / np.bincount(region, weight)
@@ -165,7 +166,7 @@ def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
 
 
 def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np.float64]:
-    """Means (N, J) of ``rows`` (N, J) by region, shrunk to the overall mean for regions with few samples."""
+    """Weighted means (N, J) of ``rows`` (N, J) by region, shrunk to the overall mean if samples are few."""
     total = np.bincount(region, weight)
     means = np.stack([np.bincount(region, weight * column) / total for column in rows.T], axis=1)
     own = (total / (total + REGION_PRIOR))[:, None]
@@ -173,7 +174,7 @@ def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np
 
 
 def with_gains(background: Background, gains: NDArray) -> Background:
-    """The background with gains applied to its estimates but not to photographed radiance."""
+    """The background with ``gains`` by group applied to its estimated, but not its photographed, radiance."""
     is_estimated = background.is_known & ~background.is_photographed
     factor = np.where(is_estimated, gains[background_groups(background.layout)], 1.0)[:, None]
     return replace(background, radiance=(background.radiance * factor).astype(np.float32))

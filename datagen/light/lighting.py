@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Surfels and their incident light: radiance field, estimates of unphotographed surface, irradiance."""
+"""Surfels and their incident light: radiance field, estimates of unphotographed surfaces, irradiance."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ MIN_KNOWN = 0.1
 MIN_SHADING = 1e-3
 """Share of the room's median shading below which a diffuse albedo is undetermined."""
 MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
-"""Number of surfels whose rays search for unphotographed surface, and of rays per surfel."""
+"""Number of surfels whose rays search for unphotographed surfaces, and of rays per surfel."""
 MAX_RATIO_SURFELS = 8000
-"""Number of surfels whose reflectance gives the mean of the room."""
+"""Number of surfels from whose reflectance the room's mean is computed."""
 MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
-"""Rays per mixed surfel for the bound on its radiance, and limits on the known share of its light: below the
-first there is no bound, from the second on the full one."""
+"""Rays per mixed surfel for the bound on its radiance, and known shares of its light below which the bound
+has no effect and above which it has its full effect."""
 ESTIMATE_ROUNDS = 5
-"""Unphotographed surfaces illuminate each other: each round adds a bounce. The first assumes unknown light to
+"""Number of bounces between unphotographed surfaces, one per round. The first round assumes unknown light to
 be as bright as known light; from the fifth on, the mean changes by less than 2 %."""
 _MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
 
@@ -43,10 +43,10 @@ class GatherOptions:
     """Options of :func:`light_surfels` and :func:`relight`.
 
     Rays per surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, and ``estimate_rays``
-    for unphotographed surface. ``smoothing_neighbours``: number of surfels over which shading is smoothed.
-    ``estimates_unseen``: whether unphotographed surface gets the mean reflectance; ``fits_estimates``:
-    whether gains of the estimates are fitted. ``bounds_mixed``: whether mixed surfels reflect at most their
-    light.
+    for unphotographed surfaces. ``smoothing_neighbours``: number of surfels over which shading is smoothed.
+    ``estimates_unseen``: whether unphotographed surfaces get the mean reflectance; ``fits_estimates``:
+    whether gains of the estimates are fitted. ``bounds_mixed``: whether the radiance of mixed surfels is
+    bounded by their incident light.
     """
 
     irradiance_rays: int = 144
@@ -62,8 +62,8 @@ class GatherOptions:
 class Lit:
     """Surfels with their shading.
 
-    ``diffuse`` (N, 3) is smoothed; ``hidden`` (N,) is the share of their light attributed to unphotographed
-    lamps.
+    ``diffuse`` (N, 3): smoothed Ld of all light; ``hidden`` (N,): share of the light that is attributed to
+    unphotographed lamps.
     """
 
     surfels: Surfels
@@ -82,10 +82,11 @@ def light_surfels(
     step: Callable[[str], AbstractContextManager[None]] = lambda name: nullcontext(),
     unseen: Callable[[Lit], Emitters] | None = None,
 ) -> Lit:
-    """Surfels of the views and their incident light.
+    """Compute the surfels of the views and their incident light.
 
-    ``step`` is a context manager around each stage. ``unseen`` completes the emitters by those in no
-    photograph, from the light without them.
+    ``emits`` (M,): mask of the emissive triangles; ``region_of_face`` (M,): smooth region of each triangle.
+    ``step`` returns a context manager for each stage by name. ``unseen`` returns the emitters completed by
+    unphotographed ones, given the light without those.
     """
     with step("surfels"):
         surfels = build_surfels(views)
@@ -117,8 +118,8 @@ def light_surfels(
 def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
     """The surfels with the radiance of mixed ones bounded by their incident light, as far as that is known.
 
-    A slat of a blind that is one pixel wide has the radiance of the sky behind it.
-    ``unmixed`` bakes the light of the field without mixed surfels.
+    Otherwise a slat of a blind that is one pixel wide would have the radiance of the sky behind it.
+    ``unmixed`` computes light in the field without mixed surfels.
     """
     mixed = np.flatnonzero(surfels.is_mixed)
     if not len(mixed):
@@ -140,7 +141,7 @@ def relight(
     is_metal: NDArray[np.bool_],
     options: GatherOptions,
 ) -> Lit:
-    """The surfels relit with less noise and with reflections at metals.
+    """The surfels with their light computed again, with more rays and with reflections at metals.
 
     Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,).
     """
@@ -158,17 +159,17 @@ def _lit(surfels: Surfels, baker: Baker, hidden: NDArray, num_rays: int, options
 
 
 def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
-    """Diffuse shading (N, 3) if unknown light is as bright as known light."""
+    """Diffuse shading (N, 3) under the assumption that unknown light is as bright as known light."""
     return irradiance.diffuse / np.maximum(irradiance.known, MIN_KNOWN)[:, None]
 
 
 def _estimated(
     scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
 ) -> tuple[RadianceField, NDArray[np.float64]]:
-    """Radiance field with estimates for unphotographed surface, and the surfels' share of light from hidden
-    lamps (N,).
+    """Radiance field with estimates for unphotographed surfaces, and the share (N,) of each surfel's light
+    from unphotographed lamps.
 
-    The estimate is the room's mean reflectance times the incident light, then scaled by the fitted gains.
+    The estimate is the room's mean reflectance times the incident light times the fitted gain.
     """
     position, facing = _unknown_surface(scene_field, surfels, size_m)
     extended = scene_field
@@ -219,7 +220,7 @@ def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) ->
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
-    """Means of ``values`` (N, K) over the nearest surfels with similar normals."""
+    """Weighted means (N, K) of ``values`` (N, K) over the nearest surfels with similar normals."""
     distance, index = near_surfels(surfels, neighbours)
     weight = np.exp(-0.5 * (distance / 1.5) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 MIN_COSINE = 0.02
-"""Minimum cosine of a view's direction: directions below the horizon of a bumpy normal are raised to it."""
+"""Minimum cosine between the normal and a view's direction; directions of smaller cosine are raised to it."""
 
 
 class Met(NamedTuple):
     """Result of a ray: ``radiance`` (0 if unknown), ``is_known``, ``is_photographed`` (not estimated).
 
-    If ``is_front_of_emitter``, then ``face`` is the emitter's triangle, with ``distance_m`` and ``cosine`` at
-    the hit.
+    If ``is_front_of_emitter``, then ``face`` is the emitter's triangle, and ``cosine`` is that of its normal
+    with the ray.
     """
 
     radiance: Any
@@ -58,8 +58,8 @@ class Met(NamedTuple):
 class Metals:
     """Metals of the field, by row of the cells' radiance.
 
-    ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). Reflected rays are offset by
-    ``start_m``.
+    ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). ``start_m`` is the offset of reflected
+    rays from the surface.
     """
 
     specular_albedo: NDArray[np.float32]
@@ -95,7 +95,10 @@ class _End(NamedTuple):
 
 
 class RadianceField:
-    """Radiance along rays, from ``surfels``, ``emitters`` and ``background``."""
+    """Radiance along rays, from ``surfels``, ``emitters`` and ``background``.
+
+    ``cells`` (default: those of the surfels) may include estimates; ``outer`` are larger cells around them.
+    """
 
     def __init__(
         self,
@@ -166,8 +169,8 @@ class RadianceField:
     def meet(self, ray: Any, active: Any, sample: Any = None, guide: BrightGuide | None = None) -> Met:
         """Trace ``ray`` into the field.
 
-        ``sample``, unused without metals, are numbers for the reflection at one: a point of [0, 1)^2 for its
-        half vector, and a number and a point for a direction of ``guide``.
+        ``sample``, unused without metals, is for the reflection at a metal: a point of [0, 1)^2 for the half
+        vector, and a number and a point for a direction of ``guide``.
         """
         import drjit as dr
         import mitsuba as mi
@@ -242,7 +245,7 @@ class RadianceField:
         return _End(met, row, si.p, normal, missed)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray]:
-        """Hits of rays on surface of unknown radiance: positions and normals (K, 3) towards the rays."""
+        """Positions and normals (K, 3), towards the rays, of hits on surfaces of unknown radiance."""
         import drjit as dr
         import mitsuba as mi
 
@@ -260,7 +263,7 @@ class RadianceField:
         )
 
     def estimated(self, ray: Any) -> Estimated:
-        """The rays whose radiance is an estimate."""
+        """Those of the rays ``ray`` whose radiance is an estimate."""
         import drjit as dr
         import mitsuba as mi
 
@@ -279,8 +282,8 @@ class RadianceField:
     def extended(
         self, position_m: NDArray, normal: NDArray, surfels: Surfels, radiance: NDArray
     ) -> RadianceField:
-        """The field with estimated radiance (K, 3) of unphotographed surface, also outside the surfels'
-        grid."""
+        """The field with estimated ``radiance`` (K, 3) of unphotographed surfaces at positions (K, 3) with
+        normals (K, 3), also outside the surfels' grid."""
         keys = cell_keys(surfels.grid, position_m, normal)
         inside = keys >= 0
         outer = outer_cells(surfels.grid, position_m[~inside], normal[~inside], radiance[~inside])
@@ -323,7 +326,7 @@ class RadianceField:
 
 
 def schlick_weight(cosine: Any) -> Any:
-    """(1 - wi.h)^5 of Schlick's Fresnel term."""
+    """(1 - ``cosine``)^5 of Schlick's Fresnel term, where ``cosine`` is wi.h."""
     import drjit as dr
 
     m = dr.clip(1.0 - cosine, 0.0, 1.0)
@@ -331,7 +334,7 @@ def schlick_weight(cosine: Any) -> Any:
 
 
 def lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:
-    """Density [1/sr] of ``wo`` for half vectors drawn from the visible normals: D(h) G1(wi) / (4 cos_i)."""
+    """Density [1/sr] of ``wo`` for half vectors ``h`` drawn from visible normals: D(h) G1(wi) / (4 cos_i)."""
     import drjit as dr
 
     valid = (h.z > 0) & (wo.z > 0)

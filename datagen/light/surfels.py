@@ -2,10 +2,10 @@
 """Surfels: the photographed surfaces of a room as cells of about 2.5 cm, with all observations of each.
 
 Letters: V views, N surfels, M observations (a surfel in a view), C cells. Space is divided into cubic cells,
-each split into six sides by the axis nearest to the normal, so that the two faces of a wall stay apart. A
-surfel is an occupied side of a cell. Its observation in a view is the weighted mean of the view's pixels
-there; its radiance is the weighted median over the views. Surfels are numbered by cell, so that their order
-does not depend on the order of the views. Colours are linear and share one exposure.
+each split into six sides by the axis nearest to the normal, which separates the two faces of a wall. A surfel
+is an occupied side of a cell. Its observation in a view is the weighted mean of the view's pixels in it; its
+radiance is the weighted median over the views. Surfels are numbered by cell, whatever the order of the views.
+Colours are linear and share one exposure.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Floats32 = NDArray[np.float32]
 CELLS_ACROSS = 300
 """Cells along the diagonal of the photographed volume: 2.5 cm in a room of 7 m."""
 MIN_CELL_PIXELS = 1.0
-"""Minimum side of a cell in pixels at the median depth: smaller cells would be missed by whole views."""
+"""Minimum side of a cell in pixels at the median depth; many views would have no pixel in smaller cells."""
 MAX_EDGE_SHARE = 0.5
-"""Share of its pixels at depth edges above which a surfel is mixed. Half, since no edge is found between
-pixels of two slats of a blind: they lie in one plane."""
+"""Share of a surfel's pixels at depth edges above which it is mixed. Not higher, since no edge is found
+between pixels on two slats of a blind, which are in one plane."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
@@ -57,7 +57,7 @@ class CellGrid:
 
 @dataclass(frozen=True)
 class Observations:
-    """Observations (M) of the surfels, ordered by surfel and then by view.
+    """M observations of the surfels, ordered by surfel and then by view.
 
     The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight``
     (M,), the number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`; ``normal`` (M, 3),
@@ -96,11 +96,11 @@ class Surfels:
         return len(self.position_m)
 
     def surfel_of_observation(self) -> NDArray[np.int32]:
-        """Surfel (M,) of each observation."""
+        """Index (M,) of each observation's surfel."""
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.observations.start))
 
     def directions(self, surfel: NDArray, view: NDArray) -> Floats32:
-        """Unit directions (K, 3) from surfels to the cameras of views."""
+        """Unit directions (K, 3) from surfels, by index (K,), to the cameras of views, by index (K,)."""
         toward = self.camera_m[view] - self.position_m[surfel]
         return toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9)
 
@@ -187,7 +187,7 @@ def _extent(
 
 @compiled
 def cell_of(position, normal, low, cell_m, shape):
-    """Index of the cell and side of a point, -1 outside the grid."""
+    """Key of the cell side of a point (3,) with a normal (3,), -1 outside the grid."""
     index = 0
     for axis in range(3):
         at = int(np.floor((position[axis] - low[axis]) / cell_m))
@@ -206,7 +206,7 @@ def cell_of(position, normal, low, cell_m, shape):
 
 @compiled
 def place_pixel(index, depth, width, camera, out):
-    """World position of a pixel centre."""
+    """Write the world position of a pixel centre to ``out`` (3,); ``camera`` is a :func:`camera_row`."""
     u = (index % width + 0.5 - camera[14]) / camera[12] * depth
     v = (index // width + 0.5 - camera[15]) / camera[13] * depth
     for axis in range(3):
@@ -217,7 +217,7 @@ def place_pixel(index, depth, width, camera, out):
 
 @compiled
 def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
-    """Surfels of one side around a point, for trilinear interpolation.
+    """Find the surfels of one ``side`` around the point ``place`` (3,), for trilinear interpolation.
 
     Returns their number, at most 8; writes their indices to ``near`` and their weights to ``share``.
     """
@@ -399,7 +399,7 @@ def _gathered(
 def weighted_medians(start, values, weight):
     """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
 
-    The mean of the two values at which the cumulative weight reaches and exceeds one half.
+    The value at which the cumulative weight reaches one half; if it equals one half, the mean with the next.
     """
     num = len(start) - 1
     found = np.zeros((num, 3), np.float32)

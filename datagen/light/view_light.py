@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Light recorded by the views of a room, per pixel, as input of networks.
 
-Letters: V views, N surfels, M observations. Everything derives from the views' colours and the mesh, never
-from the ground truth, so that datasets (``datagen run --only stats``) and captures (``materials infer``) get
-the same values. Irradiance is computed per surfel and mirror reflections per observation; pixels interpolate
+Letters: N surfels, M observations. All values derive from the views' colours and the mesh, never from the
+ground truth, so they agree between datasets (``datagen run --only stats``) and captures (``materials
+infer``). Irradiance is computed per surfel and mirror reflections per observation; pixels interpolate between
 the surfels around them on their side of the surface.
 """
 
@@ -22,7 +22,7 @@ from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, s
 from datagen.multiview.compiled import compiled
 
 GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24, fits_estimates=False)
-"""Fewer rays than in the reconstruction, and no fitted gains: inputs of a network may be noisy."""
+"""With fewer rays than in the reconstruction and no fitted gains, since inputs of a network may be noisy."""
 MIRROR_RAYS = 6
 """Rays per observation and roughness; pixels average several observations."""
 _MIRROR_SEED = 23
@@ -31,8 +31,8 @@ _MIRROR_SEED = 23
 class ViewLight:
     """Light of all views; :meth:`buffers` evaluates one view.
 
-    ``emits`` (M,): triangles known to emit. The result does not depend on the order of the views. Raises
-    ValueError if the views show no extended surface.
+    ``emits``: mask of the triangles known to emit. The result does not depend on the order of the views.
+    Raises ``ValueError`` if the views show no extended surface.
     """
 
     def __init__(self, views: Sequence[TracedView], traced: TracedGeometry, emits: NDArray[np.bool_]):
@@ -47,7 +47,7 @@ class ViewLight:
         self._min_diffuse = MIN_SHADING * float(np.median(self._lit.diffuse))
 
     def _mirrored(self, roughness: float) -> NDArray[np.float32]:
-        """Ls0 (M, 3) of every observation."""
+        """Ls0 (M, 3) of every observation at ``roughness``."""
         surfels = self._lit.surfels
         owner = surfels.surfel_of_observation()
         shading = self._lit.baker.specular(

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Numba-compiled loops and the threads that run them.
 
-Compiled functions release Python's global interpreter lock: pool threads run them in parallel on separate
-tiles, so that Numba needs no threading layer in addition to torch's and Mitsuba's. Compilation takes seconds.
-The result is cached beside the source or, if that folder is read-only, in the user's cache
-(``NUMBA_CACHE_DIR`` sets another folder). A function's cache is renewed when its own module changes, but not
-when it calls a changed function of another module; in that case, remove the ``__pycache__``.
+Compiled functions release Python's global interpreter lock, and a thread pool runs them in parallel on
+separate parts of the data; Numba thus needs no threading layer in addition to torch's and Mitsuba's.
+Compilation takes seconds. Its result is cached next to the source or, if that folder is read-only, in the
+user's cache (``NUMBA_CACHE_DIR`` sets another folder). Numba compiles a function again if its module changes,
+but not if a function changes that it calls in another module; in that case, remove the ``__pycache__``.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 """Multi-view colour statistics of every pixel: minimum, median and maximum over the best views.
 
 One Dr.Jit source runs on CPU and GPU and is compiled once for all views. For each pixel with a surface, its
-point p is unprojected from the view's depth, the views that see p are ranked (``view_selection``), the
-colours of the best are fetched at p's projections, and each channel is sorted by a sorting network. The
-median of an even number of colours is the mean of the middle two. A pixel without a surface (nothing hit, an
-emitter, or less than half covered by reflecting surface), or one whose point is visible in no chosen view,
-holds its own colour and the count 0.
+point p is unprojected from the view's depth, the views in which p is visible are ranked (``view_selection``),
+the colours of the best are fetched at p's projections, and each channel is sorted by a sorting network. The
+median of an even number of colours is the mean of the middle two. Pixels without a surface (nothing hit, an
+emitter, or less than half covered by reflecting surface), and pixels whose point is visible in no view, get
+their own colour and the count 0.
 """
 
 from __future__ import annotations
@@ -41,8 +41,10 @@ _MIN_WEIGHT = 1e-3
 
 @dataclass(frozen=True)
 class StatisticsView:
-    """One view's input: camera, ``color`` (H, W, 3) scene-linear, ``depth_z_m`` (H, W, 1) in metres (0: no
-    hit), ``normal_world`` (H, W, 3), ``surface_mask`` (H, W, 1) in [0, 1]; any float dtype.
+    """Input of the statistics from one view; arrays may have any float dtype.
+
+    ``color`` (H, W, 3), scene-linear; ``depth_z_m`` (H, W, 1), 0 without a hit; ``normal_world`` (H, W, 3);
+    ``surface_mask`` (H, W, 1), in [0, 1].
     """
 
     camera: Camera
@@ -56,7 +58,7 @@ class StatisticsView:
     def from_buffers(
         cls, camera: Camera, buffers: Mapping[str, NDArray], name: str = "view"
     ) -> StatisticsView:
-        """A view's input from its buffers by name; the colour is ``beauty``."""
+        """Create the input from a view's buffers by name; ``color`` is ``beauty``."""
         return cls(
             camera,
             buffers["beauty"],
@@ -67,7 +69,7 @@ class StatisticsView:
         )
 
     def problems(self) -> list[Problem]:
-        """All faults of the arrays: shapes that differ from the camera's, NaN or Inf."""
+        """All faults of the arrays: shapes that do not match the camera, NaN and Inf."""
         height, width = self.camera.height_px, self.camera.width_px
         found = []
         for field_name, channels in (
@@ -92,11 +94,11 @@ class StatisticsView:
 
 @dataclass(frozen=True)
 class StatisticsOptions:
-    """Options of the statistics.
+    """Options of the statistics. Raises :class:`InputError` for invalid values.
 
-    ``best_views``: the number k of views used, in [4, 24]. ``include_self``: whether a view's own pixel is a
-    candidate. ``color_fetch`` reads a colour at a projection from the nearest pixel, or interpolates the
-    neighbouring four that have the same depth.
+    ``best_views``: maximum number k of views used for a pixel, in [4, 24]. ``include_self``: whether the
+    pixel's own view is one of the candidates. ``color_fetch``: whether the colour at a projection is that of
+    the nearest pixel, or interpolated between those of the nearest four pixels that have the same depth.
     """
 
     best_views: int = 12
@@ -116,7 +118,7 @@ class StatisticsOptions:
 
 
 def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels with statistics of other views, from buffers (H, W, 1)."""
+    """Mask (H, W) of the pixels that show a reflecting surface and get statistics, from buffers (H, W, 1)."""
     return (depth_z_m[..., 0] > 0) & (surface_mask[..., 0] >= MIN_COVERAGE)
 
 
@@ -127,12 +129,12 @@ def compute_statistics(
     progress: Callable[[int, int], Any] | None = None,
     only: Sequence[int] | None = None,
 ) -> Iterator[dict[str, NDArray[np.float32]]]:
-    """Statistics of each view in turn, or of the views ``only``, as float32 arrays by buffer name.
+    """Iterate over the statistics of all views, or of those with indices ``only``: arrays by buffer name.
 
-    ``color_min``, ``color_median``, ``color_max`` are (H, W, 3) scene-linear, ``observation_count`` is (H, W,
-    1). ``scene`` is needed for traced visibility only: a ``mi.Scene``, or any object whose ``ray_test(ray,
-    active=mask)`` returns whether a ray is occluded. ``progress(done, total)`` is called after each view.
-    Input is checked before anything is computed; all faults are raised in one :class:`InputError`.
+    ``color_min``, ``color_median``, ``color_max`` (H, W, 3) are scene-linear; ``observation_count`` is
+    (H, W, 1). ``scene`` is needed only for visibility by ``trace``: a ``mi.Scene``, or any object whose
+    ``ray_test(ray, active=mask)`` returns whether a ray is occluded. ``progress(done, total)`` is called
+    after each view. Input is checked at once; all faults are raised in one :class:`InputError`.
     """
     options = options or StatisticsOptions()
     problems = [problem for view in views for problem in view.problems()]
@@ -178,7 +180,7 @@ def _statistics_of_all(
 
 
 def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Float:
-    """Colours of all views, padded to four floats per pixel: one packet load fetches a colour."""
+    """Colours of all views with four floats per pixel (the last is 0), which one packet load fetches."""
     import mitsuba as mi
 
     flat = aligned_empty(packed.num_pixels * 4, np.float32)
@@ -198,7 +200,7 @@ def _view_statistics(
     options: StatisticsOptions,
     scene: mi.Scene | None,
 ) -> tuple[Any, ...]:
-    """Minimum, median, maximum (a list of three channels each) and count of one view's pixels (*traced*)."""
+    """Minimum, median, maximum (lists of three channels) and count of each pixel of a view (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -225,9 +227,7 @@ def choose_for_pixels(
     options: StatisticsOptions,
     scene: mi.Scene | None = None,
 ) -> tuple[mi.UInt32, mi.Point3f, Selection]:
-    """Packed indices, world points and chosen views of the pixels of view ``index``, row by row
-    (*traced*).
-    """
+    """Packed indices, world points and chosen views of the pixels of view ``index``, by row (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -270,7 +270,7 @@ def _fetch_colors(
     own: mi.UInt32,
     own_color: mi.Vector4f,
 ) -> Any:
-    """Colours in the chosen views as three local arrays of k floats (*traced*)."""
+    """Colours of the points in their chosen views, as local arrays (k,) of red, green and blue (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -296,7 +296,7 @@ def _fetch_colors(
 def _fetch_bilinear(
     packed: PackedViews, at: Any, colors: mi.Float, options: VisibilityOptions, active: mi.Bool
 ) -> mi.Vector4f:
-    """Colour interpolated between the four pixels around the projection, without pixels of another depth."""
+    """Interpolate the colour between those of the four pixels around the projection that match its depth."""
     import drjit as dr
     import mitsuba as mi
 

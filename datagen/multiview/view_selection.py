@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Choice of the views whose colours a point's statistics use: cost, ranking and the best k.
+"""Selects the views whose colours a point's statistics use: the k of least cost in which it is visible.
 
-cost_i = -n . omega_i + d_ip / max_j d_jp, j over all cameras; the k visible views of least cost are kept. Of
-equal costs the lower view index comes first, so that the choice does not depend on the scheduling of the
-kernel.
+cost_i = -n . omega_i + d_ip / max_j d_jp, with j over all cameras and the letters of ``visibility``. Of views
+of equal cost, the lower index comes first, so the result does not depend on the scheduling of the kernel.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OwnView:
-    """The view whose pixels the points belong to: visible there by definition, or excluded."""
+    """The view that the points are pixels of: they count as visible in it, or it is excluded."""
 
     index: mi.UInt32
     is_included: bool = True
@@ -32,11 +31,11 @@ class Selection(NamedTuple):
     """The chosen views of each point (*traced*)."""
 
     num_chosen: mi.UInt32
-    """Number of entries set: min(k, number of views in which the point is visible)."""
+    """Number of chosen views: min(k, number of views in which the point is visible)."""
     costs: dr.Local
-    """(k,) floats, increasing; Inf beyond the entries set."""
+    """(k,) floats, increasing; Inf after the chosen views."""
     views: dr.Local
-    """(k,) view indices in the order of their costs."""
+    """(k,) indices of the chosen views by increasing cost."""
 
 
 def select_views(
@@ -49,10 +48,10 @@ def select_views(
     own: OwnView | None = None,
     active: mi.Bool | bool = True,
 ) -> Selection:
-    """The ``num_best`` views of least cost among those in which each point is visible (*traced*).
+    """Select the ``num_best`` views of least cost among those in which each point is visible (*traced*).
 
-    ``own`` is None for points that belong to no view's pixel grid, such as texels. No view is chosen for
-    points that are not ``active``.
+    ``own`` is None for points that are not pixels of a view, such as texels. No view is chosen for points
+    that are not ``active``.
     """
     import drjit as dr
     import mitsuba as mi
@@ -82,12 +81,12 @@ def select_views(
         return costs, chosen
 
     def visit(view: Any, num_visible: Any, costs: Any, chosen: Any) -> tuple[Any, ...]:
-        seen = observe(views, view, points, normals, options, scene)
-        is_candidate = seen.is_visible & active
+        observed = observe(views, view, points, normals, options, scene)
+        is_candidate = observed.is_visible & active
         if own is not None:
             is_own = view == own.index
             is_candidate = is_candidate | (is_own & active) if own.is_included else is_candidate & ~is_own
-        cost = dr.select(is_candidate, seen.distance_m * inverse_farthest - seen.cosine, infinity)
+        cost = dr.select(is_candidate, observed.distance_m * inverse_farthest - observed.cosine, infinity)
         num_visible = num_visible + dr.select(is_candidate, mi.UInt32(1), mi.UInt32(0))
         costs, chosen = insert(costs, chosen, cost, view)
         return view + 1, num_visible, costs, chosen

@@ -11,14 +11,14 @@ it. Occlusion is tested in one of two ways:
   camera space, one pixel along the image changes the depth of p's tangent plane by
   z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)|, and p counts as visible if
   |z_buffer - z| <= tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
-  The test is two-sided: if the buffer lies far *behind* p, the pixel's centre misses p's surface and the
-  pixel shows something else, so that its colour is not p's.
+  The test is two-sided: if the buffer's depth is far *beyond* p, the pixel's centre misses p's surface, and
+  the pixel's colour is not that of p.
 - ``trace`` casts a shadow ray in the scene's geometry from the camera, which ends a relative distance
   ``trace_tolerance / max(n . omega_i, 0.05)`` before p.
 
 Functions marked *traced* take and return Dr.Jit arrays and may be called inside a kernel; the view index is
-an array, never a literal, so that one compiled kernel serves any number of views. Pixels of all views are
-stored one view after another, so that views may differ in size.
+an array, never a literal, so one compiled kernel serves any number of views. The pixels of all views are
+packed into one array, view by view; views may differ in size.
 """
 
 from __future__ import annotations
@@ -40,15 +40,16 @@ if TYPE_CHECKING:
 CAMERA_STRIDE = 16  # floats per view: rotation (9, row-major camera_from_world), centre (3), fx, fy, cx, cy
 _ALIGNMENT = 64  # bytes of the widest SIMD register
 _MAX_PIXELS = 2**32  # pixel indices are 32-bit
-_MIN_TRACE_COSINE = 0.05  # keeps the shadow ray of a point at grazing angles from ending far short of it
+_MIN_TRACE_COSINE = 0.05  # otherwise, shadow rays at grazing angles would end far before the point
 
 
 @dataclass(frozen=True)
 class VisibilityOptions:
-    """Kinds of occlusion tests; the formulas are in the module's docstring.
+    """The occlusion test ``mode`` and its tolerances; the module's docstring has the formulas.
 
     ``depth_tolerance`` and ``slope_limit`` are relative to depth, ``slope_tolerance_px`` is in pixels,
-    ``trace_tolerance`` is relative to the distance between camera and point.
+    ``trace_tolerance`` is relative to the distance between camera and point. Raises :class:`InputError` for
+    invalid values.
     """
 
     mode: Literal["depth", "trace"] = "depth"
@@ -69,7 +70,7 @@ class VisibilityOptions:
 
 
 class Projection(NamedTuple):
-    """Points projected into one view's camera, and whether they are inside its image (*traced*)."""
+    """Points projected into a view's camera, and the camera itself (*traced*)."""
 
     rotation: mi.Matrix3f
     """camera_from_world."""
@@ -86,7 +87,7 @@ class Projection(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """Sample of one view at each point (*traced*); undefined unless ``is_visible``."""
+    """Visibility and projection of points in a view (*traced*); undefined unless ``is_visible``."""
 
     is_visible: mi.Bool
     cosine: mi.Float
@@ -100,8 +101,8 @@ class Observation(NamedTuple):
 class PackedViews:
     """Cameras and depth buffers of all views on the device.
 
-    ``depth_z_m`` holds one (H, W) or (H, W, 1) array per view (0: nothing hit), or is None if only traced
-    visibility is used. Raises :class:`InputError` for empty or mismatched input.
+    ``depth_z_m``: an array (H, W) or (H, W, 1) for each view, 0 where nothing is hit; None if visibility is
+    tested only by ``trace``. Raises :class:`InputError` for empty or mismatched input, NaN and Inf.
     """
 
     def __init__(
@@ -139,10 +140,10 @@ class PackedViews:
 
 
 def aligned_empty(size: int, dtype: Any) -> NDArray:
-    """A flat NumPy array in memory aligned for packet loads, which a Dr.Jit array can share.
+    """A flat NumPy array of ``size`` elements in memory aligned for packet loads, which Dr.Jit can share.
 
-    On the CPU Dr.Jit works in NumPy's own memory. If it is not aligned, Dr.Jit compiles another kernel with
-    scalar gathers instead of packet loads; which of the two runs would depend on the allocator.
+    On the CPU, Dr.Jit uses NumPy's memory directly. If that is not aligned, Dr.Jit compiles another kernel
+    with scalar gathers instead of packet loads; the allocator would determine which kernel runs.
     """
     num_bytes = size * np.dtype(dtype).itemsize
     memory = np.empty(num_bytes + _ALIGNMENT, dtype=np.uint8)
@@ -182,7 +183,7 @@ def _flatten_depth(cameras: Sequence[Camera], depth: Sequence[NDArray], name: st
 
 
 def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projection:
-    """Project ``points`` into the camera of each lane's ``view`` (*traced*)."""
+    """Project ``points`` into the cameras of the views with indices ``view`` (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -199,7 +200,7 @@ def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projecti
 
 
 def max_distance(views: PackedViews, points: mi.Point3f) -> mi.Float:
-    """Largest distance from each point to any camera, max_j d_jp, visible or not (*traced*)."""
+    """Distance max_j d_jp from each point to the farthest camera, visible or not (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -225,7 +226,10 @@ def observe(
     options: VisibilityOptions,
     scene: mi.Scene | None = None,
 ) -> Observation:
-    """Project ``points`` with unit ``normals`` into ``view`` and test their visibility (*traced*)."""
+    """Project ``points`` with unit ``normals`` into ``view`` and test their visibility (*traced*).
+
+    Raises ``ValueError`` without the ``scene`` or the depth buffers that ``options.mode`` needs.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -261,18 +265,18 @@ def _agrees_with_depth(
     if views.depth is None:
         raise ValueError("visibility 'depth' needs the views' depth buffers")
     pixel = at.layout[0] + mi.UInt32(at.v_px) * at.layout[1] + mi.UInt32(at.u_px)
-    seen = dr.gather(mi.Float, views.depth, pixel, active)
+    stored = dr.gather(mi.Float, views.depth, pixel, active)
     normal = at.rotation @ normals
     step = dr.abs(normal.x) / at.intrinsics[0] + dr.abs(normal.y) / at.intrinsics[1]
     # facing = |n' . (x/z, y/z, 1)| z; at grazing angles the quotient may be Inf, which min() bounds
     slope = dr.minimum(options.slope_tolerance_px * step * at.z_m / facing, options.slope_limit)
-    return dr.abs(seen - at.z_m) <= at.z_m * (options.depth_tolerance + slope)
+    return dr.abs(stored - at.z_m) <= at.z_m * (options.depth_tolerance + slope)
 
 
 def vectors_from_rows(rows: NDArray) -> Any:
-    """(N, 3) numbers as a ``mi.Vector3f`` that gives the same kernel for every N.
+    """Convert numbers (N, 3) to a ``mi.Vector3f`` whose kernels are the same for every N.
 
-    ``mi.Vector3f(array)`` would make N a literal of the kernels that use it.
+    ``mi.Vector3f(array)`` would make N a literal of the kernels.
     """
     import drjit as dr
     import mitsuba as mi
@@ -282,7 +286,7 @@ def vectors_from_rows(rows: NDArray) -> Any:
 
 
 class PointObservations(NamedTuple):
-    """Every view's observation of every point, as NumPy arrays of V views and N points."""
+    """Visibility and projections of N points in V views, as NumPy arrays."""
 
     visible_mask: NDArray[np.bool_]
     """(V, N)."""
@@ -291,7 +295,7 @@ class PointObservations(NamedTuple):
     cosine: NDArray[np.float32]
     """(V, N), n . omega_i; 0 where not visible."""
     distance_m: NDArray[np.float32]
-    """(V, N), distance between camera and point, visible or not."""
+    """(V, N), distance between camera and point, whether visible or not."""
 
 
 def observe_points(
@@ -301,7 +305,7 @@ def observe_points(
     options: VisibilityOptions | None = None,
     scene: mi.Scene | None = None,
 ) -> PointObservations:
-    """Observations of free points (N, 3) with unit normals (N, 3), independent of any pixel grid.
+    """Project points (N, 3) with unit normals (N, 3) into every view and test their visibility.
 
     The result has V x N entries; process large numbers of points in blocks.
     """
@@ -313,8 +317,8 @@ def observe_points(
     dr.eval(position, normal)
     rows = []
     for view in range(views.num_views):
-        seen = observe(views, dr.opaque(mi.UInt32, view), position, normal, options, scene)
-        outputs = (seen.is_visible, seen.u_px, seen.v_px, seen.cosine, seen.distance_m)
+        observed = observe(views, dr.opaque(mi.UInt32, view), position, normal, options, scene)
+        outputs = (observed.is_visible, observed.u_px, observed.v_px, observed.cosine, observed.distance_m)
         dr.eval(outputs)
         rows.append([np.asarray(value.numpy()) for value in outputs])
     visible, u, v, cosine, distance = (np.stack(column) for column in zip(*rows, strict=True))

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The meshes of a configuration as the geometry of a capture: one mesh in world space, its parts and
-lamps.
-"""
+"""Joins the meshes of a configuration to a capture's geometry: a world-space mesh, its parts and lamps."""
 
 from __future__ import annotations
 
@@ -23,7 +21,11 @@ from datagen.library import Library
 def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Every placed part as one mesh in world space, and notes on properties that a mesh cannot represent."""
+    """Join all placed parts; also return notes on properties that the geometry cannot represent.
+
+    Raises :class:`InputError` for packages that differ from the configuration's, singular transforms and
+    unusable meshes.
+    """
     found = []
     for placed in (configuration.environment, *configuration.objects):
         package = library.package(placed.asset)
@@ -36,7 +38,7 @@ def configuration_geometry(
 
 
 def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """The parts of one package with its own materials."""
+    """As :func:`configuration_geometry`, for one package with its own materials."""
     return _geometry(_parts_of(package, placed, None))
 
 

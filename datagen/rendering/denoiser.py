@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Denoising with clean auxiliary buffers: OIDN on the CPU, OptiX on NVIDIA.
+"""Denoising with noise-free auxiliary buffers: OIDN on the CPU, OptiX on NVIDIA GPUs.
 
-Two path samples per pixel with noise-free albedo and normal give less error than sixteen with noisy ones; the
+Two paths per pixel with noise-free albedo and normal give less error than sixteen with noisy ones; the
 auxiliary buffers therefore come from a separate pass (:mod:`mitsuba_plugins.material_buffers`).
 """
 
@@ -21,7 +21,10 @@ QUALITIES = ("fast", "balanced", "high")
 
 
 class Denoiser(Protocol):
-    """A denoiser of images; ``name`` is written to the view's record."""
+    """A denoiser of images. ``name`` is written to the view's record.
+
+    ``wants_camera_normals``: whether normals are in the camera's frame instead of the world's.
+    """
 
     name: str
     wants_camera_normals: ClassVar[bool]
@@ -29,7 +32,7 @@ class Denoiser(Protocol):
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """``color`` (H, W, 3) linear radiance, ``albedo`` (H, W, 3) in [0, 1], ``normal`` (H, W, 3) unit."""
+        """Denoise ``color``, linear radiance, with guides ``albedo`` and unit ``normal``, all (H, W, 3)."""
         ...
 
 
@@ -38,8 +41,8 @@ def auxiliary_albedo(
 ) -> NDArray[np.float32]:
     """Reflectance at normal incidence, (1 - S) D + S, as the denoiser's albedo guide; 0 without surface.
 
-    The denoised image holds only reflected light, so that both fade to 0 at a surface's edge. ``mask`` (H, W,
-    1) is the surface's share of the pixel.
+    ``mask`` (H, W, 1) is the surface's share of the pixel: the denoised image contains only reflected light,
+    which fades to 0 at a surface's edge too.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
@@ -48,7 +51,8 @@ def auxiliary_albedo(
 class OidnDenoiser:
     """Intel Open Image Denoise on the CPU. ``num_threads`` 0 uses all cores. Not safe for concurrent calls.
 
-    ``is_guided`` False omits albedo and normal, to measure their effect.
+    ``is_guided`` False omits albedo and normal, to measure their effect. Raises ``ValueError`` if ``quality``
+    is not one of :data:`QUALITIES`.
     """
 
     quality: Quality = "high"
@@ -75,7 +79,7 @@ class OidnDenoiser:
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """See :class:`Denoiser`. The result is never negative."""
+        """See :class:`Denoiser`. Negative results are clamped to 0. Raises ``RuntimeError`` if OIDN fails."""
         shape = (int(color.shape[0]), int(color.shape[1]))
         if shape not in self._filters:
             self._filters[shape] = self._make_filter(shape)
@@ -87,9 +91,7 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """A committed filter with persistent buffers: building its network costs more than denoising a small
-        image.
-        """
+        """A committed filter and its buffers; building takes longer than denoising a small image."""
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
@@ -128,7 +130,7 @@ def _oidn_version() -> tuple[int, ...]:
 
 @dataclass
 class OptixDenoiser:
-    """NVIDIA's denoiser through Mitsuba; needs the CUDA variant. Normals are in camera space (y down)."""
+    """NVIDIA's denoiser through Mitsuba; needs the CUDA variant."""
 
     wants_camera_normals: ClassVar[bool] = True
 
@@ -139,7 +141,7 @@ class OptixDenoiser:
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """See :class:`Denoiser`."""
+        """See :class:`Denoiser`. Negative results are clamped to 0."""
         import mitsuba as mi
 
         height, width = color.shape[:2]
@@ -157,15 +159,12 @@ class OptixDenoiser:
 
 
 def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDenoiser:
-    """The denoiser for a Mitsuba variant."""
+    """The denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN with ``num_threads`` (0: all cores)."""
     return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """A denoiser for error estimates at a quarter of the cost.
-
-    None if the recipe has no denoiser, or if its own is as fast.
-    """
+    """OIDN at a quarter of the cost for error estimates; None if the recipe has no denoiser or uses OptiX."""
     from mitsuba_plugins.variant import select_variant
 
     variant = select_variant(recipe.variant)

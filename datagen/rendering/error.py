@@ -2,11 +2,10 @@
 """Relative mean squared error of an image, for sample budgets and benchmarks.
 
 relMSE(x, r) = mean of (x - r)^2 / (r^2 + epsilon), epsilon = 0.01, over pixels and channels, in scene-linear
-radiance. With two independent references r1, r2 of the same pixels the numerator is (x - r1)(x - r2): their
-own noise then adds nothing to the expectation except through its correlation with the divisor;
-:func:`relative_mse_of_parts` removes that as well. ``exposed`` first scales everything so that the
-reference's 95th percentile of luminance is 0.9, which makes the figure independent of the brightness of the
-lights.
+radiance. With two independent references r1, r2 of the same pixels, the numerator is (x - r1)(x - r2); the
+references' noise then adds to the expectation only through its correlation with the divisor, which
+:func:`relative_mse_of_parts` avoids. ``exposed`` first scales all images so that the reference's 95th
+percentile of luminance is 0.9, which makes the error independent of the brightness of the lights.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ EPSILON = 0.01
 def relative_mse_map(
     image: NDArray, reference: NDArray, other_reference: NDArray | None = None, *, exposed: bool = False
 ) -> NDArray[np.float64]:
-    """Per-pixel relMSE (H, W); with two references single pixels can be negative."""
+    """Per-pixel relMSE (H, W) of linear images (H, W, 3); with two references, pixels can be negative."""
     first = reference.astype(np.float64)
     second = first if other_reference is None else other_reference.astype(np.float64)
     mean = 0.5 * (first + second)
@@ -47,12 +46,11 @@ def relative_mse(
 def relative_mse_of_parts(
     image: NDArray, parts: Sequence[NDArray], *, exposed: bool = False
 ) -> tuple[float, float]:
-    """Mean relMSE against four independent images of the same pixels, and its standard error from their
-    noise.
+    """Mean relMSE of ``image`` (H, W, 3) against four independent references, and its standard error.
 
     (x - r1)(x - r2) is divided by the brightness in r3 and r4, likewise for all six pairs. Dividing by the
-    mean of r1 and r2 themselves would overweight pixels that are dark by chance in both: relative noise s of
-    each adds 3/2 s^4.
+    mean of r1 and r2 would overweight pixels that are dark by chance in both: relative noise s of each
+    reference would add 3/2 s^4.
     """
     x, references = image.astype(np.float64), [part.astype(np.float64) for part in parts]
     scale = exposure_for(np.mean(references, axis=0)) if exposed else 1.0
@@ -66,7 +64,8 @@ def relative_mse_of_parts(
     middle = np.mean(references, axis=0)
     variance = scale**2 * np.var(references, axis=0, ddof=1) / ((scale * middle) ** 2 + EPSILON)
     variance = variance.mean(axis=-1)
-    # Variance of e^2 - 2 e n + (mean of six products n n'), n the mean of four: e^2 s^2 + s^4 / 6. From four
-    # values, the square of the variance is estimated 5/3 too large on average.
+    # With error e, noise n_i of variance s^2 in each reference and its mean n, the variance of
+    # e^2 - 2 e n + (mean of the six products n_i n_j) is e^2 s^2 + s^4 / 6. The square of the variance
+    # estimated from four values is 5/3 s^4 on average.
     noise = np.maximum(errors, 0.0) * variance + variance**2 / 10.0
     return float(errors.mean()), math.sqrt(float(noise.sum())) / noise.size

@@ -2,9 +2,9 @@
 """The meshes of a configuration, merged into one Mitsuba shape per BSDF.
 
 Parts are transformed to world space in double precision and joined by BSDF, emission and vertex layout: a
-room of 775 meshes becomes 35 shapes, which load faster and trace as fast (docs/decisions/0007). A table gives
-the instance of each triangle. The texture coordinate v points up in files and down in Mitsuba; it is flipped
-here.
+room of 775 meshes becomes 35 shapes, which load faster and are traced as fast (docs/decisions/0007). A table
+gives the instance of each triangle. The texture coordinate v points up in files and down in Mitsuba; it is
+flipped here.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DEFAULT_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:
-    """Least-recently-used cache of decoded meshes, by package hash and file."""
+    """Cache of decoded meshes by package and file; beyond ``max_bytes``, drops the least recently used."""
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
         self.max_bytes = max_bytes
@@ -36,7 +36,7 @@ class MeshCache:
         self._meshes: OrderedDict[tuple[str, str], tuple[Mesh, int]] = OrderedDict()
 
     def mesh(self, package: Package, name: str) -> Mesh:
-        """A mesh of a package, checked. Raises :class:`InputError` for broken, empty or unusable meshes."""
+        """The mesh in file ``name`` of a package. Raises :class:`InputError` if it is broken or unusable."""
         key = (package.sha256, name)
         if key in self._meshes:
             self._meshes.move_to_end(key)
@@ -55,7 +55,7 @@ class MeshCache:
 
 
 def _check(mesh: Mesh, where: str) -> None:
-    """Reject meshes that would give NaN; the full check of the mesh is part of the library."""
+    """Reject meshes that would cause NaN or crashes; the library checks meshes completely."""
     arrays = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     indices_fit = len(mesh.faces) > 0 and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.positions)
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
@@ -77,20 +77,20 @@ class GroupKey:
 
 @dataclass
 class MeshGroup:
-    """Triangles of one shape: world-space meshes and the instance that each belongs to."""
+    """Triangles of one shape: world-space ``meshes`` and the id of the instance of each mesh."""
 
     key: GroupKey
     meshes: list[Mesh] = field(default_factory=list)
     instances: list[int] = field(default_factory=list)
 
     def joined(self) -> tuple[Mesh, NDArray[np.uint32]]:
-        """One mesh, and the instance id of each of its triangles."""
+        """All triangles as one mesh, and the instance id (M,) of each triangle."""
         counts = [len(mesh.faces) for mesh in self.meshes]
         return joined(self.meshes), np.repeat(np.asarray(self.instances, np.uint32), counts)
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """A part as rendered: in world space, wound outward even if mirrored, UVs scaled, v downwards."""
+    """Transform a part for rendering: to world space, winding kept if mirrored, UVs scaled, v downwards."""
     world = mesh.transformed(world_from_part)
     faces = world.faces
     if np.linalg.det(world_from_part[:3, :3]) < 0:
@@ -103,14 +103,11 @@ def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) 
 
 
 def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
-    """Pairs (is mirrored, triangles), one for each handedness of the UVs that occurs.
-
-    ``mesh`` is as returned by :func:`in_world` (v downwards).
-    """
+    """Split ``mesh`` (v downwards) by the handedness of its UVs into pairs (is mirrored, non-empty mesh)."""
     assert mesh.uv is not None
     corners = mesh.uv.astype(np.float64)[mesh.faces]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    is_mirrored = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0] > 0  # v is downwards: the sense is reversed
+    is_mirrored = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0] > 0  # reversed, since v is downwards
     kinds = []
     for kind in (False, True):
         chosen = is_mirrored == kind

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Lights of a configuration as Mitsuba emitters.
+"""Converts the lights of a configuration to Mitsuba emitters.
 
-Flat lights are meshes like all surfaces (a disk is a polygon of equal area), so that rooms need one kind of
-shape. Their surface has zero reflectance. Lights hidden from the camera keep their shape, for reflections and
-for multiple importance sampling, and are listed in :attr:`LightSetup.hidden`: camera rays pass through them.
+Flat lights are meshes like all other surfaces (a disk is a polygon of equal area), with zero reflectance.
+Lights hidden from the camera keep their shape, for reflections and multiple importance sampling, and are
+listed in :attr:`LightSetup.hidden`: camera rays pass through them.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 DISK_CORNERS = 64
-"""Corners of the polygon that approximates an elliptic light; its outline is off by 0.08 % of the radius."""
-_MIN_AREA_M2 = 1e-12  # below this Mitsuba divides by a vanishing area
-# Columns: Mitsuba's envmap frame (Y up, centre column along +Z) in ours (Z up, centre column along +Y).
+"""Corners of the polygon that approximates an elliptic light, to within 0.08 % of the radius."""
+_MIN_AREA_M2 = 1e-12  # Mitsuba divides by the area
+# From Mitsuba's envmap frame (Y up, centre column along +Z) to the project's (Z up, centre column along +Y).
 _ENVIRONMENT_FROM_MITSUBA = np.array(
     [[-1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]], dtype=np.float64
 )
@@ -44,7 +44,7 @@ _ENVIRONMENT_FROM_MITSUBA = np.array(
 
 @dataclass
 class LightSetup:
-    """Entries for the scene's dictionary; ``hidden`` names the shapes invisible to camera rays."""
+    """Lights as ``entries`` of the scene's dictionary; ``hidden``: keys of those invisible to camera rays."""
 
     entries: dict[str, Any] = field(default_factory=dict)
     hidden: set[str] = field(default_factory=set)
@@ -53,9 +53,9 @@ class LightSetup:
 def make_lights(
     configuration: Configuration, library: Library, black: Any, problems: list[Problem]
 ) -> LightSetup:
-    """All lights of a configuration except emissive parts. ``black`` is the BSDF of luminous shapes.
+    """Convert all lights of a configuration except emissive parts. ``black`` is the BSDF of luminous shapes.
 
-    Faults (zero area, two skies, a missing image or one with NaN) are added to ``problems``.
+    Faults, such as zero area, two skies or an image with NaN, are added to ``problems``.
     """
     setup = LightSetup()
     skies = [light.name for light in configuration.lights if isinstance(light, EnvironmentLight | SkyLight)]
@@ -144,7 +144,7 @@ def _spot(light: SpotLight, where: str, problems: list[Problem]) -> Any:
         ),
         "intensity": _rgb(light.intensity),
         "cutoff_angle": math.degrees(light.cutoff_rad),
-        # Mitsuba divides by cutoff - beam width; a hard edge becomes one of a thousandth
+        # Mitsuba divides by cutoff - beam width, which must not be 0
         "beam_width": math.degrees(min(light.beam_width_rad, 0.999 * light.cutoff_rad)),
     }
 
@@ -168,7 +168,7 @@ def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -
 
 
 def area_light_mesh(light: AreaLight) -> Mesh:
-    """The luminous face of an area light, front side along edge_u x edge_v."""
+    """Mesh of the luminous face of an area light; its front faces along edge_u x edge_v."""
     origin, u, v = (np.asarray(a, dtype=np.float64) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     if light.shape == "rectangle":
         corners = np.stack([origin, origin + u, origin + u + v, origin + v])
@@ -191,7 +191,7 @@ def _environment(light: EnvironmentLight, where: str, library: Library, problems
     if light.image is None:
         return {"type": "constant", "radiance": _rgb(tuple(c * light.scale for c in light.radiance))}  # type: ignore[arg-type]
     if light.asset is None:
-        expected = "the id of the package that holds the image"
+        expected = "the id of the package that contains the image"
         problems.append(Problem(where, "asset", "null", expected, "name it"))
         return None
     path = library.package(light.asset).local_file(light.image)

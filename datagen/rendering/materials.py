@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""From slots and assignments to BSDFs: assigned materials as nested ``cook_torrance`` BSDFs.
+"""Resolves the materials of slots and converts them to BSDFs.
 
-Two slots share a BSDF and a material id exactly if package, material and adjustment agree; UV scales are
-applied to the meshes.
+Two slots share a BSDF and a material id if and only if package, material and adjustment are equal; UV scales
+are applied to the meshes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """The material assigned to a slot. ``name`` is the material asset's id, or ``asset/slot``."""
+    """The material of a slot: an assigned one (``name`` is its asset's id) or its own (``asset/slot``)."""
 
     name: str
     package: Package
@@ -34,7 +34,7 @@ class SurfaceMaterial:
 
     @property
     def key(self) -> tuple:
-        """Materials with equal keys have equal BSDFs."""
+        """Hashable key; materials with equal keys have equal BSDFs."""
         return (self.package.sha256, self.name, self.adjustment)
 
     @property
@@ -46,7 +46,7 @@ class SurfaceMaterial:
 def resolve_materials(
     placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
 ) -> dict[str, SurfaceMaterial]:
-    """Assigned material of each slot. Faults are added to ``problems``."""
+    """Material of each slot by name. Faults are added to ``problems``; slots with faults are left out."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     where = f"configuration: {placed.name}"
@@ -81,10 +81,10 @@ def resolve_materials(
 
 
 def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_uv: bool = False) -> Any:
-    """The BSDF of a material: ``cook_torrance`` inside ``normalmap`` inside ``mask``, as far as needed.
+    """Create the BSDF of a material: ``cook_torrance``, in ``normalmap`` and ``mask`` if needed.
 
-    ``has_mirrored_uv``: the mesh's UVs run clockwise, so that Mitsuba's tangent frame (right-handed by
-    construction) flips the bitangent; the normal map's green channel is flipped with it.
+    ``has_mirrored_uv``: the mesh's UVs run clockwise. Mitsuba's tangent frame is always right-handed and thus
+    flips the bitangent; the normal map's green channel is flipped to compensate.
     """
     import mitsuba as mi
 

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Noisy pixels kept near very bright sources, where the denoiser leaks light.
+"""Weight of the noisy image near very bright sources, whose light the denoiser spreads to darker pixels.
 
 OIDN's error is a few per cent of the highest radiance in its network's receptive field. For radiance up to
-white that is less than the noise it removes. Beside window panes at forty times white it is more than the
-radiance of a dark glazing bar, whose own samples are noisy but unbiased.
+white, that is less than the noise that it removes. Next to window panes at forty times white, it is more than
+the radiance of a dark glazing bar, whose samples are noisy but unbiased.
 
 Two independent halves a and b of the samples identify these pixels. With F their denoised image, the
 expectation of (a - F)(b - F) is F's squared error, as long as F does not depend on the noise of that pixel; a
-firefly occurs in one half only and makes it negative. The noisy image N therefore replaces F with the share
+firefly occurs in only one half and makes the product negative. The noisy image N therefore gets the weight
 
     g max(0, 1 - v / ((a - F)(b - F)))
 
 where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
-Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. v is relative to the
+Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. v is scaled by the
 darker of F and N, and pooled, because two halves give a poor estimate of a pixel's variance. The gate g rises
-from 0 to 1 if a source of ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE`` times white in both halves lies within
-``REACH_PX``. Without the gate, samples that are low by chance would pass for dark surfaces (decision 78).
+from 0 to 1 as the brightest source around the pixel that both halves show rises from ``FAINTEST_SOURCE`` to
+``BRIGHT_SOURCE``. Without it, samples that are low by chance would count as dark surfaces (decision 78).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for, luminance
 
 FAINTEST_SOURCE, BRIGHT_SOURCE = 4.0, 8.0
-"""Luminance, relative to the exposed image's white, at which the gate g begins to open and is fully open."""
+"""Luminance, relative to the exposed image's white, of the sources at which the gate g is 0 and 1."""
 REACH_PX = 5
-"""Side of the square around a pixel that is searched for such a source."""
+"""Side in pixels of the square around a pixel that is searched for such a source."""
 NEAR_PX, WIDE_PX = 3, 15
-"""Sides of the squares over which relative variances are pooled. The larger of the two means is used: strong
-noise at the pixel, or nearby and missed by the pixel's own samples."""
+"""Sides in pixels of the squares over which relative variances are averaged. The larger of the two means is
+used, since the pixel's own samples may miss noise that occurs nearby."""
 MIN_LEVEL = 0.01
-"""Relative to white: keeps relative variances of black pixels finite."""
+"""Radiance, relative to white, that keeps relative variances of black pixels finite."""
 
 
 def noisy_share(
@@ -41,10 +41,10 @@ def noisy_share(
     denoised: NDArray[np.floating],
     visible_emission: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """Share of the noisy image (a + b) / 2 in the finished one, (H, W, 1) in [0, 1].
+    """Weight (H, W, 1) of the noisy image (a + b) / 2 in the finished one, in [0, 1] and mostly 0.
 
-    ``halves`` and ``denoised`` (H, W, 3) hold reflected light; ``visible_emission`` (H, W, 3) is added to it
-    and only affects the exposure. Zero at nearly all pixels.
+    ``halves`` and ``denoised`` (H, W, 3) are reflected light. ``visible_emission`` (H, W, 3), which is added
+    to it later, affects only the exposure.
     """
     from scipy import ndimage
 

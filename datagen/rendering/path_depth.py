@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Path depth for a bounded truncation, from the reflectance of the scene.
+"""Path depth that bounds the truncation, from the reflectance of the scene.
 
-Each bounce scales light by the reflectance rho of the surface. Paths of d segments end after d - 1 bounces,
-so that the share rho^(d-1) of all reflected light is missing: the truncation.
+Each bounce scales light by the reflectance rho of the surface. Paths of d segments end after d - 1 bounces
+and lack the share rho^(d-1) of all reflected light: the truncation.
 
 rho is the reflectance (1 - S) D + S of the ground truth, over the surfaces visible to a few of the
 configuration's cameras. An area-weighted mean would include the outside of walls and the inside of objects.
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 MIN_DEPTH = 2
 """Direct light only."""
 MAX_DEPTH = 64
-"""Limit for nearly white surfaces; Russian roulette ends nearly all paths before."""
+"""Maximum depth, for nearly white surfaces; Russian roulette ends nearly all paths earlier."""
 
 
 def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
-    """Reflectance of the surfaces in views, in [0, 1]; 0 without surfaces.
+    """Reflectance in [0, 1] of the surfaces in ground-truth ``buffers`` (H, W, C) of views; 0 without any.
 
-    The root mean square over pixels, in the channel where it is highest: bright surfaces reflect more light
-    than dark ones, so that the mean would be too small. ``buffers`` are ground truth of views, (H, W, C).
+    Root mean square over pixels in the channel where it is highest; the mean would be too small, since bright
+    surfaces contribute more light.
     """
     squares, weight = np.zeros(3), 0.0
     for view in buffers:
@@ -37,18 +37,16 @@ def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
 
 
 def depth_for(reflectance: float, max_energy_left: float) -> int:
-    """Smallest number of segments, 2 ... 64, for which ``reflectance`` ** (depth - 1) is at most
-    ``max_energy_left``.
-    """
+    """Minimum depth, clamped to [2, 64], for which the truncation is at most ``max_energy_left``."""
     if reflectance <= 0.0:
         return MIN_DEPTH
     if reflectance >= 1.0:
         return MAX_DEPTH
-    # The slack keeps rounding from adding a segment where the bound is reached exactly.
+    # Without the slack, rounding would add a segment where the bound is reached exactly.
     bounces = math.ceil(math.log(max_energy_left) / math.log(reflectance) - 1e-9)
     return min(MAX_DEPTH, max(MIN_DEPTH, 1 + bounces))
 
 
 def truncation(reflectance: float, depth: int) -> float:
-    """Truncation: share of the reflected light beyond paths of ``depth`` segments, in [0, 1]."""
+    """Share, in [0, 1], of the reflected light that paths of ``depth`` segments lack."""
     return min(1.0, reflectance) ** (depth - 1)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Mitsuba plugins of the renderer: a camera with full intrinsics and a sun with a disc.
 
-``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels, off-centre and with non-square pixels if
-need be (Mitsuba's ``perspective`` supports square ones only). All parameters are opaque to Dr.Jit: another
-view reuses the kernel with other numbers. ``sun_disc``: parallel light with an angular diameter. It is
-sampled but never hit: it is invisible to camera and mirror rays, and its reflections come from emitter
-sampling alone.
+``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels and any principal point and pixel aspect
+(Mitsuba's ``perspective`` supports only square pixels). All parameters are opaque to Dr.Jit, so all views
+share one kernel. ``sun_disc``: distant light with an angular diameter. Rays never hit it: it is invisible to
+camera and mirror rays, and its reflections come from emitter sampling alone.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ import numpy as np
 from datagen.foundation.cameras import Camera
 
 Array = Any
-# Shadow rays start this many scene diagonals away: outside of the scene, and close enough for float32.
+# Shadow rays start at this many scene diagonals: outside of the scene, and close enough for float32.
 _SHADOW_DISTANCE_FACTOR = 2.0
 
 
 class PinholePixels(mi.Sensor):
-    """The project's :class:`Camera` as a sensor. Set it with :meth:`set_camera`."""
+    """A sensor with the intrinsics of a :class:`Camera`; :meth:`set_camera` sets it."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)
@@ -40,10 +39,10 @@ class PinholePixels(mi.Sensor):
     m_down: Any
     m_forward: Any
     m_centre: Any
-    m_clip: Any  # near depth, and from there to the far one
+    m_clip: Any  # near depth, and far minus near depth
 
     def set_camera(self, camera: Camera) -> None:
-        """Use another camera of the same resolution. Raises ``ValueError`` if its resolution differs."""
+        """Set the camera. Raises ``ValueError`` if its resolution differs from the film's."""
         if (camera.width_px, camera.height_px) != (self.width_px, self.height_px):
             got = f"{camera.width_px}x{camera.height_px}"
             raise ValueError(f"camera of {got} pixels; the film has {self.width_px}x{self.height_px}")
@@ -67,7 +66,7 @@ class PinholePixels(mi.Sensor):
     def sample_ray(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """Ray through ``sample2``, a position on the film in [0, 1]^2 (x right, y down), of weight 1."""
+        """Ray through position ``sample2`` of the film in [0, 1]^2 (x right, y down), and the weight 1."""
         position_px = sample2 * mi.ScalarVector2f(self.width_px, self.height_px)
         ray = rays_through(self.view, position_px)
         ray.time = time
@@ -75,13 +74,13 @@ class PinholePixels(mi.Sensor):
 
     @property
     def view(self) -> tuple[Any, ...]:
-        """Input of :func:`rays_through`: kernel arguments, no literals."""
+        """The camera as input of :func:`rays_through`: opaque arrays, which become kernel arguments."""
         return (self.m_position, self.m_right, self.m_down, self.m_forward, self.m_centre, self.m_clip)
 
     def sample_ray_differential(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """As :meth:`sample_ray`; textures are not filtered by ray differentials, so none are made."""
+        """As :meth:`sample_ray`, with empty differentials: textures are not filtered by them."""
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
@@ -91,11 +90,11 @@ class PinholePixels(mi.Sensor):
 
 
 def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
-    """Rays through positions on the film in pixels, for the :attr:`PinholePixels.view` of a sensor."""
+    """Rays of a sensor (its :attr:`PinholePixels.view`) through positions on the film in pixels."""
     origin, right, down, forward, centre, clip = view
     offset = position_px - centre
     ray = dr.zeros(mi.Ray3f)
-    direction = forward + offset.x * right + offset.y * down  # to depth 1
+    direction = forward + offset.x * right + offset.y * down  # of depth 1
     ray.o = dr.fma(clip.x, direction, origin)
     ray.d = dr.normalize(direction)
     ray.maxt = dr.minimum(clip.y * dr.norm(direction), dr.largest(mi.Float))
@@ -103,7 +102,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
 
 
 def outside_distance(scene: Any) -> float:
-    """Distance that leads out of a scene from any of its points; 1 for an empty scene."""
+    """Distance in metres at which one is outside a scene, from any of its points; 2 for an empty scene."""
     box = scene.bbox()
     extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
     reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
@@ -111,11 +110,11 @@ def outside_distance(scene: Any) -> float:
 
 
 class SunDisc(mi.Emitter):
-    """Parallel light of ``irradiance`` [W/m^2] across ``direction`` (of travel), spread over a cone.
+    """Distant disc of uniform radiance; its light travels in ``direction``.
 
-    ``angular_diameter_rad``: directions are uniform over the disc's solid angle, radiance E / (pi sin^2 r).
-    The emitter is flagged as a delta, so that integrators give emitter sampling the full weight: no other
-    technique can reach it.
+    ``irradiance`` E [W/m^2] is that of a surface perpendicular to ``direction``. A disc of
+    ``angular_diameter_rad`` = 2 r has the radiance E / (pi sin^2 r). The emitter is flagged as a delta, since
+    only emitter sampling can reach it.
     """
 
     def __init__(self, props: mi.Properties):
@@ -131,9 +130,9 @@ class SunDisc(mi.Emitter):
         )
         diameter: Any = props.get("angular_diameter_rad", 0.0)
         radius = 0.5 * float(diameter)
-        # 1 - cos of small angles cancels in float32
+        # 1 - cos(radius), which would cancel in float32
         self.one_minus_cos = mi.Float(2.0 * math.sin(radius / 2) ** 2)
-        # solid angle / projected solid angle: E counts directions by their cosine with the axis
+        # solid angle / projected solid angle: irradiance weights directions by their cosine with the axis
         self.weight = mi.Float(2.0 / (1.0 + math.cos(radius)))
         self.distance = mi.Float(1.0)
         dr.make_opaque(self.frame, self.one_minus_cos, self.weight, self.distance)
@@ -141,7 +140,7 @@ class SunDisc(mi.Emitter):
         self.m_flags = +mi.EmitterFlags.Infinite | +mi.EmitterFlags.DeltaDirection
 
     def set_scene(self, scene: mi.Scene) -> None:
-        """Record the size of the scene, which determines how far away the light must start."""
+        """Set the distance from which shadow rays start, outside the scene."""
         self.distance = mi.Float(outside_distance(scene))
         dr.make_opaque(self.distance)
 
@@ -150,7 +149,7 @@ class SunDisc(mi.Emitter):
         return False
 
     def sample_direction(self, it: mi.Interaction3f, sample: Array, active: Array = True) -> tuple[Any, Any]:
-        """A direction of the disc, uniform over its solid angle."""
+        """Sample a direction, uniformly over the disc's solid angle, and return its radiance / density."""
         one_minus_cos = sample.x * self.one_minus_cos
         sine = dr.sqrt(dr.maximum(one_minus_cos * (2.0 - one_minus_cos), 0.0))
         sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)
@@ -169,7 +168,7 @@ class SunDisc(mi.Emitter):
         return ds, dr.select(active, self.irradiance.eval(si, active) * self.weight, 0.0)
 
     def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
-        """Zero: like any delta, it cannot be hit by chance."""
+        """Zero: rays never hit a delta."""
         return mi.Float(0.0)
 
     def eval_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
@@ -185,7 +184,7 @@ class SunDisc(mi.Emitter):
         return mi.ScalarBoundingBox3f()
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Expose the irradiance."""
+        """Expose the irradiance to ``mi.traverse``."""
         callback.put("irradiance", self.irradiance, mi.ParamFlags.Differentiable)
 
     def to_string(self) -> str:
@@ -197,7 +196,7 @@ _registered: set[str] = set()
 
 
 def register_rendering_plugins() -> None:
-    """Register both plugins with Mitsuba under the active variant, beside those of ``mitsuba_plugins``."""
+    """Register both plugins and those of ``mitsuba_plugins`` with Mitsuba, under the active variant."""
     from mitsuba_plugins import register
 
     register()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A configuration's scene and the data that its views share: path tracer, materials, path depth, sensors.
 
-Sky guide and irradiance cache are estimated from fixed views, so that a view's bytes do not depend on the
-views rendered before it or on the process.
+Sky guide and irradiance cache are estimated from fixed views, so a view's bytes do not depend on the views
+rendered before it or on the process.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 COARSE_CELLS = 1024
-"""Pixels of a coarse image: for path depth, sky guide and the exposure of the firefly clamp."""
+"""Approximate number of pixels of a coarse image, for path depth, sky guide and exposure of the clamp."""
 MAX_COARSE_VIEWS = 8
-"""Views used for path depth and sky guide."""
+"""Maximum number of views used for path depth and sky guide."""
 COARSE_MAP_SAMPLES = 4
-"""Ground-truth samples per pixel of these images."""
+"""Ground-truth samples per pixel of coarse images."""
 SKY_SAMPLES = 48
-"""Paths per pixel of these images, for the sky guide."""
+"""Paths per pixel of coarse images, for the sky guide."""
 MAX_IRRADIANCE_VIEWS = 64
-"""Views from which irradiance is gathered."""
+"""Maximum number of views from which irradiance is gathered."""
 
 
 def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
-    """Seed in [0, 2^31) that depends on its arguments alone."""
+    """Seed in [0, 2^31), a hash of the arguments."""
     text = f"{configuration_seed}:{view_index}:{purpose}".encode()
     return int.from_bytes(hashlib.sha256(text).digest()[:4], "little") >> 1
 
@@ -47,8 +47,8 @@ def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
 def release_memory() -> None:
     """Release memory of earlier scenes: Dr.Jit keeps freed arrays and kernels, and glibc keeps freed pages.
 
-    Otherwise a worker grows by some 15 MB per configuration although nothing is leaked. Kernels that are
-    needed again are loaded from Dr.Jit's cache on disk within milliseconds.
+    Otherwise a worker's memory grows by about 15 MB per configuration. Kernels that are needed again are
+    loaded from Dr.Jit's cache on disk within milliseconds.
     """
     import drjit as dr
 
@@ -63,9 +63,9 @@ def release_memory() -> None:
 
 
 class PreparedScene:
-    """A built scene, ready for the paths of its views. Selects the recipe's Mitsuba variant.
+    """A built scene with the data that its views share. Selects the recipe's Mitsuba variant.
 
-    Raises what :func:`build_scene` raises.
+    Raises the errors of :func:`select_variant` and :func:`build_scene`.
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class PreparedScene:
         self.prepare_paths()
 
     def reseed(self, seed: int) -> None:
-        """Use the seed of another configuration; the built scene stays."""
+        """Use another configuration seed with the same built scene."""
         self.configuration = self.configuration.model_copy(update={"seed": seed})
         self.prepare_paths()
 
     def prepare_paths(self) -> None:
-        """Estimate the sky guide and, if the recipe has it, gather the irradiance cache."""
+        """Estimate the sky guide and, if the recipe enables it, gather the irradiance cache."""
         coarse = (self.sensor(camera) for _, camera in self._coarse_cameras())
         self.tracer.fit_sky_guide(coarse, SKY_SAMPLES, self.seed(0, "sky"))
         if not self.recipe.irradiance_cache:
@@ -107,15 +107,15 @@ class PreparedScene:
         self.tracer.gather_irradiance(self.materials, sensors, self.seed(0, "irradiance"))
 
     def seed(self, index: int, purpose: str) -> int:
-        """:func:`view_seed` of this configuration."""
+        """:func:`view_seed` with this configuration's seed."""
         return view_seed(self.configuration.seed, index, purpose)
 
     def camera(self, index: int) -> Camera:
-        """Camera of a view."""
+        """Camera of the view ``index``."""
         return self.configuration.cameras[index].camera()
 
     def sensor(self, camera: Camera) -> Any:
-        """A Mitsuba sensor of this camera, valid until the next call: cameras of one resolution share it."""
+        """A Mitsuba sensor of this camera, valid until the next call: cameras of equal size share it."""
         size = (camera.width_px, camera.height_px)
         if size not in self._sensors:
             self._sensors[size] = sensor_for(camera)
@@ -123,7 +123,7 @@ class PreparedScene:
         return self._sensors[size]
 
     def coarse_maps(self) -> Iterator[dict[str, NDArray]]:
-        """Ground truth of some of the views, as small images."""
+        """Ground truth (H, W, C) by buffer name of up to ``MAX_COARSE_VIEWS`` views, as coarse images."""
         from mitsuba_plugins.material_buffers import render_material_buffers
 
         for index, small in self._coarse_cameras():
@@ -138,7 +138,7 @@ class PreparedScene:
         release_memory()
 
     def _path_depth(self) -> tuple[int, float | None]:
-        """Segments of the longest path, and the truncation if the recipe bounds it."""
+        """Maximum path depth, and the truncation at that depth if the recipe bounds it, else None."""
         if self.recipe.max_energy_left is None:
             return self.recipe.max_depth or DEFAULT_MAX_DEPTH, None
         reflectance = reflectance_met(list(self.coarse_maps()))
@@ -146,7 +146,7 @@ class PreparedScene:
         return depth, truncation(reflectance, depth)
 
     def _coarse_cameras(self) -> Iterator[tuple[int, Camera]]:
-        """Cameras of some of the views, by index, at low resolution."""
+        """Pairs (view index, camera at low resolution) of up to ``MAX_COARSE_VIEWS`` views."""
         cameras = self.configuration.cameras
         for index in range(0, len(cameras), math.ceil(len(cameras) / MAX_COARSE_VIEWS)):
             camera = cameras[index].camera()

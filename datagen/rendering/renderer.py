@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Renders the views of a configuration: a beauty pass, a ground-truth pass, and the denoiser.
 
-The scene is built once (:mod:`.prepared_scene`); a view (:mod:`.view_job`) is another set of camera numbers
-for the same kernels. Both passes use a box filter on the same pixels. The samples of paths depend on
-(configuration seed, view index, half) alone and are added in a fixed order.
+The scene is built once (:mod:`.prepared_scene`); all views (:mod:`.view_job`) share its kernels and differ in
+the camera only. Both passes use a box filter on the same pixels. The samples of paths depend only on
+configuration seed, view index and half, and are added in a fixed order.
 
-A recipe gives either the number of paths or an error. For an error, passes are added to two independent
-halves of the image until the error estimated from them (:mod:`datagen.rendering.sample_budget`) is small
-enough.
+A recipe sets either the number of paths or a target error. For a target error, passes are added to two
+independent halves of the image until the error estimated from them (:mod:`datagen.rendering.sample_budget`)
+is small enough.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class SceneRenderer:
 
     Selects the recipe's Mitsuba variant. ``caches`` None uses the process-wide caches. ``estimator`` denoises
     the halves from which the error is estimated (None: the view's denoiser); ``is_enough`` may stop a view
-    early. Raises what :func:`build_scene` raises.
+    early. Raises the errors of :class:`PreparedScene`.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class SceneRenderer:
 
     @property
     def recipe(self) -> RenderRecipe:
-        """Recipe options that affect rendering."""
+        """The recipe's rendering options."""
         return self.scene.recipe
 
     @property
@@ -96,13 +96,11 @@ class SceneRenderer:
         return self.scene.sensor(camera)
 
     def reseed(self, seed: int) -> None:
-        """Render with the samples of another configuration seed from now on, as a new renderer would; the
-        scene stays built.
-        """
+        """Render with another configuration seed from now on, as a new renderer would, in the same scene."""
         self.scene.reseed(seed)
 
     def view_job(self, index: int) -> ViewJob:
-        """The job of a view, to be advanced step by step; its ground truth is already traced."""
+        """The job of view ``index``, to be advanced step by step; its ground truth is already traced."""
         return ViewJob(self.scene, self._finishing, index)
 
     def render_view(self, index: int) -> RenderedView:
@@ -114,7 +112,7 @@ class SceneRenderer:
         return view
 
     def render_views(self, indices: Iterable[int]) -> Iterator[RenderedView]:
-        """Views in the order of ``indices``.
+        """Render the views ``indices`` and yield them in that order; see :meth:`render_view`.
 
         Error estimates and the denoiser run in a separate thread while another view is traced and while the
         caller processes the previous one.
@@ -123,7 +121,7 @@ class SceneRenderer:
             yield from interleaved(self.view_job(index).steps(pool) for index in indices)
 
     def close(self) -> None:
-        """Release the scene and the denoisers; shared caches keep their meshes and textures."""
+        """Release the scene and the denoisers, but not the shared caches."""
         finishing, self._finishing = self._finishing, Finishing(None, None, None, None)
         denoisers = [finishing.denoiser] + [finishing.estimator] * (
             finishing.estimator is not finishing.denoiser

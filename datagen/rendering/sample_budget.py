@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Adaptive sampling: the error of a view is estimated from two independent halves of its samples.
 
-Letters: ``a`` and ``b`` are the images of the two halves, n samples per pixel each, independent and with the
-right expectation r; ``A`` and ``B`` the same images denoised; all of them (H, W, 3), scene-linear, and here
-multiplied by the image's exposure. Errors are relMSE as defined in :mod:`datagen.rendering.error`: per-pixel
-squares are divided by r^2 + 0.01, with r replaced by (A + B) / 2. A and B keep noisy pixels where those are
-more accurate (:mod:`datagen.rendering.noisy_share`): otherwise a dark glazing bar, blurred by the denoiser
-with the bright panes around it, would weigh hundreds of times too little.
+Letters: ``a`` and ``b`` are the images of the two halves, independent and of expectation r, the exact image;
+``A`` and ``B`` the same images denoised; all (H, W, 3), scene-linear and multiplied by the view's exposure.
+Errors are relMSE (:mod:`datagen.rendering.error`): per-pixel squares are divided by r^2 + 0.01, with r
+replaced by (A + B) / 2. A and B contain noisy pixels where those are more accurate
+(:mod:`datagen.rendering.noisy_share`): otherwise a dark glazing bar, which the denoiser blurs with the bright
+panes around it, would have a weight hundreds of times too low.
 
 The error of a denoised half consists of a spread V, the variance between the halves, and a bias of the
-denoiser, common to both. The bias is estimated by comparing each denoised half with the other noisy one,
-whose noise is independent and unbiased:
+denoiser, common to both halves. The bias is estimated by comparing each denoised half with the other noisy
+half, whose noise is independent and unbiased:
 
     U = [(A - b)^2 + (B - a)^2 - (a - b)^2] / 2      E U = E [(A - r)^2 + (B - r)^2] / 2
     V = (A - B)^2 / 2                                 E V = Var A
@@ -20,8 +20,8 @@ whose noise is independent and unbiased:
 
 U contains products of the halves' noise, (a - r)(b - r), which vanish only in the mean over many pixels: with
 few pixels or strong noise, the estimate of bias^2 has a high variance, and V, whose variance is low, serves
-as a prior (:func:`_squared_bias`). Energy removed by a firefly clamp is missing from all of these; its amount
-in each pixel is recorded with each half (:func:`_clamped_error`).
+as a prior (:func:`_squared_bias`). None of these includes the energy removed by a firefly clamp, whose amount
+is recorded by pixel and half (:func:`_clamped_error`).
 """
 
 from __future__ import annotations
@@ -36,34 +36,32 @@ from datagen.foundation.color import exposure_for, luminance
 from datagen.rendering.error import EPSILON
 
 FIRST_SAMPLES = 8
-"""Samples per pixel of the first pass, both halves together; later passes concentrate on the error."""
+"""Samples per pixel of the first pass, both halves together; later passes depend on the estimated error."""
 BIAS_PER_SPREAD = 1.0
 """Prior of the squared bias of a denoised half, divided by its spread (decision 70)."""
 TILE_PX = 4
 """Side of the tiles that get the same number of samples; small, because edges and highlights are narrow."""
 AROUND_PX = 3
-"""Side of the squares over which errors are averaged, against outliers, and over which the maximum of these
-means is taken, so that an edge also gets samples where its halves agree by chance."""
+"""Side of the squares over which errors are averaged, to suppress outliers, and over which the maximum of
+these means is taken, so that edges get samples even where their halves agree by chance."""
 MAX_GROWTH = 4
-"""Maximum factor by which a pass multiplies a tile's samples, since its error is estimated from few samples.
-"""
+"""Maximum factor by which a pass multiplies a tile's samples: few samples give a poor error estimate."""
 MIN_SHARE = 0.05
-"""Minimum error of a tile relative to the mean of the tiles, for light that no sample has found yet."""
+"""Fraction of the tiles' mean error that is added to every tile's, for light that no sample has found yet."""
 CLAMP_BLUR_PX = 2.0
 """Standard deviation of the Gaussian that smooths the clamped energy of single pixels."""
 MIN_PASS = 0.1
-"""Minimum size of a pass relative to all samples before it, since an estimate costs as much as some samples.
-"""
+"""Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
 SAMPLE_STEP = 4
-"""Samples are added to a tile's half in multiples of this, which keeps lists of pixels short."""
+"""Samples are added to a tile's half in multiples of this number, which keeps lists of pixels short."""
 
 
 @dataclass(frozen=True)
 class PathSums:
     """Sums over light paths.
 
-    ``radiance`` (H, W, 3) and the luminance (H, W) removed from it by a clamp, both float64; ``counts`` (H,
-    W) int64, paths per pixel. The default is zero and broadcasts to any image.
+    ``radiance`` (H, W, 3), the luminance (H, W) removed from it by a clamp, and ``counts`` (H, W), paths per
+    pixel. The default is zero and broadcasts to any image.
     """
 
     radiance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1, 3)))
@@ -91,7 +89,7 @@ class PathSums:
         return self.removed_luminance / self.counts
 
     def removed_share(self) -> float:
-        """Share of the luminance removed by the clamp, in [0, 1]."""
+        """Share, in [0, 1], of the image's luminance that the clamp has removed."""
         removed = float((self.removed_luminance / self.counts).sum())
         kept = float((luminance(self.radiance) / self.counts).sum())
         return removed / max(removed + kept, 1e-300)  # without samples: 0
@@ -101,9 +99,9 @@ class PathSums:
 class ErrorEstimate:
     """Estimated error of a view.
 
-    ``rel_mse`` of the finished image and its ``standard_error``. Of one half: ``spread``, the measured
-    squared bias (it may be negative) and the standard error of that measurement. ``spread_map`` (H, W):
-    per-pixel spread.
+    ``rel_mse`` of the finished image and its ``standard_error``. Of one half: its ``spread``, its squared
+    bias as measured (possibly negative) and the standard error of that measurement, ``bias_error``.
+    ``spread_map`` (H, W): the spread of each pixel.
     """
 
     rel_mse: float
@@ -115,10 +113,10 @@ class ErrorEstimate:
 
     @property
     def bound(self) -> float:
-        """Estimate plus one standard error: compared with the target, and recorded.
+        """Estimate plus one standard error, which is compared with the target and recorded.
 
-        Sampling stops when an estimate is low, which is often by chance: the estimates of finished views are
-        three quarters of their errors in the median, these bounds as large as them (decision 70).
+        Sampling stops when an estimate is low, often by chance: in the median over finished views, the
+        estimate is three quarters of the true error, and the bound is equal to it (decision 70).
         """
         return self.rel_mse + self.standard_error
 
@@ -129,10 +127,10 @@ def estimate_error(
     visible_emission: NDArray[np.float32],
     removed: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> ErrorEstimate:
-    """Error of the image averaged from both halves. Arrays are (H, W, 3), except ``removed`` (H, W).
+    """Estimate the error of the mean of both halves. Arrays are (H, W, 3), except ``removed`` (H, W).
 
-    ``visible_emission`` is added to the image without noise; it only affects the image's brightness. Without
-    a denoiser, ``denoised`` are the halves themselves. ``removed``: luminance that a clamp took from each
+    ``visible_emission``, free of noise, is added to the image and affects only its brightness. Without a
+    denoiser, ``denoised`` are the halves themselves. ``removed``: luminance that a clamp removed from each
     half.
     """
     a, b = (half.astype(np.float64) for half in halves)
@@ -146,8 +144,8 @@ def estimate_error(
     clamped = 0.0 if removed is None else _clamped_error(removed, scale, finished)
     if denoised[0] is halves[0]:  # unbiased: the halves' spread is the whole error
         return ErrorEstimate(0.5 * spread + clamped, 0.0, spread, 0.0, 0.0, spread_map)
-    witnessed = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
-    measured = float((weight * witnessed).sum(axis=-1).mean()) - spread
+    squared_error = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
+    measured = float((weight * squared_error).sum(axis=-1).mean()) - spread
     noise = (weight * (a - middle) * (b - middle)).sum(axis=-1)
     bias_error = math.sqrt(float((noise**2).sum())) / noise.size
     bias, standard_error = _squared_bias(spread, measured, bias_error)
@@ -158,9 +156,9 @@ def estimate_error(
 def _clamped_error(
     removed: tuple[NDArray[np.float64], NDArray[np.float64]], scale: float, finished: NDArray[np.float64]
 ) -> float:
-    """Error by clamping: mean square of the removed share of the light around each pixel.
+    """relMSE due to clamping: mean square of the share of the light around each pixel that was removed.
 
-    The square is the product of both halves' shares, so that their independent noise cancels in the mean.
+    The square is the product of both halves' shares, whose independent noise cancels in the mean.
     """
     from scipy import ndimage
 
@@ -177,8 +175,8 @@ def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[fl
     """Squared bias of a denoised half from its measurement and from the spread, and its standard error.
 
     The prior is ``BIAS_PER_SPREAD`` times the spread, with an equal standard deviation, or a larger one if
-    the measurement exceeds it by more than its own error explains. Prior and measurement are averaged with
-    weights 1 / variance; never negative.
+    the measurement exceeds it by more than ``bias_error`` explains. Prior and measurement are averaged with
+    weights 1 / variance, and negative means are clamped to 0.
     """
     expected = BIAS_PER_SPREAD * spread
     variance = bias_error**2
@@ -197,8 +195,9 @@ class SampleBudget:
     """Stopping criterion: a target for the estimated relMSE, and a maximum number of samples per pixel.
 
     The maximum, at least 2, is a mean over the image, which determines the cost of a view. Both halves have
-    the same samples in each pixel. The first pass is uniform; further samples go to the tiles whose denoised
-    halves differ: as many as bring the image to its target, but at most twice the previous total.
+    equal numbers of samples in each pixel. The first pass is uniform; later ones add samples to the tiles
+    whose denoised halves differ, until the expected error meets the target, but at most twice the previous
+    total.
     """
 
     max_rel_mse: float
@@ -213,15 +212,13 @@ class SampleBudget:
         return np.full(shape, min(FIRST_SAMPLES, self.max_samples) // 2, np.int64)
 
     def next_counts(self, counts: NDArray[np.int64], estimate: ErrorEstimate) -> NDArray[np.int64]:
-        """Samples to add per pixel of one half, (H, W); all zero: stop. ``counts`` (H, W) are those of one
-        half.
-        """
+        """Samples (H, W) to add to one half, which has ``counts`` (H, W) samples so far; all 0: stop."""
         nothing = np.zeros_like(counts)
         if self.is_met(estimate):
             return nothing
         mean = float(counts.mean())
-        room = self.max_samples / 2 - mean
-        if room < MIN_PASS * mean:
+        remaining = self.max_samples / 2 - mean
+        if remaining < MIN_PASS * mean:
             return nothing
         tiles = _Tiles(counts.shape)
         errors = tiles.means(_around(estimate.spread_map))
@@ -230,7 +227,7 @@ class SampleBudget:
             errors += 1.0  # the halves agree everywhere: the rest is bias, whose position is unknown
         before = tiles.means(counts)
         for share in (0.25, 0.5, 1.0, 2.0):
-            after = _distribute(errors, before, tiles.areas, min(share * mean, room))
+            after = _distribute(errors, before, tiles.areas, min(share * mean, remaining))
             gain = (errors * tiles.areas * before / after).sum() / (errors * tiles.areas).sum()
             if gain * estimate.bound <= self.max_rel_mse:
                 break
@@ -238,14 +235,14 @@ class SampleBudget:
 
 
 def _around(spread_map: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Maximum of the local means around each pixel, (H, W)."""
+    """Maximum (H, W) of the local means around each pixel."""
     from scipy import ndimage
 
     return ndimage.maximum_filter(ndimage.uniform_filter(spread_map, AROUND_PX), AROUND_PX)
 
 
 class _Tiles:
-    """Blocks of ``TILE_PX`` pixels, smaller ones at the right and lower border."""
+    """R x C tiles of ``TILE_PX`` x ``TILE_PX`` pixels, smaller ones at the right and lower border."""
 
     def __init__(self, shape: tuple[int, ...]):
         self.shape = shape
@@ -257,11 +254,11 @@ class _Tiles:
         return np.add.reduceat(rows, self.starts[1], axis=1)
 
     def means(self, image: NDArray) -> NDArray[np.float64]:
-        """Means (R, C) over the tiles of an image (H, W)."""
+        """Mean (R, C) of an image (H, W) over each tile."""
         return self._sums(np.broadcast_to(image, self.shape)) / self.areas
 
     def spread_out(self, values: NDArray) -> NDArray:
-        """An image (H, W) from values (R, C) of the tiles."""
+        """Image (H, W) with the value (R, C) of its tile in each pixel."""
         rows, columns = (np.arange(side) // TILE_PX for side in self.shape)
         return values[rows[:, None], columns[None, :]]
 
@@ -269,11 +266,11 @@ class _Tiles:
 def _distribute(
     errors: NDArray[np.float64], counts: NDArray[np.float64], areas: NDArray[np.float64], added: float
 ) -> NDArray[np.float64]:
-    """Counts of tiles after at most ``added`` more samples per pixel on average; all arrays (R, C).
+    """New sample counts of the tiles, on average at most ``added`` per pixel higher; all arrays (R, C).
 
-    The sum of errors that fall with the inverse of the samples, as variance does, is minimal for counts
-    proportional to the root of error x count. No tile loses samples, none gets more than ``MAX_GROWTH`` times
-    its count, and steps are whole.
+    If errors are inversely proportional to counts, as variances are, their sum is minimal for counts
+    proportional to the root of error x count. No count falls or grows by more than the factor ``MAX_GROWTH``,
+    and samples are added in multiples of ``SAMPLE_STEP``.
     """
     wanted = np.sqrt(errors * counts)
     most = float(((counts + added) * areas).sum())

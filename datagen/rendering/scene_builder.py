@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Builds a Mitsuba scene, with tables of ids and names, from a configuration and its library.
 
-Only used assets are loaded. Each object is one instance, and each part of an environment is one; ids start at
-1 and follow the configuration's order, so that the same configuration has the same ids everywhere.
+Only used assets are loaded. Each object is an instance, and so is each part of an environment; ids start at 1
+and follow the configuration's order.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _process_caches: AssetCaches | None = None
 
 
 def process_caches() -> AssetCaches:
-    """The caches of this process, made on first use."""
+    """The caches of this process, created on first use."""
     global _process_caches
     if _process_caches is None:
         _process_caches = AssetCaches()
@@ -61,10 +61,10 @@ def process_caches() -> AssetCaches:
 class BuiltScene:
     """A scene ready to render.
 
-    ``instance_names`` and ``material_names`` map ids (from 1) to names: parts of the environment as
-    ``placed/part``, objects by their placed name; materials by asset id, or ``asset/slot``, with ``#2`` and
-    so on where a variation needs its own id. ``face_instances``: shape id -> instance id of each triangle.
-    ``shape_materials``: shape id -> material id. ``hidden_shapes`` are lights that the camera does not see.
+    ``instance_names`` and ``material_names`` map ids (from 1) to names: ``placed/part`` for parts of the
+    environment, the placed name for objects; asset id or ``asset/slot`` for materials, with ``#2`` and so on
+    for further adjustments. ``face_instances``: shape id -> instance id of each triangle.
+    ``shape_materials``: shape id -> material id. ``hidden_shapes``: ids of lights hidden from the camera.
     """
 
     scene: Any
@@ -76,7 +76,7 @@ class BuiltScene:
 
     @property
     def num_triangles(self) -> int:
-        """Number of triangles, without those of lights outside of assets."""
+        """Number of triangles of all assets."""
         return sum(len(faces) for faces in self.face_instances.values())
 
 
@@ -251,7 +251,7 @@ class _Builder:
         self.material_names[new_id] = name
 
     def finish(self, light_entries: dict[str, Any], hidden: set[str]) -> BuiltScene:
-        """Upload everything and return the scene."""
+        """Upload meshes, textures and lights, and return the scene."""
         import mitsuba as mi
 
         bsdfs: dict[tuple[Hashable, bool], Any] = {}
@@ -283,7 +283,7 @@ class _Builder:
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """Factor on the part's UVs: the assignment's, or the one that gives a tiled material its real size."""
+    """Factor of the part's UVs: the assignment's, else for the real size of an assigned material, else 1."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

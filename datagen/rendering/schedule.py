@@ -13,7 +13,7 @@ MAX_IN_FLIGHT = 2
 
 Result = TypeVar("Result")
 Steps = Generator[Future, None, Result]
-"""Work of a view on the calling thread; it yields a future whenever its next step needs the result."""
+"""Work of a view on the calling thread; yields a future whenever its next step needs that future's result."""
 
 
 @dataclass
@@ -33,7 +33,7 @@ class _InFlight(Generic[Result]):
 
 
 def interleaved(views: Iterable[Steps[Result]]) -> Iterator[Result]:
-    """Results in the order of ``views``, with up to ``MAX_IN_FLIGHT`` in progress at a time."""
+    """Run ``views``, up to ``MAX_IN_FLIGHT`` at a time, and yield their results in order."""
     waiting = iter(views)
     in_flight: list[_InFlight[Result]] = []
     while True:

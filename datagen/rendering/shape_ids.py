@@ -8,9 +8,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.rendering.scene_builder import BuiltScene
-from mitsuba_plugins.surface_material import SceneMaterials, SurfaceChannels, invisible
+from mitsuba_plugins.surface_material import SceneMaterials, invisible, registry_indices
 
 Array = Any
 
@@ -18,15 +19,14 @@ Array = Any
 class MergedShapeMaterials(SceneMaterials):
     """:class:`SceneMaterials` of a :class:`BuiltScene`.
 
-    Every triangle of the scene has its own index (from 1; 0 is "none"), by which ids are looked up. Rays pass
-    through lights hidden from the camera, as through surfaces without opacity.
+    Every triangle of the scene has an index (from 1; 0 is "none"), by which ids are looked up. Lights hidden
+    from the camera count as surfaces without opacity.
     """
 
     def __init__(self, built: BuiltScene):
         shape_ids = {name: (1, material) for name, material in built.shape_materials.items()}
         super().__init__(built.scene, shape_ids)
-        pointers: Any = built.scene.shapes_dr()
-        registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
+        registry = registry_indices(built.scene)
         first_face = np.zeros(int(registry.max(initial=0)) + 1, np.uint32)
         instances, materials = [np.zeros(1, np.uint32)], [np.zeros(1, np.uint32)]
         num_faces = 1
@@ -44,7 +44,7 @@ class MergedShapeMaterials(SceneMaterials):
         self._material_of_face = mi.UInt32(np.concatenate(materials))
         self._hide(built, registry)
 
-    def _hide(self, built: BuiltScene, registry: np.ndarray) -> None:
+    def _hide(self, built: BuiltScene, registry: NDArray[np.int64]) -> None:
         if not built.hidden_shapes:
             return
         self._evaluators.append(invisible)
@@ -58,27 +58,15 @@ class MergedShapeMaterials(SceneMaterials):
         self._evaluator_of_shape = mi.UInt32(evaluator)
         self._is_emitter_shape = mi.Bool(is_emitter)
 
-    def _shape(self, si: mi.SurfaceInteraction3f) -> Array:
-        return dr.reinterpret_array(mi.UInt32, si.shape)
-
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
         """Index of the triangle that was hit; 0 for none."""
         is_hit = si.is_valid()
-        first = dr.gather(mi.UInt32, self._first_face, self._shape(si), is_hit)
+        first = dr.gather(mi.UInt32, self._first_face, self._registry_index(si), is_hit)
         return dr.select(is_hit, first + si.prim_index, 0)
 
-    def is_emitter(self, si: mi.SurfaceInteraction3f, active: Array) -> Array:
-        """Whether a hit lies on a light visible to the camera."""
-        return dr.gather(mi.Bool, self._is_emitter_shape, self._shape(si), active)
-
     def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
-        """(instance id, material id) by :meth:`shape_index`; 0 for none and for lights."""
+        """(instance id, material id) of triangles by :meth:`shape_index`; 0 for none and for lights."""
         return (
             dr.gather(mi.UInt32, self._instance_of_face, shape_index),
             dr.gather(mi.UInt32, self._material_of_face, shape_index),
         )
-
-    def channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
-        """The material's channels at a hit; zeros where inactive or on a light."""
-        index = dr.gather(mi.UInt32, self._evaluator_of_shape, self._shape(si), active)
-        return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Channels of a material as Mitsuba textures: decoded, adjusted and uploaded once, shared between scenes.
 
-BSDF and ground truth read the same textures, so all operations on values are applied here, before
-upload: decoding, scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`,
-then rounding to half floats. Constants pass through the same functions, as images of one texel.
+BSDF and ground truth read the same textures, so all operations on values are applied before upload: decoding,
+scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`, then rounding to
+half floats. Constants are adjusted by the same functions, as images of one texel.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ Role = Literal["diffuse_albedo", "specular_albedo", "roughness", "opacity", "nor
 SCALAR_ROLES = ("roughness", "opacity")
 NO_ADJUSTMENT = ColorAdjustment()
 DEFAULT_CACHE_BYTES = 256 << 20
-# A metal's F0 is coloured; saturation below this limit is rounding of a grey one, which keeps its colour.
-_MIN_SATURATION = 1e-3
+_MIN_SATURATION = 1e-3  # an F0 below counts as grey, whose saturation is rounding
 
 
 def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustment) -> NDArray[np.float32]:
-    """Channel values under a variation, clamped to [0, 1].
+    """Adjust channel values, (H, W, 3) for colours and (H, W) for scalars; results are clamped to [0, 1].
 
-    ``values`` (H, W, 3) for colours, (H, W) for roughness. D: hue, saturation and value in linear HSV. S: hue
-    and saturation, for coloured texels only; its value stays. R: offset. Opacity and normals never vary.
+    D: hue, saturation and value in linear HSV. S: hue and saturation, for coloured texels only. R: offset.
+    Opacity and normals are returned unchanged.
     """
     if role == "roughness":
         return np.clip(values + np.float32(adjustment.roughness_offset), 0.0, 1.0)
@@ -61,17 +60,17 @@ def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustmen
 def adjusted_constant(
     value: float | tuple[float, float, float], role: Role, adjustment: ColorAdjustment
 ) -> NDArray[np.float32]:
-    """A constant under a variation: (3,) for colours, () for scalars."""
+    """As :func:`adjusted`, for a constant; the result is (3,) for colours, () for scalars."""
     array = np.asarray(value, dtype=np.float32)
     return adjusted(array[None, None], role, adjustment)[0, 0]
 
 
 class TextureCache:
-    """Least-recently-used cache of uploaded textures, by content. One per process serves all configurations.
+    """Cache of uploaded textures by content; beyond ``max_bytes``, drops the least recently used.
 
-    Variations hardly ever recur in another configuration: varied textures are shared within a configuration
-    and dropped by :meth:`forget_variations`. UV scales are applied to the meshes. ``shrink``: textures are
-    averaged over squares of this many texels a side, in linear values, before upload.
+    Adjusted textures hardly ever recur in another configuration: they are shared within a configuration and
+    dropped by :meth:`forget_variations`. ``shrink``: textures are averaged over squares of this many texels a
+    side, in linear values, before upload.
     """
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES, shrink: int = 1):
@@ -82,7 +81,7 @@ class TextureCache:
         self._variations: dict[tuple, Any] = {}
 
     def forget_variations(self) -> None:
-        """Drop varied textures; scenes keep those that they use."""
+        """Drop adjusted textures; scenes keep those that they use."""
         self._variations.clear()
 
     def channel(
@@ -94,7 +93,7 @@ class TextureCache:
         *,
         flip_green: bool = False,
     ) -> Any:
-        """A Mitsuba texture (for a constant, its dictionary) of one channel of a material.
+        """A Mitsuba texture of the channel ``role`` of a material; for a constant, the texture's dictionary.
 
         ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
         and for images with NaN or Inf.
@@ -129,7 +128,7 @@ class TextureCache:
 
 
 def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: ColorAdjustment) -> NDArray:
-    """Linear values (H, W) or (H, W, 3) of a texture under a variation, checked for NaN and Inf."""
+    """Adjusted linear values (H, W) or (H, W, 3) of a texture. Raises :class:`InputError` for NaN and Inf."""
     path = package.local_file(texture.texture)
     pixels = read_image(path)
     num_bad = int(np.count_nonzero(~np.isfinite(pixels))) if pixels.dtype.kind == "f" else 0
@@ -140,7 +139,7 @@ def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: 
     if role == "normal" and texture.channel != "rgb":
         raise input_error(path, "normal.channel", texture.channel, "rgb", "correct the material")
     if texture.encoding == "srgb" and texture.channel != "a" and pixels.dtype.kind == "u":
-        # The power function per texel takes half the time of building a scene; per code value it takes none.
+        # Decoding every texel takes half the time of building a scene, decoding every code value hardly any.
         codes = np.arange(np.iinfo(pixels.dtype).max + 1).astype(np.float32)
         pixels = linear_from_srgb(codes / codes[-1]).astype(np.float32)[pixels]
         texture = texture.model_copy(update={"encoding": "linear"})
@@ -148,10 +147,9 @@ def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: 
 
 
 def box_filtered(values: NDArray[np.float32], shrink: int) -> NDArray[np.float32]:
-    """Means of ``values`` (H, W) or (H, W, 3) over squares of ``shrink`` texels a side; the result has at
-    least one texel.
+    """Means of ``values`` (H, W) or (H, W, 3) over squares of ``shrink`` texels a side.
 
-    If a side is not a multiple of ``shrink``, it is divided into the nearest number of equal parts.
+    A side that is not a multiple of ``shrink`` is divided into the nearest number of equal parts, at least 1.
     """
     if shrink <= 1:
         return values
@@ -163,7 +161,7 @@ def box_filtered(values: NDArray[np.float32], shrink: int) -> NDArray[np.float32
 
 
 def upload(values: NDArray[np.float32]) -> Any:
-    """A ``bitmap`` texture of linear values (H, W) or (H, W, 3): half floats, repeated, bilinear."""
+    """Upload linear values (H, W) or (H, W, 3) to a ``bitmap`` texture: half floats, repeated, bilinear."""
     import mitsuba as mi
 
     pixels = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], dtype=np.float16)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The job of one view: ground truth, passes of light paths, error estimate, denoising, record.
 
-The denoiser gets reflected light only. Visible emission has no noise except at edges; it is traced with as
-many samples as the ground truth and added afterwards. A denoiser applied to a visible lamp changes its
-radiance by tens of percent and smears it over its dark surroundings.
+The denoiser gets reflected light only: it would change the radiance of a visible lamp by tens of per cent and
+spread it over its dark surroundings. Visible emission has no noise except at edges; it is traced with as many
+samples as the ground truth and added after denoising.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ HALF_MAX = 65504.0
 COARSE_SAMPLES = 16
 """Paths per pixel of the coarse image whose exposure sets the firefly clamp."""
 MIN_LIT = 0.05
-"""Share of lit pixels of that image below which nothing is clamped."""
-_FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
+"""Minimum share of lit pixels in that image for clamping."""
+_FULL_COVERAGE_SLACK = 1e-5  # rounding error of a sum of float32 shares
 
 
 class RenderError(RuntimeError):
-    """A view contains NaN or Inf; it is discarded."""
+    """Raised for a view with NaN or Inf, which is discarded."""
 
 
 @dataclass
 class RenderedView:
-    """A finished view: ``buffers`` by registered name (H, W, C), fields of its JSON, and the timing log."""
+    """A finished view: ``buffers`` (H, W, C) by name, fields of its JSON, and ``seconds`` by stage."""
 
     index: int
     buffers: dict[str, NDArray]
@@ -55,13 +55,12 @@ class RenderedView:
 
 
 IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
-"""Whether a view may stop above its recipe's error, from its index, its current image (H, W, 3) and its
-error."""
+"""Whether a view may stop above its target error, as a function of its index, image (H, W, 3) and error."""
 
 
 @dataclass(frozen=True)
 class Finishing:
-    """Post-processing of views.
+    """Denoisers and stopping criteria of views.
 
     ``denoiser`` of the image; ``estimator``, which denoises the halves whose difference estimates the error;
     ``budget`` of samples (None: the recipe's fixed number); ``is_enough``, see :data:`IsEnough`.
@@ -74,7 +73,7 @@ class Finishing:
 
 
 class ViewJob:
-    """A view whose samples are being accumulated, in two independent ``halves`` if there is a budget.
+    """A view whose samples are accumulated, in two independent ``halves`` if there is a budget.
 
     Raises :class:`InputError` if the configuration has no such view.
     """
@@ -86,7 +85,7 @@ class ViewJob:
             raise input_error(f"configuration {configuration.id}", "view", index, expected)
         self.scene, self.index = scene, index
         self.denoiser, self.estimator = finishing.denoiser, finishing.estimator
-        self.budget, self._asks_whether_enough = finishing.budget, finishing.is_enough
+        self.budget, self._stop_criterion = finishing.budget, finishing.is_enough
         self.seconds: dict[str, float] = {}
         self.halves = [PathSums(), PathSums()]
         self.estimate: ErrorEstimate | None = None
@@ -98,7 +97,7 @@ class ViewJob:
         self.clamp_limit = self._clamp_limit()
 
     def steps(self, pool: ThreadPoolExecutor) -> Steps[RenderedView]:
-        """Steps of the job for the schedule: tracing on this thread, estimates and denoising in ``pool``."""
+        """Run the job by steps: trace on this thread, estimate errors and denoise in ``pool``."""
         if self.budget is None:
             self.add_pass(self.scene.recipe.path_samples or 0)
         else:
@@ -117,7 +116,7 @@ class ViewJob:
         return finishing.result()
 
     def add_pass(self, counts: int | NDArray[np.int64]) -> None:
-        """Trace ``counts`` more samples per pixel, (H, W) or one number; with a budget, for each half."""
+        """Trace ``counts`` more samples per pixel, (H, W) or one number; with a budget, in each half."""
         with self._timed("path"):
             sensor = self._sensor()
             for half, purpose in enumerate(["path"] if self.budget is None else ["path/a", "path/b"]):
@@ -128,7 +127,10 @@ class ViewJob:
                 self.halves[half] = self.halves[half] + sums
 
     def estimate_error(self) -> ErrorEstimate:
-        """Error of the view from its samples so far."""
+        """Estimate the view's error from its samples so far, and set ``is_enough``.
+
+        Raises :class:`RenderError` if a pixel is NaN or Inf.
+        """
         with self._timed("estimate"):
             a, b = (half.mean() for half in self.halves)
             self._check_finite({"beauty_noisy": a + b, **self.buffers})
@@ -138,14 +140,14 @@ class ViewJob:
                 clean_a, clean_b = blended(clean_a, a, share), blended(clean_b, b, share)
             removed = (self.halves[0].removed_mean(), self.halves[1].removed_mean())
             estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed)
-            if self._asks_whether_enough is not None:
+            if self._stop_criterion is not None:
                 image = 0.5 * (clean_a + clean_b) + self.visible_emission
-                self.is_enough = self._asks_whether_enough(self.index, image, estimate)
+                self.is_enough = self._stop_criterion(self.index, image, estimate)
             self.estimate = estimate
         return estimate
 
     def finish(self) -> RenderedView:
-        """The view from all samples so far: denoised, with its record.
+        """Denoise the mean of all samples so far, and return the view with its record.
 
         Raises :class:`RenderError` if a pixel is NaN or Inf.
         """
@@ -188,7 +190,7 @@ class ViewJob:
         return RenderedView(self.index, ordered, instances, materials, record, self.seconds)
 
     def denoise(self, noisy: NDArray[np.float32], denoiser: Denoiser | None) -> NDArray[np.float32]:
-        """Denoised reflected light; ``noisy`` itself without a denoiser."""
+        """Denoise reflected light ``noisy`` (H, W, 3); return it unchanged if ``denoiser`` is None."""
         if denoiser is None:
             return noisy
         if self._guides is None:
@@ -221,10 +223,7 @@ class ViewJob:
         return {name: traced[name] for name in GROUND_TRUTH_BUFFERS}
 
     def _trace_visible_emission(self) -> NDArray[np.float32]:
-        """Light that reaches the camera straight from emitters and background, (H, W, 3).
-
-        Traced only in pixels that are not entirely surface, with as many samples as the other buffers.
-        """
+        """Visible emission (H, W, 3), traced only in pixels not entirely covered by reflecting surface."""
         from datagen.rendering.transport.visible_emission import render_visible_emission
 
         mask = self.buffers["surface_mask"]
@@ -237,7 +236,7 @@ class ViewJob:
         return image.reshape(*mask.shape[:2], 3)
 
     def _clamp_limit(self) -> float:
-        """Limit on the radiance of a path by two or more bounces, a multiple of the exposed white.
+        """Maximum radiance of a path of two or more bounces: ``firefly_clamp`` in units of the exposed white.
 
         The exposure is that of a coarse image of reflected light, traced beforehand without a clamp. Infinite
         if the recipe does not clamp, or if less than ``MIN_LIT`` of the image is lit.
@@ -256,7 +255,7 @@ class ViewJob:
         return self.scene.recipe.firefly_clamp / exposure_for(image)
 
     def _quality_record(self, sums: PathSums) -> dict[str, Any]:
-        """Fields of the record for error, clamp and truncation."""
+        """Fields of the record about error, clamp and truncation."""
         fields: dict[str, Any] = {}
         if self.scene.truncation is not None:
             fields["max_energy_left"] = quantized(self.scene.truncation, 4)

@@ -17,7 +17,7 @@ def test_the_active_variant_is_kept(mitsuba_variant: str, name: str | None) -> N
 
 
 def test_another_variant_is_refused(mitsuba_variant: str) -> None:
-    with pytest.raises(RuntimeError, match="one variant a process"):
+    with pytest.raises(RuntimeError, match="one variant per process"):
         select_variant(CUDA_VARIANT)
 
 

@@ -2,8 +2,7 @@
 """Emitters of a scene: visibility to the camera, shadow rays and MIS weights.
 
 Emitters hidden from the camera are invisible to camera rays but not to rays after a bounce. Shadow rays are
-attenuated by the opacity of the surfaces that they cross, so that leaves and curtains cast shadows of point
-lights too.
+attenuated by the opacity of the surfaces that they cross, such as leaves and curtains.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ Array = Any
 
 
 class SceneEmitters:
-    """The emitters of one scene. ``light_sampler`` chooses among them; None: Mitsuba's uniform choice."""
+    """The emitters of one scene, chosen by ``light_sampler`` or, if that is None, uniformly by Mitsuba."""
 
     def __init__(self, built: BuiltScene):
         self.scene = built.scene
@@ -41,11 +40,8 @@ class SceneEmitters:
         return self._is_hidden_shape is not None
 
     def tables(self) -> list[Any]:
-        """Arrays that kernels read beside their arguments."""
-        return [
-            self._is_hidden_shape,
-            *([] if self.light_sampler is None else self.light_sampler.arrays()),
-        ]
+        """Arrays that kernels read in addition to their arguments."""
+        return [self._is_hidden_shape, *([] if self.light_sampler is None else self.light_sampler.arrays())]
 
     def is_hidden(self, si: Any, depth: Array) -> Array:
         """Mask of camera rays that hit an emitter hidden from them."""
@@ -55,7 +51,7 @@ class SceneEmitters:
         return (depth == 0) & dr.gather(mi.Bool, self._is_hidden_shape, shape, si.is_valid())
 
     def emission(self, si: Any, walk: Walk, active: Array, shown: Array) -> tuple[Any, Any]:
-        """Emission at the end of a segment where ``shown``, and its MIS weight against :meth:`sample`."""
+        """Emitted radiance at hit ``si``, 0 unless ``shown``, and its MIS weight against :meth:`sample`."""
         emitter = si.emitter(self.scene)
         ds = mi.DirectionSample3f(self.scene, si, walk.previous)
         pdf = self.scene.pdf_emitter_direction(walk.previous, ds, active & ~walk.previous_is_delta)
@@ -67,7 +63,7 @@ class SceneEmitters:
         return emitter.eval(si, shown), weight
 
     def sample(self, si: Any, numbers: Any, record: Array, active: Array) -> tuple[Any, Any]:
-        """Direction to an emitter, and its radiance over the density, attenuated by the surfaces between.
+        """Sample a direction to an emitter; also return its radiance / density, attenuated by occluders.
 
         ``numbers`` is the path's sampler, ``record`` the irradiance cache record of ``si``, or 0.
         """
@@ -88,7 +84,7 @@ class SceneEmitters:
 
     @dr.syntax
     def _transmittance(self, si: Any, ds: Any, active: Array) -> Array:
-        """Transmittance of the surfaces of partial opacity between ``si`` and an emitter sample."""
+        """Transmittance (Color3f) of the surfaces between ``si`` and the emitter sample ``ds``."""
         ray = si.spawn_ray_to(ds.p)
         transmittance = dr.select(active, mi.Color3f(1.0), mi.Color3f(0.0))
         num_crossed = mi.UInt32(0)
@@ -110,9 +106,10 @@ class SceneEmitters:
 
 
 def _hidden_table(built: BuiltScene) -> Any:
-    """By registry index of a shape: whether it is hidden from the camera."""
-    pointers: Any = built.scene.shapes_dr()
-    registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
+    """Whether each shape, by registry index, is hidden from the camera."""
+    from mitsuba_plugins.surface_material import registry_indices  # needs a selected variant
+
+    registry = registry_indices(built.scene)
     table = np.zeros(int(registry.max(initial=0)) + 1, bool)
     for shape, index in zip(built.scene.shapes(), registry, strict=True):
         table[index] = shape.id() in built.hidden_shapes

@@ -6,10 +6,10 @@ The estimator is that of Mitsuba's ``path`` (tests compare the two), extended by
 * lights hidden from the camera, and opacity in shadow rays (:mod:`.emitters`);
 * low-discrepancy samples in every pair of dimensions of a pixel (:mod:`.sobol`);
 * learned light sampling (:mod:`.light_sampler`) and a guide through openings (:mod:`.sky_guide`);
-* optionally, termination in cached irradiance after the first bounce (:mod:`.irradiance_cache`).
+* optionally, termination of paths in an irradiance cache after the first bounce (:mod:`.irradiance_cache`).
 
-There is no film: the samples of a pixel are neighbours in one array and are summed in order, so that a result
-has the same bytes for any number of threads. Camera, size, seed, sample count and clamp are arguments of the
+There is no film: the samples of a pixel are neighbours in one array and are summed in order, so results have
+the same bytes for any number of threads. Camera, size, seed, sample count and clamp are arguments of the
 kernel, which is recorded once per scene and replayed.
 """
 
@@ -51,7 +51,7 @@ _LIVE: weakref.WeakSet[PathTracer] = weakref.WeakSet()
 
 
 def forget_recordings() -> None:
-    """Drop the recorded kernels of all tracers; to be called before Dr.Jit's kernel cache is emptied."""
+    """Drop the recorded kernels of all tracers; must be called before Dr.Jit's kernel cache is emptied."""
     for tracer in list(_LIVE):
         tracer.forget_recordings()
 
@@ -69,22 +69,19 @@ class PathTracer:
         self.emitters = SceneEmitters(built)
         self.sky_guide: SkyGuide | None = None
         self.irradiance: IrradianceCache | None = None
-        # Recorded once: tracing the Python of hundreds of materials takes longer than a small pass of paths.
+        # Recorded once: running the Python code of hundreds of materials takes longer than a small pass.
         self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self._tables())
         _LIVE.add(self)
 
     def _tables(self) -> list[Any]:
-        """Arrays that kernels read beside their arguments."""
+        """Arrays that the kernel reads in addition to its arguments."""
         cache = [] if self.irradiance is None else self.irradiance.arrays()
         return [*self.emitters.tables(), *cache]
 
     # ---- state shared by all views -------------------------------------------------------------------
 
     def fit_sky_guide(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
-        """Estimate the sky guide from ``num_samples`` paths per pixel of ``sensors``.
-
-        Without an environment the guide is absent.
-        """
+        """Estimate the sky guide, if there is a sky, from ``num_samples`` paths per pixel of ``sensors``."""
         self.use_sky_guide(None)
         if self.scene.environment() is None:
             return
@@ -95,15 +92,13 @@ class PathTracer:
             )
 
     def use_sky_guide(self, guide: SkyGuide | None) -> None:
-        """Sample the openings of ``guide`` from now on; drops irradiance gathered with another guide."""
+        """Sample with ``guide``, or without a guide if None, from now on; drops the irradiance cache."""
         self.sky_guide, self.irradiance = guide, None
         self.emitters.light_sampler = uniform_sampler(self.scene, guide)
         self.forget_recordings()
 
     def gather_irradiance(self, materials: SceneMaterials, sensors: Iterable[Any], seed: int) -> None:
-        """Fill the irradiance cache and the light sampler from ``sensors``; from now on paths may end in the
-        cache.
-        """
+        """Fill irradiance cache and light sampler from ``sensors``; later paths may end in the cache."""
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
@@ -112,7 +107,7 @@ class PathTracer:
             self.emitters.light_sampler = LightSampler(self.scene, self.sky_guide, weights)
 
     def _rays_of(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
-        """Rays through all pixels of a sensor, and the sampler of the paths that they start."""
+        """``num_samples`` rays through each pixel of a sensor, and the sampler of their paths."""
         from datagen.rendering.plugins import rays_through  # needs a selected variant
 
         width, height = (int(v) for v in sensor.film().crop_size())
@@ -130,8 +125,7 @@ class PathTracer:
     ) -> NDArray[np.float32]:
         """Mean radiance (H, W, 3) of ``num_samples`` paths per pixel, uniformly distributed over the pixel.
 
-        Without ``with_visible_emission``, light that reaches the camera without a bounce
-        (:mod:`.visible_emission`) is left out. ``seed`` is taken modulo 2^32.
+        ``with_visible_emission`` False excludes :mod:`.visible_emission`. ``seed`` is taken modulo 2^32.
         """
         return self.accumulate(sensor, num_samples, seed, with_visible_emission=with_visible_emission).mean()
 
@@ -146,14 +140,13 @@ class PathTracer:
         grid: tuple[int, int] | None = None,
         before: NDArray[np.int64] | int = 0,
     ) -> PathSums:
-        """Sums over ``num_samples`` paths per pixel; ``num_samples`` is one number, or one for each pixel (H,
-        W).
+        """Sums over ``num_samples`` paths per pixel, a number or an array (H, W).
 
-        Where light of two or more bounces exceeds ``limit`` in its largest channel, it is scaled down to the
-        limit, and the difference is summed too. Direct light is never clamped: a patch of sun is meant to be
-        bright. ``grid`` (columns, rows) divides the image into other cells than its pixels. ``before``:
-        number of samples that each cell already has with this seed; the new ones continue its sequence. All
-        calls share one kernel.
+        Where a path's light of two or more bounces exceeds ``limit`` in its largest channel, it is scaled
+        down to the limit, and the removed luminance is summed too. Direct light, such as patches of sun, is
+        never clamped. ``grid`` (columns, rows) divides the image into cells other than its pixels.
+        ``before``: number of samples that each cell already has with this seed; the new ones continue its
+        sequence.
         """
         width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
         wanted = np.broadcast_to(np.asarray(num_samples, np.int64), (height, width)).ravel()
@@ -164,13 +157,13 @@ class PathTracer:
         firsts = np.repeat(np.broadcast_to(before, (height, width)).ravel(), repeats) + step * earlier
         num_per_launch = max(1, MAX_LANES // max(step, 1))
         sums = np.zeros((wanted.size, 4))
-        if not self.scene.emitters():  # all black; kernels without emitters cannot be recorded
+        if not self.scene.emitters():  # black; kernels without emitters cannot be recorded
             cells = cells[:0]
         for start in range(0, cells.size, num_per_launch):
             part = slice(start, start + num_per_launch)
             chosen, entries = cells[part], (cells[part], firsts[part].astype(np.uint32))
             values = self._launch(sensor, (width, height), entries, step, seed, with_visible_emission, limit)
-            for channel in range(4):  # in the order of the list, for any number of threads
+            for channel in range(4):  # bincount adds in order, for any number of threads
                 sums[:, channel] += np.bincount(chosen, values[channel], wanted.size)
         image = sums.reshape(height, width, 4)
         return PathSums(image[..., :3], image[..., 3], wanted.reshape(height, width))
@@ -185,9 +178,9 @@ class PathTracer:
         with_visible_emission: bool,
         limit: float,
     ) -> list[NDArray[np.float64]]:
-        """Sums over ``count`` samples of each entry: red, green, blue and clamped luminance, (N,) each.
+        """Sums over ``count`` samples of each entry: red, green, blue and removed luminance, (N,) each.
 
-        ``entries``: flat cell indices (N,), and the index of the first sample of each (N,).
+        ``entries``: flat cell indices (N,), and the index (N,) of the first sample of each.
         """
         cells, firsts = entries
         num_lanes = cells.size * count
@@ -215,7 +208,7 @@ class PathTracer:
         return [np.array(s).astype(np.float64) for s in sums]
 
     def forget_recordings(self) -> None:
-        """Drop the recorded kernel; the next call records it anew."""
+        """Drop the recorded kernel; the next launch records it again."""
         self._recorded.clear()
 
     # ---- inside kernels --------------------------------------------------------------------------------
@@ -230,9 +223,9 @@ class PathTracer:
         limit: Array,
         with_visible_emission: bool,
     ) -> list[Array]:
-        """Red, green, blue and clamped luminance of one path through each cell of the image.
+        """Red, green, blue and removed luminance of one path through each cell of the image.
 
-        Recorded and replayed: everything that differs between calls is an argument.
+        Recorded and replayed: everything that differs between launches is an argument.
         """
         from datagen.rendering.plugins import rays_through  # needs a selected variant
 
@@ -243,19 +236,18 @@ class PathTracer:
 
     @dr.syntax
     def sample(self, sampler: Any, ray: Array, with_visible_emission: bool = True) -> tuple[Array, Array]:
-        """Radiance along camera rays, one path each: by at most one bounce, and by more (Color3f each)."""
+        """Radiance of one path per camera ray: by at most one bounce, and by two or more (Color3f each)."""
         scene, emitters, ctx = self.scene, self.emitters, mi.BSDFContext()
         cache: Any = self.irradiance
         walk = Walk(ray)  # current segment and previous vertex
-        direct = mi.Color3f(0.0)  # radiance by at most one bounce
-        indirect = mi.Color3f(0.0)  # radiance by more bounces
-        throughput = mi.Color3f(1.0)  # path throughput weight
+        direct, indirect = mi.Color3f(0.0), mi.Color3f(0.0)
+        throughput = mi.Color3f(1.0)
         record = mi.UInt32(0)  # this vertex's record in the irradiance cache
         spread_m = mi.Float(0.0)  # side in metres of the area over which the path has spread
         is_cached = mi.Bool(False)  # whether the path may end in the cache here
         cached = mi.Color3f(0.0)  # mean incident radiance from the cache
-        narrow_pdf: Any = mi.Float(NARROW_PDF)  # density from which on paths go on nevertheless
-        active = mi.Bool(True)  # lanes whose path goes on
+        narrow_pdf: Any = mi.Float(NARROW_PDF)  # paths continue in directions of at least this density
+        active = mi.Bool(True)
         while active:
             si = walk.intersect(scene, active)
 
@@ -278,7 +270,7 @@ class PathTracer:
                 spread = spread_of(walk.previous, walk.previous_pdf, si, walk.ray.d)
                 spread_m += dr.select(returns, spread, 0.0)
                 record = cache.record_at(si, walk.ray.d, active_next & is_seen)
-                is_last = walk.depth + 2 >= self.max_depth  # what is beyond would be truncated
+                is_last = walk.depth + 2 >= self.max_depth  # the cache includes light of longer paths
                 cached, is_cached = cache.mean_radiance(
                     si, walk.ray.d, record, dr.select(is_last, np.inf, spread_m), sampler.next_2d(), returns
                 )

@@ -6,12 +6,12 @@ quantity there: the irradiance of the walls. Surfaces are divided into cells (cu
 orientations), and the irradiance E of each cell is estimated beforehand from all cameras together
 (:mod:`.irradiance_gathering`). A path may then end where it has spread over more than a few cells:
 
-    light through a broad lobe = (value of the lobe / its density) x E / pi,
+    light reflected by a broad lobe = (value of the lobe / its density) x E / pi,
 
 which is final gathering (Reichert 1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose
-records are means over cells. The criterion for enough spread is that of Mueller et al. (Real-time Neural
-Radiance Caching, 2021): the area that corresponds to the densities of the path's directions. Neglected
-effects and their cost: docs/decisions/0075.
+records are means over cells. Sufficient spread is defined as by Mueller et al. (Real-time Neural Radiance
+Caching, 2021): by the area that corresponds to the densities of the path's directions. Neglected effects and
+the resulting errors: docs/decisions/0075.
 """
 
 from __future__ import annotations
@@ -28,21 +28,20 @@ from datagen.rendering.transport.vertex import INVERSE_PI, facing_normal
 Array = Any
 
 PRIOR_SAMPLES = 4.0
-"""Weight of the neighbouring cells in the mean of a cell, in samples."""
+"""Weight of the neighbourhood's mean in the mean of a cell, in samples."""
 LEVELS = 3
-"""Number of times that the side of this neighbourhood is doubled."""
+"""Number of nested neighbourhoods, each of twice the side of the next smaller one."""
 MIN_SPREAD = 8.0
-"""Number of cell sides over which a path must have spread before it may end in the cache."""
+"""Minimum spread of a path, in cell sides, for ending in the cache."""
 NARROW_PDF = 0.4
-"""Density [1/sr] from which on a lobe is too narrow for the mean over all directions. A diffuse lobe has
-at most 1 / pi: paths trace nearly all specular reflection."""
+"""Density [1/sr] of directions from which on paths continue, since the mean radiance over all directions is
+too coarse for them. A diffuse lobe has at most 1 / pi."""
 
 
 class SurfaceCells:
-    """A grid of cubes over a box, each split by six orientations.
+    """A grid of cubes over a box, each split by six orientations, with about ``max_cells`` cells.
 
-    The side ``side_m`` of a cube follows from the number of cells; it is at least 1/512 of the box's longest
-    side.
+    The side ``side_m`` of a cube is at least 1/512 of the box's longest side.
     """
 
     def __init__(self, box_m: NDArray[np.float64], max_cells: int):
@@ -79,7 +78,7 @@ class SurfaceCells:
 class IrradianceCache:
     """Irradiance by cell: sums of samples, and their means as read by kernels.
 
-    Cells with samples have a record, numbered from 1; record 0 is shared by all others.
+    Each cell with samples has a record, numbered from 1; all other cells share record 0.
     """
 
     def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
@@ -101,9 +100,9 @@ class IrradianceCache:
         return len(self._counts) - 1
 
     def add(self, cells: NDArray[np.int64], samples: NDArray[np.float64]) -> None:
-        """Add samples (N, 3 + T) to the means of cells (N,).
+        """Add ``samples`` (N, 3 + T) to the means of ``cells`` (N,).
 
-        Columns: irradiance, and the squared contribution by technique of the light sampler.
+        Columns: irradiance, and the squared contribution of each technique of the light sampler.
         """
         new = np.unique(cells[self._record_of_cell[cells] == 0])
         self._record_of_cell[new] = np.arange(len(self._counts), len(self._counts) + len(new))
@@ -120,11 +119,11 @@ class IrradianceCache:
         """Shrink the means of cells with few samples towards the means of their neighbourhood."""
         means = np.zeros_like(self._sums)
         grid = (6, *self.cells.shape)
-        places = np.array(np.unravel_index(self.cell_of_record[1:], grid))
+        cells = np.array(np.unravel_index(self.cell_of_record[1:], grid))
         counts, sums = self._counts[1:], self._sums[1:]
         around, prior = np.zeros_like(sums), 0.0
         for level in range(LEVELS, -1, -1):
-            blocks = np.ravel_multi_index((places[0], *(places[1:] >> level)), grid)
+            blocks = np.ravel_multi_index((cells[0], *(cells[1:] >> level)), grid)
             _, block = np.unique(blocks, return_inverse=True)
             total = np.bincount(block, counts)[block]
             added = np.stack([np.bincount(block, column)[block] for column in sums.T], axis=-1)
@@ -136,9 +135,9 @@ class IrradianceCache:
         self._squares = means[:, 3:]
 
     def light_weights(self) -> NDArray[np.float64]:
-        """Weights of the light sampler's techniques, (records + 1, T), once finished.
+        """Weights (records + 1, T) of the light sampler's techniques, valid after :meth:`finish`.
 
-        The root of the second moment of their contribution. T is 0 if no moments were recorded.
+        They are the roots of the second moments of the techniques' contributions.
         """
         return np.sqrt(self._squares)
 
@@ -148,7 +147,7 @@ class IrradianceCache:
         self.means = mi.Float(np.column_stack([means, is_known]).astype(np.float32).ravel())
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
-        """Index of the record at a point, 0 for none."""
+        """Index of the record at a surface point with a normal, 0 for none."""
         cell, is_inside = self.cells.index(point, normal)
         return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
 
@@ -164,10 +163,9 @@ class IrradianceCache:
     def mean_radiance(
         self, si: Any, direction: Array, record: Array, spread_m: Array, sample: Array, active: Array
     ) -> tuple[Any, Any]:
-        """Mean incident radiance E / pi at a hit, and whether a path that has spread over ``spread_m`` may
-        end there.
+        """Mean incident radiance E / pi at a hit, and whether a path of spread ``spread_m`` may end there.
 
-        ``record`` is that of the hit. The lookup is jittered by up to half a cell, by ``sample`` in [0, 1),
+        ``record`` is that of the hit. The lookup is jittered by up to half a cell, by ``sample`` in [0, 1)^2,
         which blends neighbouring cells in the mean; if the jittered cell has no record, that of the hit is
         used.
         """
@@ -177,11 +175,11 @@ class IrradianceCache:
         frame = mi.Frame3f(normal)
         shift = (sample - 0.5) * self.cells.side
         other = self.record(si.p + frame.s * shift.x + frame.t * shift.y, normal, is_known)
-        beside, also = self.irradiance(other, is_known)
-        return INVERSE_PI * dr.select(also, beside, here), is_known
+        jittered, is_jittered_known = self.irradiance(other, is_known)
+        return INVERSE_PI * dr.select(is_jittered_known, jittered, here), is_known
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side in metres of the area at a hit that corresponds to a direction of density ``pdf`` [1/sr]."""
+    """Side in metres of the area at hit ``si`` over which a direction of density ``pdf`` [1/sr] spreads."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

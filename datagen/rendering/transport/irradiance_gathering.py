@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Gathering of the irradiance cache and of the light sampler's moments, along camera paths of all views.
+"""Gathers the irradiance cache and the light sampler's moments along camera paths of all views.
 
-The first rounds trace whole paths, which distributes light through the scene. Later rounds solve for
-radiosity by sampling: a shadow ray and one cosine-distributed ray from each point, whose hit reflects
-reflectance x E / pi of the rounds before.
+The first rounds trace whole paths, which distribute light through the scene. Later rounds solve for radiosity
+by sampling: from each point, a shadow ray and one cosine-distributed ray, whose hit has the radiance
+reflectance x E / pi according to earlier rounds.
 """
 
 from __future__ import annotations
@@ -36,35 +36,34 @@ if TYPE_CHECKING:
 Array = Any
 
 NUM_RAYS = 40960
-"""Camera rays of all views together; each gives samples of irradiance at up to four vertices. As many for
-small images: the noise of the cache is an error common to all views."""
+"""Number of camera rays of all views together, whatever their resolution, since all views share the noise of
+the cache; each ray gives samples of irradiance at up to four vertices."""
 MAX_CELLS = 1 << 22
-"""Cells of the grid, nearly all of them empty air: 0.06 m in a room of 5 m."""
+"""Number of cells of the grid, nearly all of them empty: cubes of 0.06 m in a room of 5 m."""
 BOX_PERCENTILE = 0.2
-"""Percentage of the visited points beyond each face of the grid's box, which excludes a far landscape."""
+"""Percentage of the visited points beyond each face of the grid's box, which excludes distant landscape."""
 BOX_MARGIN = 0.05
 """Margin of the box on each side, as a fraction of its longest side."""
 MIN_HITS = 64
 """Minimum number of hits for a cache."""
 BOUNCES = 3
-"""Bounces of a path in the later rounds, more where the irradiance is still unknown."""
+"""Number of bounces of a path in the later rounds, more where the irradiance is still unknown."""
 WARM_UP_BOUNCES = 64
-"""Maximum number of bounces of a path in the first rounds, which distribute light: what these leave out,
-later rounds make up for slowly."""
+"""Maximum number of bounces of a path in the first rounds; later rounds add longer paths only slowly."""
 MAX_SURVIVAL = 0.95
 """Maximum probability that Russian roulette continues a path beyond the recorded vertices."""
 WARM_UP, ROUNDS = 6, 12
-"""Number of rounds with whole paths, and of rounds that end in the irradiance of the rounds before."""
+"""Number of rounds with whole paths, and of rounds whose paths end in the irradiance of earlier rounds."""
 WARM_UP_SHARE = 4
-"""Divisor of the number of rays in warm-up rounds."""
+"""Divisor of the number of rays in the first rounds."""
 
 
 def gather_irradiance(
     emitters: SceneEmitters, materials: SceneMaterials, sensors: Iterable[Any], seed: int
 ) -> IrradianceCache | None:
-    """Irradiance of the surfaces on paths from ``sensors``; None if the cameras see no surface.
+    """Gather the irradiance of surfaces on paths from ``sensors``; None if too few rays hit a surface.
 
-    ``sensors`` are read one after the other, so that an iterator may reuse one object.
+    An iterator of ``sensors`` may yield one object repeatedly, with another camera each time.
     """
     views = [(sensor.view, tuple(int(v) for v in sensor.film().crop_size())) for sensor in sensors]
     rays = _camera_rays(views, NUM_RAYS, seed)
@@ -126,7 +125,7 @@ def _observed(
 
 
 def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: int) -> Any:
-    """Rays through all views, uniformly distributed over each."""
+    """``num_rays`` rays, divided equally between the views and uniformly distributed over each."""
     from datagen.rendering.plugins import rays_through  # needs a selected variant
 
     parts = []
@@ -146,7 +145,7 @@ def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: 
 
 
 def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
-    """Points (N, 3) hit by rays and by their cosine-distributed bounces."""
+    """Points (N, 3) hit by rays ``ray`` and by their cosine-distributed bounces."""
     launch: Any = dr.opaque(mi.UInt32, (seed + 1) & 0xFFFFFFFF)
     lane: Any = dr.arange(mi.UInt32, dr.width(ray))
     numbers = OwenSobol(dr.zeros(mi.UInt32, dr.width(ray)), mi.sample_tea_32(lane, launch)[0])
@@ -171,11 +170,11 @@ def _walk(
     numbers: Any,
     is_warm: Any,
 ) -> list[tuple[Any, ...]]:
-    """For each vertex of a path: cell, validity, one sample of its irradiance, and :func:`_attributed` of its
+    """For each vertex of a path: cell, validity, a sample of its irradiance, and :func:`_attributed` of its
     shadow ray.
 
-    The radiosity of a vertex is reflectance x cached irradiance if ``is_warm``, else that of the rest of the
-    path; after the last bounce always the former.
+    The light that reaches a vertex from the next one is reflectance x cached irradiance if ``is_warm`` and if
+    that is known, else that of the rest of the path.
     """
     walk = Walk(ray)
     cells: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
@@ -183,7 +182,7 @@ def _walk(
     irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
     contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]
-    # Throughput from the end of the segment to each vertex before it, as irradiance
+    # From radiosity at the end of the segment to irradiance at each earlier vertex
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     active = mi.Bool(True)
     while active:
@@ -206,7 +205,7 @@ def _walk(
         arriving = np.pi * (emitted * weight) + dr.select(is_known, reflectance * known, 0.0)
 
         # ---- direct light at this vertex ------------------------------------------------------------------
-        # Beyond the recorded vertices, a path goes on until the radiosity is known: unknown is not dark.
+        # Beyond the recorded vertices, a path continues until the radiosity is known, since unknown is not 0.
         bounces = arrives & hits & (walk.depth <= dr.select(is_known, BOUNCES, WARM_UP_BOUNCES))
         ds, radiance = emitters.sample(si, numbers, mi.UInt32(0), bounces)
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
@@ -239,10 +238,9 @@ def _walk(
 
 
 def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, direct: Any) -> tuple[Any, Any]:
-    """Technique of a shadow ray, and the luminance of ``direct`` times the root of the technique's
-    probability.
+    """Technique of a shadow ray, and the luminance of ``direct`` x the root of the technique's probability.
 
-    The mean square of the latter over all rays equals the second moment over the technique's own rays.
+    The mean square of the latter over all rays equals the second moment over the technique's rays.
     """
     if light_sampler is None:
         return mi.UInt32(0), mi.Float(0.0)
@@ -254,8 +252,9 @@ def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, dire
 def specular_reflectance(channels: Any) -> Array:
     """Directional-hemispherical reflectance of the specular lobe, averaged over directions, in [0, 1].
 
-    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere; the change of both parts with
-    roughness is fitted to the BSDF, to 0.0025: bounces multiply an error by 1 / (1 - reflectance).
+    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere. The change of both parts with
+    roughness is fitted to the BSDF, with errors up to 0.0025, since bounces multiply an error by
+    1 / (1 - reflectance).
     """
     specular, r = channels.specular_albedo, channels.roughness
     normal = specular * (1.0 + r * r * (0.137 + r * (-0.540 + r * 0.057)))

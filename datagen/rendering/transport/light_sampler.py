@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Learned light sampling: per-cell probabilities for choosing an emitter.
+"""Learned light sampling: probabilities, estimated by cell, for choosing an emitter.
 
 Mitsuba chooses among emitters with equal probability: in a room with a lamp and a sky, half of the shadow
-rays go to whichever is occluded. While irradiance is gathered (:mod:`.irradiance_gathering`), the second
-moment of each technique is estimated in every cell. Techniques are the sampling of each emitter, and the sky
-guide (:mod:`.sky_guide`) if there is one. Technique k is then chosen with probability
+rays go to the occluded one. While irradiance is gathered (:mod:`.irradiance_gathering`), the second moment of
+each technique is estimated in every cell. Techniques are the sampling of each emitter, and the sky guide
+(:mod:`.sky_guide`) if there is one. Technique k is then chosen with probability
 
-    q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k over its own samples,
+    q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k over the technique's samples,
 
-which minimizes the variance of a choice among techniques. Every technique has a minimum probability, and
-densities are exact, so that bad estimates increase the variance but add no bias.
+which minimises the variance of a choice among techniques. Every technique has a minimum probability, and
+densities are exact: bad estimates increase the variance but add no bias.
 
 The choice reuses the first of two random numbers, which keeps low-discrepancy points well distributed.
 """
@@ -31,14 +31,13 @@ if TYPE_CHECKING:
 Array = Any
 
 SLOTS = 32
-"""Minimum number of slots in a row of the table; at least twice the number of techniques. Probabilities are
-multiples of the inverse, which is also their minimum."""
+"""Minimum number of slots in a row of the table, which has at least twice as many slots as techniques.
+Probabilities are multiples of the inverse of that number, which is also their minimum."""
 MAX_LEARNED = 16
-"""Maximum number of techniques for learning: beyond, tables would be large, and a few rays do not distinguish
-techniques."""
+"""Maximum number of techniques for learning: with more, tables would be large and estimates poor."""
 MAX_TECHNIQUES = 512
-"""Beyond this number the scene's uniform choice is used, without a sky guide: the table's entries have 10
-bits."""
+"""Maximum number of techniques, since the table's entries have 10 bits; with more, Mitsuba chooses uniformly,
+without a sky guide."""
 BELOW_ONE = 1.0 - 2.0**-20
 """Keeps a rescaled random number below 1 after rounding."""
 
@@ -47,7 +46,7 @@ class LightSampler:
     """Probabilities of T techniques in each of P records of the irradiance cache.
 
     Techniques are the emitters in the scene's order, then the guide. Probabilities are proportional to
-    ``weights`` (P, T). Record 0 is shared by cells without a record; if P is 1, by all cells.
+    ``weights`` (P, T). All cells without a record share record 0; if P is 1, all cells do.
     """
 
     def __init__(self, scene: Any, guide: SkyGuide | None, weights: NDArray[np.float64]):
@@ -101,9 +100,9 @@ class LightSampler:
     def sample_emitter(
         self, si: Any, record: Array, sample: Array, choice: Array, active: Array
     ) -> tuple[Any, Any]:
-        """Direction to an emitter (a ``DirectionSample3f``) and its unoccluded radiance over the density.
+        """Sample a direction to an emitter: a ``DirectionSample3f``, and its unoccluded radiance / density.
 
-        ``sample`` (two numbers) chooses technique and direction, ``choice`` the guide's cell.
+        ``sample`` in [0, 1)^2 chooses technique and direction, ``choice`` in [0, 1) the guide's cell.
         """
         technique, rest = self.choose(record, sample.x)
         guide = self.guide
@@ -142,15 +141,15 @@ class LightSampler:
         is_sky: Any = index == self.environment_index
         is_inside = guide.contains(point)
         guided = dr.select(is_sky, self.probability(record, mi.UInt32(self.num_emitters)), 0.0)
-        probability += dr.select(is_inside, 0.0, guided)  # outside of the box, the environment's
+        probability += dr.select(is_inside, 0.0, guided)  # outside the box, the environment itself is sampled
         through = dr.select(is_sky & is_inside, guided * guide.pdf(point, direction), 0.0)
         return own_pdf * self.num_emitters * probability + through
 
     def technique(self, ds: Any, radiance: Array) -> Array:
-        """Technique to which a sample's light is attributed.
+        """Technique to which the light of an emitter sample is attributed.
 
-        Light of the sky goes to the guide, if there is one, unless it is as bright as the sun. ``radiance``:
-        luminance of the emitter in the direction of ``ds``.
+        The sky's light is attributed to the guide, if there is one, unless its luminance ``radiance`` in the
+        direction of ``ds`` exceeds that of the sky without its sun.
         """
         index = self.index(ds.emitter)
         if self.guide is None:
@@ -160,9 +159,9 @@ class LightSampler:
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """The sampler before learning: the guide has its share, and the emitters have equal parts of the rest.
+    """The sampler before learning: the guide gets ``guide.share``, and the emitters equal parts of the rest.
 
-    None if there is nothing to choose from, or too many techniques.
+    None for less than two techniques or more than :data:`MAX_TECHNIQUES`.
     """
     num_emitters = len(scene.emitters())
     if not 2 <= num_emitters + (guide is not None) <= MAX_TECHNIQUES:
@@ -174,9 +173,7 @@ def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
 
 
 def whole_slots(weights: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
-    """Integer numbers of slots (P, T), ``num_slots`` per row, for weights (P, T): at least one each, else
-    proportional.
-    """
+    """Divide ``num_slots`` slots of each row among the techniques: one each, the rest by weights (P, T)."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.full_like(weights, 1.0 / weights.shape[1])
     parts = np.divide(weights, total, out=uniform, where=total > 0.0)

@@ -13,8 +13,8 @@ def undisturbed() -> Iterator[None]:
     """Suspend the garbage collector.
 
     Dr.Jit aborts the process ("enqueue_host_func(): this function cannot be recorded") if an array in NumPy's
-    memory is freed while a function is recorded. The collector may do that at any time, for arrays of an
-    earlier scene; reference counting does not.
+    memory is freed while a function is recorded. The collector may free arrays of an earlier scene at any
+    time; reference counting does not.
     """
     was_enabled = gc.isenabled()
     gc.disable()

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: MIT
 """The sky guide: environment light sampled through the openings of a room.
 
-An environment that lights a room through a window covers a few per cent of the directions at most points, and
-emitter sampling, which chooses directions by their radiance, sends nearly all of its shadow rays into walls.
-Manually placed portals are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment Map
-Sampling, 2015). Here the openings are estimated: paths from the cameras record where rays that leave the room
-cross the box around it, weighted by the radiance outside (:mod:`.sky_observation`).
+An environment that lights a room through a window covers a few per cent of the directions at most points.
+Emitter sampling chooses directions by their radiance, and nearly all of its shadow rays hit walls. Manually
+placed portals are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment Map Sampling,
+2015). Here the openings are estimated: paths from the cameras record where rays that leave the room cross the
+box around it, weighted by the radiance outside (:mod:`.sky_observation`).
 
 From a point x inside a convex box every direction leaves through exactly one point of its faces. Faces are
 divided into cells; cell c is chosen with the estimated probability P_c and a point q in it uniformly. Then
 
     p(w) = P_c / A_c * |q - x|^2 / |cos|
 
-is known for every direction, whatever the shape of the openings. The guide is thus one more technique of
-multiple importance sampling and adds no bias, however bad its estimate.
+is known for every direction, whatever the shape of the openings. The guide is thus a further technique of
+multiple importance sampling and adds no bias, however poor the estimate.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from mitsuba_plugins.cells import cell_of
 Array = Any
 
 CELLS = 32
-"""Cells of a face along each side: 0.15 m in a room of 5 m."""
+"""Cells of a face along each side, of 0.15 m in a room of 5 m."""
 TABLE = 1 << 16
-"""Entries of the table from which a cell is drawn; probabilities are multiples of its inverse."""
+"""Entries of the table from which a cell is drawn; probabilities are multiples of the inverse."""
 BOX_PERCENTILE = 2.0
-"""Percentage of the visited points beyond each face of the box, which excludes the street outside."""
+"""Percentage of the visited points beyond each face of the box, which excludes surfaces outside."""
 BOX_MARGIN = 0.02
 """Margin of the box on each side, as a fraction of its longest side, so that walls lie inside."""
 NEIGHBOUR_SHARE = 0.05
-"""Fraction of a cell's weight given to each of its eight neighbours, since openings are larger than observed.
+"""Fraction of a cell's weight added to each of its eight neighbours, since openings are larger than observed.
 """
 MIN_ESCAPES = 256
 """Minimum number of rays leaving the room for a guide."""
@@ -53,7 +53,7 @@ class SkyGuide:
     """A density of directions towards openings, for points inside its box.
 
     ``share`` of the shadow rays is sampled from it, unless the light sampler has learned other probabilities
-    (:mod:`.light_sampler`). :func:`fit_sky_guide` states the conditions.
+    (:mod:`.light_sampler`).
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class SkyGuide:
         brightest: float,
     ):
         """``box_m`` (2, 3): lower and upper corner; ``probabilities`` (6 CELLS^2,), by face, column, row;
-        ``brightest``: luminance limit of the sky without its sun.
+        ``brightest``: maximum luminance of the sky without its sun.
         """
         from datagen.rendering.plugins import outside_distance  # needs a selected variant
 
@@ -97,7 +97,7 @@ class SkyGuide:
         return dr.gather(mi.Float, self.density, cell) * dr.square(t) / dr.maximum(dr.abs(along), 1e-9)
 
     def sample(self, point: Array, choice: Array, sample: Array) -> Array:
-        """Sample a direction from ``point``, which must be inside the box, by numbers in [0, 1)."""
+        """Sample a direction from ``point``, inside the box; ``choice`` and ``sample`` are in [0, 1)."""
         entry = cell_of(choice * TABLE, TABLE)
         cell = dr.gather(mi.UInt32, self.table, entry)
         face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
@@ -121,7 +121,7 @@ def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
 def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
     """Exits of rays from the box: cell, distance, and the component of the direction normal to the face.
 
-    The cell is always a valid one, even for NaN input of lanes without a vertex.
+    The cell is always valid, even for NaN input of lanes without a vertex.
     """
     far = [
         dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, upper, lower) - p) / d)
@@ -134,13 +134,13 @@ def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[
     share = (point + t * direction - low) / (high - low)
     column, row = dr.select(is_x, share.y, share.x), dr.select(is_x | is_y, share.z, share.y)
     cell = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
-    for place in (column, row):
-        cell = cell * CELLS + cell_of(place * CELLS, CELLS)
+    for position in (column, row):
+        cell = cell * CELLS + cell_of(position * CELLS, CELLS)
     return cell, t, along
 
 
 def fit_sky_guide(scene: Any, observations: SkyObservations) -> SkyGuide | None:
-    """A guide fitted to observations; None if the sky's share of the light is too small."""
+    """Fit a guide; None if too few rays leave the scene or the sky's share of the light is too small."""
     from scipy import ndimage
 
     share = observations.sky_share()

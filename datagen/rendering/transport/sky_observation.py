@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Observation of the environment from inside a scene: radiance along rays from surfaces that leave the scene.
+"""Observes the environment from inside a scene: the radiance of rays that leave surfaces and the scene.
 
 Paths from the cameras bounce twice in cosine-distributed directions, whatever the materials.
 """
@@ -19,17 +19,17 @@ from datagen.rendering.transport.vertex import MAX_CROSSINGS_BEFOREHAND, Walk, c
 
 BOUNCES = 2
 RADIANCE_PERCENTILE = 99.5
-"""Percentile to which the radiance of leaving rays is clamped: the sun's disc is sampled separately."""
+"""Percentile to which the radiance of rays that leave is clamped: the sun's disc is sampled separately."""
 _NO_RAY, _HIT, _LEFT = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class SkyObservations:
-    """Rays from P surface points, E of which left the scene.
+    """P surface points with one cosine-distributed ray each; E of the rays leave the scene.
 
-    ``points_m`` (P, 3), with one cosine-distributed ray each. Of the rays that left: ``origins_m`` and
-    ``directions`` (E, 3), ``radiance`` (E,) luminance. ``environment`` and ``others``: mean irradiance at the
-    points by emitter sampling, from the environment (sun included) and from all other lights.
+    ``points_m`` (P, 3). Of the rays that leave: ``origins_m`` and ``directions`` (E, 3), luminance
+    ``radiance`` (E,). ``environment`` and ``others``: luminance of the mean irradiance at the points by
+    emitter sampling, from the environment (sun included) and from all other lights.
     """
 
     points_m: NDArray[np.float64]
@@ -40,7 +40,7 @@ class SkyObservations:
     others: float
 
     def clamped_radiance(self) -> NDArray[np.float64]:
-        """``radiance`` without its highest values, because rays hit the sun's disc only by chance."""
+        """``radiance`` (E,) without its highest values, because rays hit the sun's disc only by chance."""
         return np.minimum(self.radiance, np.percentile(self.radiance, RADIANCE_PERCENTILE))
 
     def sky_share(self) -> float:
@@ -57,8 +57,8 @@ def observe_sky(
 ) -> SkyObservations:
     """Observe the sky along paths from the cameras.
 
-    ``camera_rays``: for each camera, rays and a sampler for as many lanes. ``is_hidden(si, depth)``: whether
-    a light that was hit is hidden from the camera.
+    ``camera_rays``: for each camera, its rays and the sampler of their paths. ``is_hidden(si, depth)``:
+    whether a light that was hit is hidden from the camera.
     """
     points, origins, directions, radiance = [], [], [], []
     sums = np.zeros(2)
@@ -88,8 +88,8 @@ def observe_sky(
 
 @dr.syntax
 def _walk(scene: Any, is_hidden: Any, ray: Any, numbers: Any) -> tuple[list[tuple[Any, ...]], list[Any]]:
-    """Trace the walk. For the segments after each bounce: origin, direction, luminance of the environment,
-    and how they end; irradiance at all vertices from the environment and from other lights.
+    """Trace paths. Returns origin, direction, luminance of the environment and end of the segment after each
+    bounce, and the irradiance at all vertices from the environment and from other lights.
     """
     walk = Walk(ray)
     environment: Any = mi.EmitterPtr(scene.environment())

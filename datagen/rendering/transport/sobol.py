@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Owen-scrambled Sobol' points: low-discrepancy random numbers for light paths.
 
-The samples of a pixel are the first points of a (0, 2)-sequence: any power of two of them are stratified over
-the unit square, and later passes continue the sequence. Every pair of dimensions of a path uses the same
-sequence, shuffled and with another scramble (padding). Scrambles are hashes (Laine and Karras 2011; Burley,
-Practical Hash-Based Owen Scrambling, 2020, with its constants); the second dimension is computed by the
-Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
-Compact, 2024). With Owen scrambling every single point is uniformly distributed, so that estimates stay
-unbiased.
+The samples of a pixel are the first points of a (0, 2)-sequence: the first 2^k of them, for any k, are
+stratified over the unit square, and later passes continue the sequence. Every pair of dimensions of a path
+uses this sequence, shuffled and with another scramble (padding). Scrambles are hashes (Laine and Karras 2011;
+Burley, Practical Hash-Based Owen Scrambling, 2020, with its constants); the second dimension is computed by
+the Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
+Compact, 2024). With Owen scrambling, every single point is uniformly distributed, so estimates are unbiased.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ _UNIT = 2.0**-24
 class OwenSobol:
     """A sampler of one sequence per lane, usable as a loop state and as an argument of recorded functions.
 
-    ``index``: index of the lane's sample within its pixel; ``key``: hash of the pixel. Lanes with the same
-    key and different indices are points of one sequence; different keys are independent.
+    ``index``: index of the lane's sample within its pixel; ``key``: hash of the pixel. Lanes with equal keys
+    and different indices are points of one sequence; the sequences of different keys are independent.
     """
 
     # Dr.Jit uses the names only; the types, all mi.UInt32, are unknown until a variant is selected.

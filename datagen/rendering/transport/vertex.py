@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""One step of a random walk, inside kernels, shared by the path integrator, the irradiance cache and the sky
-guide.
+"""One step of a random walk, inside kernels: for path integrator, irradiance cache and sky guide.
 
-Surfaces that a ray passes through (partial opacity, lights hidden from the camera) are no vertices: they do
+Surfaces that a ray passes through (partial opacity, lights hidden from the camera) are not vertices: they do
 not add to the path depth, and the MIS weight of emission behind them is that of the last bounce.
 """
 
@@ -17,9 +16,9 @@ import numpy as np
 Array = Any
 
 MAX_CROSSINGS = 32
-"""Surfaces that a segment may pass through; beyond this number it counts as blocked."""
+"""Maximum number of surfaces that a path or shadow ray may pass through; with more, it is blocked."""
 MAX_CROSSINGS_BEFOREHAND = 8
-"""The same for the paths from which irradiance cache and sky guide are estimated."""
+""":data:`MAX_CROSSINGS` of the paths from which irradiance cache and sky guide are estimated."""
 INVERSE_PI = 1.0 / np.pi
 
 
@@ -46,7 +45,7 @@ class Walk:
         self.num_crossed: Any = mi.UInt32(0)  # surfaces passed through so far
         self.previous: Any = dr.zeros(mi.Interaction3f)  # vertex of the last bounce
         self.previous_pdf: Any = mi.Float(1.0)  # density of the direction sampled there [1/sr]
-        self.previous_is_delta: Any = mi.Bool(True)  # that bounce has no emitter sample for MIS
+        self.previous_is_delta: Any = mi.Bool(True)  # whether that bounce has no emitter sample for MIS
         self.previous_record: Any = mi.UInt32(0)  # irradiance cache record of that vertex; 0: none
 
     def intersect(self, scene: Any, active: Array) -> Any:
@@ -63,10 +62,8 @@ class Walk:
         is_delta: Array = False,
         record: Array = 0,
     ) -> None:
-        """Continue from ``si``.
-
-        On a bounce (``bounces``) the new direction is ``direction``, sampled with density ``pdf``; otherwise
-        the ray continues straight on. ``passes``: the ray passes through the surface without a vertex.
+        """Continue from ``si``: on a bounce (``bounces``) in ``direction``, sampled with density ``pdf``;
+        otherwise straight on. ``passes``: whether the ray passes through the surface without a vertex.
         """
         self.ray = si.spawn_ray(dr.select(bounces, direction, self.ray.d))
         self.previous = dr.select(bounces, mi.Interaction3f(si), self.previous)
@@ -78,7 +75,7 @@ class Walk:
 
 
 def facing_normal(si: Any, direction: Array) -> Array:
-    """Geometric normal on the side from which a ray of ``direction`` arrives."""
+    """Geometric normal at hit ``si`` on the side from which a ray of ``direction`` arrives."""
     return dr.mulsign(mi.Vector3f(si.n), -dr.dot(si.n, direction))
 
 
@@ -89,7 +86,7 @@ def cosine_bounce(normal: Array, sample: Array) -> tuple[Any, Any]:
 
 
 def power_heuristic(pdf: Array, other: Array) -> Array:
-    """Veach's power heuristic; 0 if both densities vanish."""
+    """MIS weight of a sample of density ``pdf`` by Veach's power heuristic; 0 if both densities are 0."""
     square, other_square = dr.square(pdf), dr.square(other)
     total = square + other_square
     return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)

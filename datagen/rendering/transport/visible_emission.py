@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Visible emission: light that reaches the camera straight from emitters and background.
+"""Visible emission: light that reaches the camera from emitters and background without a bounce.
 
 It has no noise except at edges. It is therefore traced with as many samples as the ground truth, never
 denoised, and added to the denoised reflected light.
@@ -26,9 +26,7 @@ LATTICE = (0.7548776662466927, 0.5698402909980532)
 def render_visible_emission(
     emitters: SceneEmitters, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int
 ) -> NDArray[np.float32]:
-    """Visible emission (P, 3) of flat pixel indices (P,), from ``num_samples`` points of a shifted lattice
-    per pixel.
-    """
+    """Visible emission (P, 3) of flat pixel indices (P,), from ``num_samples`` lattice points per pixel."""
     width, height = (int(v) for v in sensor.film().crop_size())
     with dr.suspend_grad():
         count = dr.opaque(mi.UInt32, num_samples)
@@ -60,7 +58,7 @@ def _summed(
 
 @dr.syntax
 def _emission_ahead(emitters: Any, ray: Array) -> Array:
-    """Emission that a camera ray meets, through surfaces of partial opacity."""
+    """Emitted radiance along a camera ray, through surfaces of partial opacity."""
     scene = emitters.scene
     result, throughput = mi.Color3f(0.0), mi.Color3f(1.0)
     num_crossed, active = mi.UInt32(0), mi.Bool(True)
