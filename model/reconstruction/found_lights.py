@@ -84,9 +84,8 @@ class FoundPatch:
 
 @dataclass(frozen=True)
 class RadianceSamples:
-    """Photographed radiance (N, 3) along rays from ``origin_m`` (N, 3) in unit ``direction`` (N, 3).
-
-    The rays start just in front of the photographed surface.
+    """Photographed radiance (N, 3) along rays from ``origin_m`` (N, 3), the camera, in unit ``direction``
+    (N, 3).
     """
 
     origin_m: NDArray[np.float32]

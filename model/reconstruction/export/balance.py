@@ -3,9 +3,9 @@
 
 A recovered light has the radiance photographed, or inferred, where it is emitted or enters. The brightness of
 other surfaces also depends on surfaces in no photograph, on the merged materials, and on windows that are
-exported as diffuse rectangles. Therefore the light of each is path traced to photographed points in the
-exported Mitsuba scene: radiance there is linear in the gains, one per light and channel, which minimize
-robust relative differences from the photographs.
+exported as diffuse rectangles. Therefore the light of each is path traced to photographed pixels in the
+exported Mitsuba scene: radiance there is linear in the gains, one per light and channel, which minimize a
+robust loss of the logarithms' differences from the photographs, visible lights included.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ PATHS, MAX_DEPTH = 256, 24
 MAX_LIGHTS = 24
 """Maximum number of gains: the least powerful lights share one."""
 NOISE, FLOOR = 0.3, 0.1
-"""Relative difference above which the loss is linear, and what is added to the radiance that differences are
-relative to, as a share of the median."""
+"""Difference of logarithms above which the loss is linear; radiance added before the logarithm, as a share
+of the median."""
 GAIN_SPREAD, COLOR_SPREAD = 2.0, 0.2
 """Standard deviations of the prior: of ln gain, and of its deviation from the mean over the channels."""
 MIN_SAMPLES = 100
@@ -54,18 +54,15 @@ class Balance:
 def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balance | None:
     """Gains of the recovered lights of ``reconstruction``.
 
-    None if no light emits, if fewer than :data:`MIN_SAMPLES` samples show the asset's surface, or if gains
-    from half of the samples bring the other half no closer to the photographs.
+    None if no light emits, if there are fewer than :data:`MIN_SAMPLES` samples, or if gains from half of the
+    samples bring the other half no closer to the photographs.
     """
     lights = reconstruction.shining_lights
-    if lights is None:
+    if lights is None or len(samples) < MIN_SAMPLES:
         return None
     groups = _groups(lights)
     with tempfile.TemporaryDirectory(prefix="lights-") as folder:
         scene = _load_scene(reconstruction, Path(folder))
-        samples = samples.chosen(_shows_surface(scene, samples))
-        if len(samples) < MIN_SAMPLES:
-            return None
         names = _emitters(lights)
         emitters = _Emitters(scene, [name for slot in names for name in names[slot]])
         light = []
@@ -73,14 +70,16 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
             emitters.switch_on([name for slot in slots for name in names[slot]])
             light.append(_radiance(scene, samples, seed))
     transport, photographed = np.stack(light, axis=1), samples.radiance.astype(np.float64)
-    scale = photographed + FLOOR * float(np.median(luminance(photographed)))
-    is_fitted = np.arange(len(scale)) % 2 == 0
-    held_out = transport[~is_fitted], photographed[~is_fitted], scale[~is_fitted]
-    trial = _solved(transport[is_fitted], photographed[is_fitted], scale[is_fitted])
-    before, after = (_loss(_differences(*held_out, gains)).mean() for gains in (np.ones_like(trial), trial))
+    floor = FLOOR * float(np.median(luminance(photographed)))
+    is_fitted = np.random.default_rng(0).permutation(len(photographed)) % 2 == 0
+    trial = _solved(transport[is_fitted], photographed[is_fitted], floor)
+    before, after = (
+        _loss(_differences(transport[~is_fitted], photographed[~is_fitted], floor, gains)).mean()
+        for gains in (np.ones_like(trial), trial)
+    )
     if after >= before:
         return None
-    solved = _solved(transport, photographed, scale).round(4)
+    solved = _solved(transport, photographed, floor).round(4)
     gains = {slot: as_color(gain) for slots, gain in zip(groups, solved, strict=True) for slot in slots}
     return Balance(lights.with_gains(gains), gains, float(before), float(after))
 
@@ -126,16 +125,6 @@ def _rays(samples: RadianceSamples, which: NDArray[np.int64]) -> Any:
     origin = mi.Point3f(np.ascontiguousarray(samples.origin_m[which].T, np.float32))
     direction = mi.Vector3f(np.ascontiguousarray(samples.direction[which].T, np.float32))
     return mi.RayDifferential3f(mi.Ray3f(origin, direction))
-
-
-def _shows_surface(scene: Any, samples: RadianceSamples) -> NDArray[np.bool_]:
-    """Which rays (N,) of the samples end on a surface that does not emit."""
-    import drjit as dr
-    import mitsuba as mi
-
-    hit = scene.ray_intersect(mi.Ray3f(_rays(samples, np.arange(len(samples)))))
-    is_dark = hit.is_valid() & (hit.emitter(scene) == None)  # noqa: E711 (elementwise)
-    return np.asarray(dr.select(is_dark, mi.UInt32(1), mi.UInt32(0)).numpy()) > 0
 
 
 class _Emitters:
@@ -185,12 +174,11 @@ def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.flo
     return np.concatenate(found)
 
 
-def _differences(transport: NDArray, photographed: NDArray, scale: NDArray, gains: NDArray) -> NDArray:
-    """Relative differences (N, 3) of the asset in lights times ``gains`` (K, 3) from the photographs.
-
-    ``transport`` (N, K, 3) is the radiance of the samples by light, relative to which ``scale`` (N, 3) is.
+def _differences(transport: NDArray, photographed: NDArray, floor: float, gains: NDArray) -> NDArray:
+    """Differences (N, 3) of ln(radiance + floor) of the asset in lights times ``gains`` (K, 3) from the
+    photographs; ``transport`` (N, K, 3) is the radiance by light without gains.
     """
-    return ((transport * gains).sum(axis=1) - photographed) / scale
+    return np.log((transport * gains).sum(axis=1) + floor) - np.log(photographed + floor)
 
 
 def _loss(differences: NDArray) -> NDArray[np.float64]:
@@ -199,7 +187,7 @@ def _loss(differences: NDArray) -> NDArray[np.float64]:
     return loss
 
 
-def _solved(transport: NDArray, photographed: NDArray, scale: NDArray) -> NDArray[np.float64]:
+def _solved(transport: NDArray, photographed: NDArray, floor: float) -> NDArray[np.float64]:
     """Gains (K, 3) of least loss, with their prior."""
     from scipy.optimize import least_squares
 
@@ -207,7 +195,7 @@ def _solved(transport: NDArray, photographed: NDArray, scale: NDArray) -> NDArra
 
     def residuals(log_gains: NDArray) -> NDArray:
         gains = log_gains.reshape(shape)
-        data = np.sqrt(2 * _loss(_differences(transport, photographed, scale, np.exp(gains))))
+        data = np.sqrt(2 * _loss(_differences(transport, photographed, floor, np.exp(gains))))
         color = (gains - gains.mean(axis=1, keepdims=True)) / COLOR_SPREAD
         return np.concatenate([data.ravel() / NOISE, (gains / GAIN_SPREAD).ravel(), color.ravel()])
 

@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
 from datagen.light.lighting import Lit
-from datagen.light.surfels import Surfels
+from datagen.light.surfels import camera_row
 from model.reconstruction.found_lights import FoundLights, RadianceSamples
 from model.reconstruction.light.lamps import found_lamps
 from model.reconstruction.light.openings import found_windows, leaving_rays
@@ -17,8 +21,7 @@ from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import sky_image
 
 NUM_SAMPLES = 1600
-"""Observations by which exported lights are balanced."""
-_START_CELLS = 2.0  # distance of a ray's start from its surfel, which is a mean over a cell
+"""Number of pixels by which exported lights are balanced."""
 _SEED = 0x62616C
 
 
@@ -36,17 +39,19 @@ def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) ->
     return FoundLights(lamps, shining_patches(lit), windows, sky)
 
 
-def radiance_samples(surfels: Surfels, num: int = NUM_SAMPLES) -> RadianceSamples:
-    """At most ``num`` observations, in proportion to their pixels, of surfels that are not mixed."""
-    observations, owner = surfels.observations, surfels.surfel_of_observation()
-    weight = observations.weight * ~surfels.is_mixed[owner]
-    usable = int((weight > 0).sum())
-    if not usable:
-        return RadianceSamples(*np.zeros((3, 0, 3), np.float32))
-    random = np.random.default_rng(_SEED)
-    drawn = random.choice(
-        len(weight), min(num, usable), replace=False, p=weight / weight.sum(dtype=np.float64)
-    )
-    toward = surfels.directions(owner[drawn], observations.view[drawn])
-    origin = surfels.position_m[owner[drawn]] + _START_CELLS * surfels.grid.cell_m * toward
-    return RadianceSamples(origin.astype(np.float32), -toward, observations.radiance[drawn])
+def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> RadianceSamples:
+    """About ``num`` random pixels that are photographed and not clipped, as many of each view.
+
+    The result does not depend on the order of the views.
+    """
+    rays: list[tuple[NDArray, NDArray, NDArray]] = []
+    for view in sorted(views, key=lambda view: camera_row(view).tobytes()):
+        is_known = (
+            view.valid_mask if view.clipped_mask is None else view.valid_mask & ~view.clipped_mask.any(axis=2)
+        )
+        usable = np.argwhere(is_known)
+        count = min(-(-num // len(views)), len(usable))
+        row, column = usable[np.random.default_rng([_SEED, len(rays)]).permutation(len(usable))[:count]].T
+        direction = view.camera.ray_directions()[row, column]
+        rays.append((np.tile(view.camera.position_m, (count, 1)), direction, view.color[row, column]))
+    return RadianceSamples(*(np.concatenate(part).astype(np.float32) for part in zip(*rays, strict=True)))

@@ -36,7 +36,7 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions
         with report.step("lights"):
             lights = found_lights(found.lit, traced.geometry, traced.capture.geometry)
     run.report.light = {**asdict(report), "lights": lights.described()}
-    run.found.lights, run.found.samples = lights, radiance_samples(found.lit.surfels)
+    run.found.lights, run.found.samples = lights, radiance_samples(traced.views)
     run.found.confidence_at = SurfelConfidence.of(found.lit.surfels, found.solved.confidence).at
     run.found.pictures = view_pictures(traced.views, found.maps, run.report.exposure)
     return found.maps
