@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Assigns materials as in real homes: by kind of surface, in one style.
 
-For every slot, the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are reduced to looks that fit
-the room's style and the slot's geometry and into whose ranges some material of the palette can be varied. A
-look is drawn by weight, then a material, then a point in the ranges. A slot's own material is varied a
-little, within its look if it has one.
+For every slot, those looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are eligible that match the
+room's style and for which the palette contains a material that fits the slot and can be varied into the
+look's ranges. A look is drawn by weight, then a material, then a point in the ranges. A slot that keeps its
+material gets a small variation, within a look if the material matches one.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from datagen.formats.package import Package
 from datagen.formats.recipe import MaterialRecipe
 from datagen.foundation.random import Draws, weighted_item
 
-_DYED_HUE_TURNS = 0.2  # dyed classes may have any hue
+_DYED_HUE_TURNS = 0.2  # classes with at least this range of hues count as dyed and may have any hue
 _MAX_FACTOR = 4.0  # of saturation and value: the largest factor that a configuration can store
 _GREY = 0.02  # saturation below which a colour has no hue
 _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
-"""Limits of the small variation of materials that are kept."""
+"""Largest factors of value and saturation and largest offset of R for materials that a slot keeps."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Variations that bring a material into a look: ranges of hue shift, saturation, value and roughness."""
+    """Ranges of the :class:`ColorAdjustment` that bring a material's means into a look's ranges."""
 
     hue_shift: Interval
     saturation_scale: Interval
@@ -49,8 +49,8 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """The adjustment at the relative position ``where`` in [0, 1]^4 of the ranges; with ``strength`` 0,
-        the smallest adjustment that reaches the look.
+        """The adjustment at the relative position ``where`` (4,) in [0, 1] of the ranges, blended by
+        ``strength`` in [0, 1] with the smallest adjustment in them.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:
@@ -68,15 +68,15 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """The variations that bring a material into a look's ranges; None if there are none.
+    """The adjustments that bring a material with these means into a look's ranges; None if none does.
 
-    A material without textures is a tint and may get any colour of its class.
+    A material without textures of a dyed class may get any colour.
     """
     limits = CLASS_RANGES[material.classes[0]]
     is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS
     hue, saturation, value = colorsys.rgb_to_hsv(*mean.diffuse_albedo)
     _, tint, specular = colorsys.rgb_to_hsv(*mean.specular_albedo)
-    if not _holds(look.specular, specular) or not _holds(look.tint, tint):
+    if not _contains(look.specular, specular) or not _contains(look.tint, tint):
         return None
     max_value, max_saturation = (_MAX_FACTOR,) * 2 if is_tint else (limits.value, limits.saturation)
     values = _scales(look.value, value, look.stain, max_value)
@@ -96,7 +96,7 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
     return Reach(turns, saturations, values, offsets)
 
 
-def _holds(interval: Interval, value: float) -> bool:
+def _contains(interval: Interval, value: float) -> bool:
     return interval[0] <= value <= interval[1]
 
 
@@ -106,10 +106,10 @@ def _meet(one: Interval, other: Interval) -> Interval | None:
 
 
 def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> Interval | None:
-    """Factors that bring ``own`` into the range ``wanted``, at most ``max_factor`` and at least its inverse
-    or the inverse of ``stain``.
+    """Factors that bring ``own`` into ``wanted``, from the inverse of the larger of ``max_factor`` and
+    ``stain`` to ``max_factor``; None if there are none.
     """
-    if own <= _GREY and _holds(wanted, own):
+    if own <= _GREY and _contains(wanted, own):
         return (1.0, 1.0)  # black and grey cannot be scaled to a colour
     return _meet(
         (wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1 / max(max_factor, stain), max_factor)
@@ -142,8 +142,9 @@ class LikelyDresser:
     ) -> dict[str, MaterialAssignment]:
         """Assignments for the slots of one placed asset; unchanged slots are absent.
 
-        ``surfaces`` is the surface of each slot. A slot among ``foreign_slots`` never keeps its own material.
-        Every group of slots that share a material uses the same number of draws, whatever the palette.
+        ``surfaces`` is the kind of surface of each slot. A slot among ``foreign_slots`` (asset id, slot)
+        keeps its material only if the palette offers no other. The number of draws does not depend on the
+        palette.
         """
         asset = package.asset
         assert isinstance(asset, ObjectAsset | EnvironmentAsset)
