@@ -121,9 +121,7 @@ def _recheck_shard(
     configuration = ShardReader(path).configuration()
     for asset, digest in configuration.assets.items():
         if asset not in library or library.package(asset).sha256 != digest:
-            report.notes.append(
-                f"{path.name} was not rendered again: {asset} is missing or has changed"
-            )
+            report.notes.append(f"{path.name} was not rendered again: {asset} is missing or has changed")
             return []
     recipe = RenderRecipe(path_samples=1, auxiliary_samples=1, denoise=False)
     renderer = SceneRenderer(configuration, library, recipe)
