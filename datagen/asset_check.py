@@ -199,9 +199,7 @@ class _Checker:
         if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
             _, fault = self.check_image(light.image)
             if fault:
-                self.error(
-                    f"{field}.image", f"{light.image!r}: {fault}", "finite values", "replace the image"
-                )
+                self.error(f"{field}.image", f"{light.image!r}: {fault}", "a finite EXR", "replace the image")
 
     def check_unit(self, field: str, direction: tuple[float, float, float]) -> None:
         if abs(math.sqrt(sum(x * x for x in direction)) - 1) > 1e-3:

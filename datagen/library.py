@@ -120,9 +120,7 @@ class Library:
         if asset_id in self._packages:
             return self._packages[asset_id]
         near = difflib.get_close_matches(asset_id, self._packages, 3)
-        hint = (
-            f"did you mean {', '.join(near)}?" if near else "add the folder that contains it with --library"
-        )
+        hint = f"did you mean {', '.join(near)}?" if near else "add its folder with --library"
         where = ", ".join(str(p) for p in self.paths) or "empty library"
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 

@@ -206,9 +206,7 @@ def read_trial(path: Path) -> Trial:
     try:
         return Trial(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
-        raise input_error(
-            path, "", str(error), "a trial", "remove the file and run the sweep again"
-        ) from None
+        raise input_error(path, "", str(error), "a trial", "remove the file and run again") from None
 
 
 def _is_available(setting: Setting) -> bool:
