@@ -221,7 +221,7 @@ def verify_command(
     """
     library_paths = library_of(path) if library_paths is None else [*library_paths, *rooms_of(path)]
     if recheck and not library_paths:
-        remedy = "name the dataset's library by --library"
+        remedy = "name it with --library"
         raise input_error(path, "--recheck", "no library", "the assets of the views to render", remedy)
     found: list[Rechecked] = []
     with ExitStack() as stack:
