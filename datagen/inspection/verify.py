@@ -248,7 +248,7 @@ def print_report(report: Report) -> None:
     from datagen.foundation.console import table_console
 
     console = table_console()
-    table = Table("check", "asserts", "looked at", "errors", "warnings", title=report.path)
+    table = Table("check", "asserts", "checked", "errors", "warnings", title=report.path)
     for check, asserts in CHECKS.items():
         mine = [fault for fault in report.faults if fault.check == check]
         errors = sum(fault.severity == "error" for fault in mine)
