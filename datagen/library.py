@@ -51,8 +51,8 @@ def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
 class Library:
     """Asset packages of one or more folders, indexed by id.
 
-    ``paths`` are folders that are searched for packages (folders or zips), or packages themselves. Raises
-    :class:`InputError` listing every unreadable package, every duplicate id, and missing folders.
+    ``paths`` are folders that are searched for packages (folders or zip files), or packages. Raises
+    :class:`InputError` with all unreadable packages, duplicate ids and missing folders.
     """
 
     def __init__(self, paths: Iterable[str | Path]):

@@ -283,10 +283,10 @@ def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
         summary = run_local(out, local, on_event)
     if page is not None:
         page.update(int(sum(finished.values())), is_over=True)
-    _end(out, summary)
+    _exit_unless_done(out, summary)
 
 
-def _end(out: Path, summary: RunSummary) -> None:
+def _exit_unless_done(out: Path, summary: RunSummary) -> None:
     """Print why a run stopped or failed, and exit; do nothing if all units are done."""
     from datagen.farm.worker import EXIT_INTERRUPTED
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Coverage of a configuration by its views, from rays at low resolution.
+"""Measures the coverage of a configuration by its views, from rays at low resolution.
 
-Letters: V views, P points of a view, M triangles.
+Letters: P points of all views, M triangles.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _share(count: int, of: int) -> float:
 
 
 def _of_faces(scene: WorldScene, assigned: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
-    """Brightest channel of mean S and mean R of every triangle, (M,) each."""
+    """Brightest channel of mean S, and mean R, of every triangle's material, (M,) each."""
     tables = [
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
         for g, w in zip(scene.geometries, assigned, strict=True)

@@ -196,7 +196,7 @@ def draw_sun_direction(
 
 
 def rotation_about_up(angle_rad: float) -> NDArray[np.float64]:
-    """Rotation about +Z, (4, 4)."""
+    """Rotation matrix (4, 4) about +Z."""
     matrix = np.eye(4)
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     matrix[:2, :2] = [[c, -s], [s, c]]

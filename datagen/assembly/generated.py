@@ -50,7 +50,7 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
         return None
     kind = draws.choice(_kinds(wanted))
     seed = f"{recipe.seed}/{index}" if attempt == 0 else f"{recipe.seed}/{index}/{attempt}"
-    return _made(kind, seed, recipe.lights.panoramas is None)
+    return _generated(kind, seed, recipe.lights.panoramas is None)
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
@@ -69,7 +69,7 @@ def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
     """Yield one room of each kind that the recipe may generate."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
-        asset = _made(kind, "example", False).package.asset
+        asset = _generated(kind, "example", False).package.asset
         assert isinstance(asset, EnvironmentAsset)
         yield asset
 
@@ -79,5 +79,5 @@ def _kinds(wanted: ParametricRecipe) -> list[str]:
 
 
 @lru_cache(maxsize=_KEPT_IN_MEMORY)
-def _made(kind: str, seed: str, has_scenery: bool) -> GeneratedRoom:
+def _generated(kind: str, seed: str, has_scenery: bool) -> GeneratedRoom:
     return GeneratedRoom(*room_package(kind, seed, has_scenery))

@@ -166,7 +166,7 @@ def load_geometry(package: Package) -> AssetGeometry:
         faces.append(turned + start)
         parts.append(np.full(len(turned), index, dtype=np.int32))
         start += len(moved)
-    opaque = np.array([_stops_light(asset, part.material) for part in asset.parts])
+    opaque = np.array([_is_opaque(asset, part.material) for part in asset.parts])
     return AssetGeometry(
         asset, np.concatenate(vertices), np.concatenate(faces).astype(np.int32), np.concatenate(parts), opaque
     )
@@ -189,7 +189,7 @@ def _sound_mesh(package: Package, name: str) -> Mesh:
     return mesh
 
 
-def _stops_light(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
+def _is_opaque(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
     opacity = asset.materials[material].opacity
     return opacity is None or isinstance(opacity, Texture) or opacity >= 0.5
 

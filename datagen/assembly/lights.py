@@ -102,7 +102,7 @@ def plan_lights(
     groups: list[PlannedGroup] = []
     for kind in wants:
         if wants[kind]:
-            groups += _without_doubles(makers[kind](), groups, rejections)
+            groups += _without_overlap(makers[kind](), groups, rejections)
         if kind == "native" and daytime in DARK and not groups:
             wants["area"] = True
     for kind in ("native", "daylight", "area", "point"):  # at least one group, if the recipe allows any
@@ -115,21 +115,21 @@ def plan_lights(
     return groups
 
 
-def _without_doubles(
+def _without_overlap(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
     """The ``fresh`` groups without an area light that overlaps one of ``groups``."""
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
-        if any(isinstance(a, AreaLight) and _share_a_place(a, b) for a in group.lights for b in others):
+        if any(isinstance(a, AreaLight) and _overlap(a, b) for a in group.lights for b in others):
             rejections["light.occupied"] += 1
         else:
             kept.append(group)
     return kept
 
 
-def _share_a_place(one: AreaLight, other: AreaLight) -> bool:
+def _overlap(one: AreaLight, other: AreaLight) -> bool:
     """Whether two area lights are coplanar within 2 cm and overlap."""
     origin, u, v = (np.array(a) for a in (other.origin_m, other.edge_u_m, other.edge_v_m))
     normal = np.cross(u, v)

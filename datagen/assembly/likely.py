@@ -82,7 +82,7 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
     values = _scales(look.value, value, look.stain, max_value)
     saturations = _scales(look.saturation, saturation, look.stain, max_saturation)
     step = 2 * limits.roughness_step if is_tint else limits.roughness_step
-    offsets = _meet((look.roughness[0] - mean.roughness, look.roughness[1] - mean.roughness), (-step, step))
+    offsets = _common((look.roughness[0] - mean.roughness, look.roughness[1] - mean.roughness), (-step, step))
     turns = (0.0, 0.0)
     if saturation > _GREY and look.hue is not None:
         wanted = 0.5 * (look.hue[0] + look.hue[1])
@@ -90,7 +90,7 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
         half = 0.5 * (look.hue[1] - look.hue[0])
         is_dyed = look.is_printed or limits.hue_turns >= _DYED_HUE_TURNS
         max_turns = 0.5 if is_dyed else limits.hue_turns
-        turns = _meet((shift - half, shift + half), (-max_turns, max_turns))  # type: ignore[assignment]
+        turns = _common((shift - half, shift + half), (-max_turns, max_turns))  # type: ignore[assignment]
     if values is None or saturations is None or offsets is None or turns is None:
         return None
     return Reach(turns, saturations, values, offsets)
@@ -100,7 +100,7 @@ def _contains(interval: Interval, value: float) -> bool:
     return interval[0] <= value <= interval[1]
 
 
-def _meet(one: Interval, other: Interval) -> Interval | None:
+def _common(one: Interval, other: Interval) -> Interval | None:
     low, high = max(one[0], other[0]), min(one[1], other[1])
     return (low, high) if low <= high else None
 
@@ -111,7 +111,7 @@ def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> In
     """
     if own <= _GREY and _contains(wanted, own):
         return (1.0, 1.0)  # black and grey cannot be scaled to a colour
-    return _meet(
+    return _common(
         (wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1 / max(max_factor, stain), max_factor)
     )
 
@@ -154,12 +154,12 @@ class LikelyDresser:
             if any(asset.materials[slot].emission is not None for slot in slots):
                 continue
             is_foreign = any((package.id, slot) in foreign_slots for slot in slots)
-            assignment = self._dressed(package, asset, slots, surfaces[slots[0]], is_foreign, units)
+            assignment = self._assignment(package, asset, slots, surfaces[slots[0]], is_foreign, units)
             if assignment != MaterialAssignment():
                 found.update(dict.fromkeys(slots, assignment))
         return found
 
-    def _dressed(
+    def _assignment(
         self,
         package: Package,
         asset: ObjectAsset | EnvironmentAsset,
@@ -184,7 +184,7 @@ class LikelyDresser:
                 return MaterialAssignment(asset=plain[int(units[3] * len(plain))].id)
         own = [asset.materials[slot] for slot in slots]
         mean = mean_of([self.means.mean(package, material) for material in own])
-        return MaterialAssignment(adjustment=_kept(surface, self.style, own[0], mean, units[4:], strength))
+        return MaterialAssignment(adjustment=_varied(surface, self.style, own[0], mean, units[4:], strength))
 
     def _choices(
         self, asset: ObjectAsset | EnvironmentAsset, slots: tuple[str, ...], surface: Surface
@@ -228,7 +228,7 @@ class LikelyDresser:
         return found.at(where, strength)
 
 
-def _kept(
+def _varied(
     surface: Surface,
     style: RoomStyle,
     material: Material,
@@ -236,7 +236,7 @@ def _kept(
     where: NDArray[np.float64],
     strength: float,
 ) -> ColorAdjustment:
-    """A small variation of a slot's own material, within the first look of its class that contains it."""
+    """A small variation of a slot's material, within the first look into which it can be varied."""
     if strength == 0:
         return ColorAdjustment()
     calm = Reach(
@@ -254,9 +254,9 @@ def _kept(
             continue
         met = Reach(
             (0.0, 0.0),
-            _meet(calm.saturation_scale, within.saturation_scale) or (1.0, 1.0),
-            _meet(calm.value_scale, within.value_scale) or (1.0, 1.0),
-            _meet(calm.roughness_offset, within.roughness_offset) or (0.0, 0.0),
+            _common(calm.saturation_scale, within.saturation_scale) or (1.0, 1.0),
+            _common(calm.value_scale, within.value_scale) or (1.0, 1.0),
+            _common(calm.roughness_offset, within.roughness_offset) or (0.0, 0.0),
         )
         return met.at(where, strength)
     return calm.at(where, strength)

@@ -149,9 +149,9 @@ def draw_adjustment(
     step = draws.uniform(-1, 1) * limits.roughness_step * strength
     brightest = max(mean.diffuse_albedo)
     if brightest > 0:
-        target = _held(brightest * value, brightest, *limits.value_limits)
+        target = _clamped(brightest * value, brightest, *limits.value_limits)
         value = target / brightest
-    rough = _held(mean.roughness + step, mean.roughness, *limits.roughness_limits)
+    rough = _clamped(mean.roughness + step, mean.roughness, *limits.roughness_limits)
     return ColorAdjustment(
         hue_shift=quantized(hue, 4),
         saturation_scale=quantized(saturation, 4),
@@ -160,7 +160,7 @@ def draw_adjustment(
     )
 
 
-def _held(moved: float, start: float, low: float, high: float) -> float:
+def _clamped(moved: float, start: float, low: float, high: float) -> float:
     """``moved`` clamped to [low, high], widened to include ``start``."""
     return min(max(moved, min(low, start)), max(high, start))
 

@@ -21,7 +21,7 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
 }
 """Range of daylight's share of the irradiance, relative to the shares of lamps (at night: street lights)."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
-"""Times of day when lamps are on."""
+"""Times of day at which lamps are always on."""
 
 
 def draw_daytime(

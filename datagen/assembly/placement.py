@@ -78,7 +78,7 @@ def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurf
 
 
 class Placer:
-    """Places objects one after the other in one room and counts rejections."""
+    """Places objects in a room one after the other, and counts rejections."""
 
     def __init__(self, room: Room, recipe: ObjectRecipe, rejections: Counter[str]):
         self.room = room

@@ -32,7 +32,7 @@ SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 
 @dataclass(frozen=True)
 class Pools:
-    """The packages available to a split, each list in the order of ids."""
+    """The packages that a split may use, each list in the order of ids."""
 
     environments: list[Package]
     objects: list[Package]
@@ -47,7 +47,7 @@ def _shares(recipe: Recipe) -> dict[Split, Fraction]:
     return {split: share / total for split, share in raw.items()}
 
 
-def _before(share: Fraction, count: int) -> int:
+def _rounded_share(share: Fraction, count: int) -> int:
     """``share`` times ``count``, rounded to the nearest integer."""
     return (2 * share.numerator * count + share.denominator) // (2 * share.denominator)
 
@@ -55,23 +55,23 @@ def _before(share: Fraction, count: int) -> int:
 def split_of(recipe: Recipe, index: int) -> Split:
     """Split of configuration ``index``, in constant time."""
     shares = _shares(recipe)
-    tests = _before(shares["test"], index)
-    if _before(shares["test"], index + 1) > tests:
+    tests = _rounded_share(shares["test"], index)
+    if _rounded_share(shares["test"], index + 1) > tests:
         return "test"
     if shares["test"] == 1:
         return "test"
     rank = index - tests  # among the configurations outside the test split
     share = shares["validation"] / (1 - shares["test"])
-    return "validation" if _before(share, rank + 1) > _before(share, rank) else "train"
+    return "validation" if _rounded_share(share, rank + 1) > _rounded_share(share, rank) else "train"
 
 
 def split_counts(recipe: Recipe) -> dict[Split, int]:
     """Number of configurations in each split."""
     shares = _shares(recipe)
-    tests = _before(shares["test"], recipe.configurations)
+    tests = _rounded_share(shares["test"], recipe.configurations)
     rest = recipe.configurations - tests
     share = shares["validation"] / (1 - shares["test"]) if shares["test"] < 1 else Fraction(0)
-    validation = _before(share, rest)
+    validation = _rounded_share(share, rest)
     return {"train": rest - validation, "validation": validation, "test": tests}
 
 

@@ -28,7 +28,7 @@ _MANY_POINTS = 2000
 
 
 def convex_hull_2d(points: Floats) -> Floats:
-    """Corners of the convex hull of (N, 2) points, counter-clockwise; fewer than 3 if it is degenerate."""
+    """Corners (K, 2) of the convex hull of points (N, 2), counter-clockwise; K < 3 if it is degenerate."""
     unique = np.unique(np.round(points, 9), axis=0)
     if len(unique) < 3:
         return unique
@@ -137,7 +137,7 @@ def pose(scale: float, yaw_rad: float, position_m: Floats) -> NDArray[np.float64
 
 
 def rotation_z(angle_rad: float) -> NDArray[np.float64]:
-    """Rotation about +Z, (3, 3)."""
+    """Rotation matrix (3, 3) about +Z."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 

@@ -142,7 +142,7 @@ class ViewFinder:
         while True:
             pool += self._extend(subject, wanted, limit)
             overlap = overlap_matrix(pool, self.scene.rays, overlap)
-            lit = self._lit(pool)
+            lit = self._bright_enough(pool)
             among = overlap[np.ix_(lit, lit)]
             least = self.recipe.min_overlap
             bright = [pool[k] for k in lit]
@@ -193,7 +193,7 @@ class ViewFinder:
         while len(fresh) < wanted and self.num_drawn < limit:
             size = min(_BATCH, limit - self.num_drawn)
             for number in range(self.num_drawn, self.num_drawn + size):
-                outcome = self._look(subject, Draws(*self.key, "camera", number))
+                outcome = self._draw_candidate(subject, Draws(*self.key, "camera", number))
                 if isinstance(outcome, Candidate):
                     fresh.append(outcome)
                 else:
@@ -202,7 +202,7 @@ class ViewFinder:
         self._measure(fresh)
         return fresh
 
-    def _look(self, subject: Subject, draws: Draws) -> Candidate | str:
+    def _draw_candidate(self, subject: Subject, draws: Draws) -> Candidate | str:
         """Draw one candidate; returns it, or the reason for its rejection."""
         position = self.space.draw(draws)
         if position is None:
@@ -269,7 +269,7 @@ class ViewFinder:
         pitch = math.atan2(offset[2], math.hypot(offset[0], offset[1]))
         pitch += draws.uniform(-0.22, 0.22) * fov * height / width
         pitch = min(max(pitch, -_MAX_PITCH_RAD), _MAX_PITCH_RAD)
-        return self._held(position, fov, azimuth, pitch, draws)
+        return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _aim_across(self, position: Floats, draws: Draws) -> Camera:
         """A camera with a random heading, preferably of large depth, pitched a little down."""
@@ -285,9 +285,9 @@ class ViewFinder:
         depth = (window * reach).sum(axis=1) / window.sum(axis=1)
         azimuth = float(headings[draws.weighted(range(_NUM_HEADINGS), (depth**_DEPTH_POWER).tolist())])
         pitch = _ROOM_PITCH_RAD + min(max(draws.normal(), -2.0), 2.0) * _ROOM_PITCH_SPREAD_RAD
-        return self._held(position, fov, azimuth, pitch, draws)
+        return self._hand_held(position, fov, azimuth, pitch, draws)
 
-    def _held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
+    def _hand_held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
         """A camera with this pose (angles in radians), rolled at random by up to 3 degrees, as hand-held."""
         width, height = self.resolution
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
@@ -316,7 +316,7 @@ class ViewFinder:
         for candidate, value in zip(candidates, luminance.mean(axis=1).tolist(), strict=True):
             candidate.luminance = value
 
-    def _lit(self, pool: list[Candidate]) -> list[int]:
+    def _bright_enough(self, pool: list[Candidate]) -> list[int]:
         """Indices of the candidates with at least ``min_luminance`` times the median luminance."""
         if not pool:
             return []

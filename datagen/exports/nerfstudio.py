@@ -20,7 +20,7 @@ _POINTS = 200_000
 
 
 def export_nerfstudio(export: Export, room: Room) -> None:
-    """Write ``<configuration>/transforms.json`` with images, depth, masks and points."""
+    """Write ``<configuration>/transforms.json`` with images, depth and points."""
     name = room.configuration.id
     farthest = max(float(view.read("depth_z_m")["depth_z_m"].max()) for view in room.views)
     unit_m = max(1e-3, farthest / 65535)

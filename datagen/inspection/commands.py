@@ -82,7 +82,7 @@ def verify(
 
 @dataclass(frozen=True)
 class ReportWords:
-    """Options for the report's contents."""
+    """Options for the contents of the report."""
 
     pixels: Annotated[str, typer.Option(help="Number of views with pixels for the viewer, or all.")] = "400"
     sources: Annotated[bool, typer.Option(help="Write the source views of pixels' statistics.")] = True

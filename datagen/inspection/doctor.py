@@ -101,12 +101,12 @@ def examine(folder: Path | None = None) -> list[Finding]:
         findings.append(Finding("variant", variant, True, True))
     except InputError as error:
         variant = ""
-        findings.append(Finding("variant", *_found(error)))
+        findings.append(Finding("variant", *_failed(error)))
     try:
         llvm = choose_llvm()
         findings.append(Finding("LLVM", f"{llvm.major} ({llvm.path})", True, variant == CPU_VARIANT))
     except InputError as error:
-        found, is_fine, _, remedy = _found(error)
+        found, is_fine, _, remedy = _failed(error)
         findings.append(Finding("LLVM", found, is_fine, variant == CPU_VARIANT, remedy))
     findings.append(_gpu())
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
@@ -126,7 +126,7 @@ def examine(folder: Path | None = None) -> list[Finding]:
     return findings
 
 
-def _found(error: InputError) -> tuple[str, bool, bool, str]:
+def _failed(error: InputError) -> tuple[str, bool, bool, str]:
     """Value, is_fine, is_required and remedy of the finding of a failed check."""
     (problem,) = error.problems
     return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy

@@ -39,7 +39,7 @@ small { overflow-wrap: anywhere; }
 
 
 class Preview:
-    """The page of one run with ``total`` views, of which ``before`` are already done."""
+    """The preview page of a run with ``total`` views, of which ``before`` were done before it."""
 
     def __init__(self, root: Path, total: int, before: int = 0):
         self.root, self.total, self.before = root, total, before
@@ -59,7 +59,7 @@ class Preview:
         now = time.monotonic()
         if now < self._next and not is_over:
             return
-        self._look()
+        self._update_pictures()
         write_bytes_atomically(self.path, self._page(done, now - self.start, is_over).encode())
         self._next = time.monotonic() + _SECONDS
 
@@ -67,7 +67,7 @@ class Preview:
         """Records of the rendered views of units in progress."""
         return list((self.root / "work").glob("*/rendered/*.json"))
 
-    def _look(self) -> None:
+    def _update_pictures(self) -> None:
         """Make pictures of the newest views that are not known yet."""
         found = []
         for path in self._views():

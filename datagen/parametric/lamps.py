@@ -194,7 +194,7 @@ def floor_lamp(draws: Draws, slot: str) -> Item:
 
 
 def table_lamp(draws: Draws, slot: str) -> Item:
-    """A lamp with a turned foot and a small shade."""
+    """A lamp for a table, with a foot and a small shade."""
     item = Item("table_lamp", hold="surface")
     h, c = draws.uniform(0.36, 0.5), -0.14
     if draws.chance(0.6):
@@ -254,7 +254,7 @@ def desk_lamp(draws: Draws, slot: str) -> Item:
 
 
 def wall_lamp(draws: Draws, slot: str) -> Item:
-    """An opal bar over a mirror, or a cup-shaped lamp on the wall; z = 0 is its middle."""
+    """An opal bar, or an opal globe on an arm, for a wall; z = 0 is its middle."""
     item = Item("wall_lamp", hold="wall")
     if draws.chance(0.5):
         item.add("metal", box((0.1, 0.03, 0.06), (0, -0.0155, -0.03), 0.004))

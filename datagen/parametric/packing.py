@@ -79,7 +79,7 @@ def package_of(room: MadeRoom) -> tuple[bytes, Package]:
     materials = {slot: _material(slot, KINDS[room.kind], lamps, draws, files) for slot in sorted(used)}
     if lamps and not any(m.emission for m in materials.values()):
         slot = min(lamps)
-        materials[slot] = _glowing(lamps[slot])
+        materials[slot] = _luminous(lamps[slot])
     shell, rectangles = room.furnished.shell, _free_rectangles(room)
     asset = EnvironmentAsset(
         id=room_id(room.kind, room.seed, room.has_scenery),
@@ -131,7 +131,7 @@ def _material(
     slot: str, kind: Kind, lamps: dict[str, Lamp], draws: Draws, files: dict[str, bytes]
 ) -> SlotMaterial:
     if slot.startswith("glow"):
-        return _glowing(lamps[slot]) if draws.chance(_ON) else SLOTS["opal"].material()
+        return _luminous(lamps[slot]) if draws.chance(_ON) else SLOTS["opal"].material()
     if slot.startswith("art"):
         name = f"textures/{slot}.png"
         files[name] = print_image(Draws("print", draws.integer(0, 2**31)))
@@ -147,7 +147,7 @@ def _material(
     return SLOTS[slot].material(kind.floor if slot == "floor" else None)
 
 
-def _glowing(lamp: Lamp) -> SlotMaterial:
+def _luminous(lamp: Lamp) -> SlotMaterial:
     """The material of a luminous slot: a Lambertian emitter with the lamp's flux and colour."""
     radiance = lamp.lumen / (_LUMEN_PER_WATT * math.pi * lamp.area_m2)
     shown = 1e6 / (1e6 / lamp.kelvin - 1e6 / _BALANCE_K + 1e6 / _WHITE_K)

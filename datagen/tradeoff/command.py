@@ -57,7 +57,7 @@ def tradeoff(
     limits: Limits,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned trials and stop.")] = False,
 ) -> None:
-    """Measure error against time over all settings that affect time, and recommend a setting for an error.
+    """Measure error against time for all settings that affect time, and recommend a setting for an error.
 
     Example: python -m datagen.tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
     """

@@ -260,7 +260,7 @@ def findings(
     report: Report | None, index: DatasetIndex, gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
     """Findings of the verification by view, most errors first, and views with extreme figures."""
-    stand_out = _stand_out(gathered)
+    stand_out = _extreme_views(gathered)
     if report is None:
         return {"is_checked": False, "checks": [], "views": [], "notes": [], "stand_out": stand_out}
     files = {shard.file: shard.configuration for shard in index.shards}
@@ -268,7 +268,7 @@ def findings(
     grouped: dict[tuple[str, str], list[Any]] = {}
     for fault in report.faults:
         grouped.setdefault(place_of(fault.where, files, names), []).append(fault)
-    order = sorted(grouped, key=lambda place: (*_badness(grouped[place]), place))
+    order = sorted(grouped, key=lambda place: (*_severity_order(grouped[place]), place))
     views = [
         {
             "configuration": configuration,
@@ -301,7 +301,7 @@ def findings(
     }
 
 
-def _badness(faults: Sequence[Any]) -> tuple[int, int]:
+def _severity_order(faults: Sequence[Any]) -> tuple[int, int]:
     errors = sum(fault.severity == "error" for fault in faults)
     return -errors, errors - len(faults)
 
@@ -317,7 +317,7 @@ def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> t
     return "", ""
 
 
-def _stand_out(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _extreme_views(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The six most extreme views by each of several figures."""
     views = [(shard["id"], view) for shard in gathered for view in shard["views"]]
     found = []

@@ -160,7 +160,7 @@ def write_report(
         GatherJob(folder / shard.file, shard, out, shard.configuration in chosen, options.with_sources)
         for shard in index.shards
     ]
-    gathered, unreadable = _walk(jobs, gather_shard, "figures", options.workers, progress)
+    gathered, unreadable = _run_jobs(jobs, gather_shard, "figures", options.workers, progress)
     if not gathered:
         raise InputError(*(unreadable[0][1].problems if unreadable else ()))
     damaged = {job.shard for job, _ in unreadable}
@@ -171,7 +171,7 @@ def write_report(
         if job.shard not in damaged and method.covers(job.record.configuration)
     ]
     _remove_other_methods(out, options.predictions)
-    compared, _ = _walk(pairs, compare_shard, "predictions", options.workers, progress)
+    compared, _ = _run_jobs(pairs, compare_shard, "predictions", options.workers, progress)
     predictions = prediction_table(options.predictions, compared, gathered)
     data = {
         **_head(index, folder),
@@ -238,7 +238,7 @@ def _verify(
 Job = TypeVar("Job", GatherJob, CompareJob)
 
 
-def _walk(
+def _run_jobs(
     jobs: Sequence[Job],
     work: Callable[[Job], dict[str, Any]],
     stage: str,
