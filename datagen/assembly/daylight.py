@@ -56,7 +56,7 @@ def lookup(table: Floats) -> EnvironmentMap:
 
 
 def environment_radiance(light: EnvironmentLight, library: Library) -> EnvironmentMap:
-    """Radiance of an environment light by world direction, averaged over 5.6 degrees of its image."""
+    """An environment light's radiance as a function of world direction, averaged over 5.6 degrees."""
     if light.image is None:
         constant = light.scale * np.array(light.radiance)
         return lambda directions: np.broadcast_to(constant, directions.shape)
@@ -79,7 +79,7 @@ def _image_table(library: Library, asset: str, image: str) -> Floats:
 
 
 def sky_radiance(light: SkyLight) -> EnvironmentMap:
-    """Radiance of a sky by world direction, without its sun."""
+    """A sky's radiance as a function of world direction, without its sun."""
     table = _sky_table(light.sun_direction, light.turbidity, light.ground_albedo)
     return lookup(light.sky_scale * table)
 
@@ -125,7 +125,7 @@ def sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) of a ``sunsky`` emitter by unit direction; ``sky``, ``disc``: scales of sky, sun."""
+    """Radiance (R, 3) of a ``sunsky`` emitter from unit directions; scaled by ``sky``, the sun by ``disc``."""
     select_variant()
     import drjit as dr
     import mitsuba as mi

@@ -37,7 +37,7 @@ _NEGLIGIBLE = 1e-9  # nominal irradiance, relative to the strongest group's, bel
 
 @dataclass(frozen=True)
 class Lighting:
-    """Lights at their final intensities, radiance of slots by placed asset, probe and its groups' factors."""
+    """Lights and emissive slots at their final intensities; ``gains`` are the probe's groups' factors."""
 
     lights: tuple[Light, ...]
     emission: tuple[dict[str, tuple[float, float, float]], ...]

@@ -59,7 +59,7 @@ class PlannedGroup:
 
 @dataclass(frozen=True)
 class RoomToLight:
-    """Input of lighting: scene, placed assets (room first), mean materials by slot, eyes (P, 3)."""
+    """A scene to light: placed assets (room first), mean materials by slot, camera positions (P, 3)."""
 
     environment: EnvironmentAsset
     scene: WorldScene

@@ -49,8 +49,9 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """The adjustment at the relative position ``where`` (4,) in [0, 1] of the ranges, blended by
-        ``strength`` in [0, 1] with the smallest adjustment in them.
+        """The adjustment at relative position ``where`` (4,) of the ranges, in [0, 1].
+
+        A ``strength`` below 1 moves it towards the smallest adjustment in the ranges, which 0 gives.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:
@@ -70,7 +71,7 @@ class Reach:
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
     """The adjustments that bring a material with these means into a look's ranges; None if none does.
 
-    A material without textures of a dyed class may get any colour.
+    A material of a dyed class without textures may get any colour.
     """
     limits = CLASS_RANGES[material.classes[0]]
     is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS

@@ -98,7 +98,7 @@ class Thing:
     def can_stand(self, contact_tolerance_m: float) -> bool:
         """Whether the object is stable on level ground: its centre of mass is above the hull of its contacts.
 
-        Points within the tolerance, at the smallest scale, of the lowest point are contacts.
+        Contacts are points within the tolerance of the lowest point, at the smallest scale.
         """
         points = self.underside
         low = float(self.geometry.minimum_m[2])

@@ -288,7 +288,7 @@ class ViewFinder:
         return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _hand_held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
-        """A camera with this pose (angles in radians), rolled at random by up to 3 degrees, as hand-held."""
+        """A camera with these angles (radians), rolled at random by up to 3 degrees as if held by hand."""
         width, height = self.resolution
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD

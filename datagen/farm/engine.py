@@ -36,8 +36,9 @@ class Engine(Protocol):
         """Raise :class:`InputError` for options that the queue's scripts cannot express."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
-        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each ascending index, and repeat it after
-        exit code 75.
+        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index, again after exit code 75.
+
+        ``indices`` ascend.
         """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:

@@ -113,7 +113,7 @@ def collect_script(root: Path, options: SlurmOptions) -> str:
 
 
 def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
-    """A command per line and unit, for any other queue (GNU parallel, xargs, SGE, HTCondor, ...)."""
+    """Commands that run the units ``indices``, one per line, for any other queue (GNU parallel, SGE, ...)."""
     check_folder(root, "shell")
     folder = shlex.quote(str(root.resolve()))
     lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]

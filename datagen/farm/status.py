@@ -142,7 +142,7 @@ def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureR
 
 
 def _rate_per_hour(times: list[float], now: float) -> float | None:
-    """Units finished per hour, over the last hour or since the first in it; None for fewer than two."""
+    """Units finished per hour, in the last hour or since its first finished unit; None for fewer than two."""
     recent = [t for t in times if now - t <= 3600]
     if len(recent) < 2:
         return None

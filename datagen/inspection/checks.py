@@ -92,9 +92,9 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Isolated bright pixels (H, W): over 20 times the median of their 5x5 neighbourhood, or of the frame.
+    """Mask (H, W) of isolated pixels over 20 times the medians of their 5x5 neighbourhood and of the frame.
 
-    A firefly has at most 4 pixels, not adjacent to pixels without a reflecting surface.
+    A firefly has at most 4 pixels, none within 2 pixels of one without a reflecting surface.
     """
     import cv2
 

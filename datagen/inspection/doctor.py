@@ -133,7 +133,7 @@ def _failed(error: InputError) -> tuple[str, bool, bool, str]:
 
 
 def bundled_finding() -> Finding:
-    """Whether the bundled library, recipes and suites are installed."""
+    """Check whether the bundled library, recipes and suites are installed."""
     try:
         num = len(find_packages(bundled_library()))
         names = bundled_names("recipes")
@@ -145,7 +145,7 @@ def bundled_finding() -> Finding:
 
 
 def checkpoint_finding() -> Finding:
-    """Whether the default networks of `materials infer` are installed; imports nothing."""
+    """Check whether the default networks of `materials infer` are installed, without importing them."""
     package = importlib.util.find_spec("model")
     folders = [Path(p) / "checkpoints" for p in (package.submodule_search_locations or ())] if package else []
     lacking = [name for name in CHECKPOINTS if not any((folder / name).is_file() for folder in folders)]
@@ -154,7 +154,7 @@ def checkpoint_finding() -> Finding:
 
 
 def program_finding(title: str, command: str, purpose: str, debian: str) -> Finding:
-    """Whether a program is on the path and recent enough."""
+    """Check whether a program is on the path and recent enough."""
     path = shutil.which(command)
     if path is None:
         how = _installing(title, debian)

@@ -64,7 +64,7 @@ class Preview:
         self._next = time.monotonic() + _SECONDS
 
     def _views(self) -> list[Path]:
-        """Records of the rendered views of units in progress."""
+        """Paths of the records of rendered views of units in progress."""
         return list((self.root / "work").glob("*/rendered/*.json"))
 
     def _update_pictures(self) -> None:

@@ -11,9 +11,8 @@ bias.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,11 +165,6 @@ def compared(view: View, parts: Sequence[NDArray[np.floating]]) -> Rechecked:
         float(luminance(image).mean()) / light - 1.0 if light > 0.0 else 0.0,
         float(np.sqrt(noise.sum())) / noise.size / light if light > 0.0 else 0.0,
     )
-
-
-def figures(found: list[Rechecked]) -> list[dict[str, Any]]:
-    """The comparisons as dictionaries."""
-    return [asdict(view) for view in found]
 
 
 def print_rechecked(found: list[Rechecked], samples: int) -> None:

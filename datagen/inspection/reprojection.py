@@ -77,7 +77,7 @@ def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
 
 
 def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
-    """Compare world points (N, 3) with unit normals (N, 3) with the depth of view ``other``."""
+    """Agreement of world points (N, 3) with unit normals (N, 3) and the depth of view ``other``."""
     camera = other.camera
     offset = points - camera.position_m
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)

@@ -58,7 +58,7 @@ def verify_shard(job: ShardJob) -> Report:
 
 
 class _ShardVerifier:
-    """Reads the members of a shard once and keeps the data for checks across views."""
+    """Reads the members of a shard once, and keeps the data that checks across views need."""
 
     def __init__(self, job: ShardJob, where: str, report: Report):
         self.job, self.where, self.report = job, where, report

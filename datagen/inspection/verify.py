@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -31,7 +31,7 @@ from datagen.foundation.images import read_image
 from datagen.foundation.paths import inside
 from datagen.foundation.progress import Bars
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
-from datagen.inspection.recheck import Rechecked, figures, print_rechecked
+from datagen.inspection.recheck import Rechecked, print_rechecked
 from datagen.inspection.recheck import recheck as recheck_views
 from datagen.inspection.shard_check import ShardJob, verify_shard
 from datagen.library import Library
@@ -231,7 +231,7 @@ def verify_command(
         if library is not None and recheck:
             tell = partial(bars.tell, "recheck")
             found = recheck_views(path, library, recheck, recheck_samples, report, tell)
-            report.rechecked = figures(found)
+            report.rechecked = [asdict(view) for view in found]
     if as_json:
         print(report.to_json())
     else:

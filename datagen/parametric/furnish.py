@@ -122,9 +122,9 @@ def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
 def decorate(
     room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 5, is_home: bool = True
 ) -> None:
-    """Place up to ``most`` pictures, a shelf, plants and, with probability ``rug``, a rug on the free floor.
+    """Place pictures (2 to ``most`` in a home, else 1 to 3), a shelf, plants and a rug on the free floor.
 
-    ``round_rug`` is the probability that the rug is round.
+    ``rug`` is the probability of a rug, ``round_rug`` that of a round one.
     """
     draws, style = room.draws, room.style
     if draws.chance(0.55):

@@ -71,7 +71,7 @@ class Lamp:
 
 @dataclass(frozen=True)
 class LampPlace:
-    """Position of a light in place of the lamp: a point or, with ``size``, a rectangle that faces down."""
+    """Position of a light slot: a point or, with ``size``, a rectangle around it that faces down."""
 
     at: Point
     size: tuple[float, float] | None = None

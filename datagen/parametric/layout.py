@@ -251,7 +251,7 @@ class Furnisher:
     def seat(
         self, chair: Item, table: Placed, side: Side, offset: float, tuck: float, jitter: float = 1.0
     ) -> Placed | None:
-        """Place a chair at a side of a table, ``tuck`` metres under it, ``offset`` from the middle."""
+        """Place a chair at a side of a table, ``tuck`` metres under it, ``offset`` metres from the middle."""
         b, depth = table.item.bounds, -float(chair.bounds[0, 1])
         middle = b.mean(axis=0)[:2]
         half = 0.5 * (b[1] - b[0])[:2]
