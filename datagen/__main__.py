@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``python -m datagen``."""
+"""Runs the command line as ``python -m datagen``."""
 
 from datagen.cli import main
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The thorough check of an asset package: meshes, textures, lights and regions, beyond the schema.
+"""Checks an asset package thoroughly: meshes, textures, lights and regions, beyond the schema.
 
-Errors make a package unusable. Warnings (non-manifold edges, flipped triangles) are listed, and are errors
-only in strict mode, since most published scenes have some.
+Errors make a package unusable. Warnings (non-manifold edges, flipped triangles) are errors only in strict
+mode, since most published scenes have some.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _REEXPORT = "re-export the asset"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Findings of :func:`check_package` as printable problems."""
+    """Findings of :func:`check_package`."""
 
     errors: tuple[Problem, ...]
     warnings: tuple[Problem, ...]
@@ -47,8 +47,7 @@ class CheckReport:
 
     def raise_errors(self, *, strict: bool = False) -> None:
         """Raise :class:`InputError` with all errors (and warnings, if ``strict``)."""
-        problems = self.errors + (self.warnings if strict else ())
-        raise_problems(problems)
+        raise_problems(self.errors + (self.warnings if strict else ()))
 
 
 class _Checker:
@@ -63,13 +62,13 @@ class _Checker:
     def error(self, field: str, got: object, expected: str, remedy: str = _REEXPORT) -> None:
         self.errors.append(Problem(self.where, field, str(got), expected, remedy))
 
-    def warn(self, field: str, got: object, expected: str, remedy: str = "mend the mesh") -> None:
+    def warn(self, field: str, got: object, expected: str, remedy: str = "repair the mesh") -> None:
         self.warnings.append(Problem(self.where, field, str(got), expected, remedy))
 
     # textures
 
     def check_image(self, name: str) -> tuple[int, str]:
-        """Number of channels of an image and its fault ('' = none); each file is read once."""
+        """Number of channels of an image, and its fault ('' if none), cached by file."""
         if name not in self._images:
             fault, channels = "", 0
             try:
@@ -113,11 +112,11 @@ class _Checker:
     def check_panorama(self, image: str) -> None:
         _, fault = self.check_image(image)
         if not fault and not image.lower().endswith(".exr"):
-            fault = "no EXR"
+            fault = "not an EXR file"
         if not fault and (read_image(self.package.local_file(image)) < 0).any():
             fault = "negative values"
         if fault:
-            self.error("image", f"{image!r}: {fault}", "a finite EXR of radiance", "replace the image")
+            self.error("image", f"{image!r}: {fault}", "an EXR file of finite radiance", "replace the image")
 
     # geometry
 
@@ -152,9 +151,9 @@ class _Checker:
             self.warn(name, f"{faults.degenerate} of {faults.total} triangles have no area", "none")
         if faults.zero_normals:
             self.warn(name, f"{faults.zero_normals} zero normals", "unit normals")
-        num_lying = int(lying_normals(mesh).sum())
-        if num_lying:
-            self.warn(name, f"{num_lying} normals lie in their surface", "normals that stand on it")
+        num_tangent = int(lying_normals(mesh).sum())
+        if num_tangent:
+            self.warn(name, f"{num_tangent} normals are tangent to their surface", "perpendicular normals")
         if faults.non_manifold_edges:
             expected = "at most two triangles at an edge"
             self.warn(name, f"{faults.non_manifold_edges} non-manifold edges", expected)
@@ -179,9 +178,9 @@ class _Checker:
                 self.error(field, value, f"the meshes' bound {np.round(actual, 4).tolist()}")
         if abs(lower[2]) > tolerance:
             self.error("minimum_m[2]", round(float(lower[2]), 4), "0: an object rests on the plane z = 0")
-        unlikely = size_fault(asset)
-        if unlikely:
-            self.warn("minimum_m", unlikely, "the size of a thing of its category", "correct its unit")
+        fault = size_fault(asset)
+        if fault:
+            self.warn("minimum_m", fault, "a usual size for its category", "correct its unit")
         if asset.scale_range[0] > asset.scale_range[1]:
             self.error("scale_range", asset.scale_range, "smallest first")
 
@@ -207,7 +206,7 @@ class _Checker:
             self.error(field, direction, "a unit vector")
 
     def check_rectangle(self, field: str, edge_u: tuple[float, ...], edge_v: tuple[float, ...]) -> float:
-        """Report a rectangle without area or with skewed edges; returns its area."""
+        """Report a rectangle without area or with nearly parallel edges; returns its area in m²."""
         cross = np.cross(edge_u, edge_v)
         area = float(np.linalg.norm(cross))
         lengths = float(np.linalg.norm(edge_u) * np.linalg.norm(edge_v))
@@ -223,7 +222,7 @@ class _Checker:
             if self.check_rectangle(field, surface.edge_u_m, surface.edge_v_m) > 0:
                 normal = np.cross(surface.edge_u_m, surface.edge_v_m)
                 if normal[2] < 0.999 * np.linalg.norm(normal):
-                    self.error(field, "a tilted or downward rectangle", "edge_u x edge_v along +Z")
+                    self.error(field, "a rectangle that does not face up", "edge_u x edge_v along +Z")
         for k, slot in enumerate(asset.light_slots):
             if slot.kind == "area":
                 self.check_rectangle(f"light_slots[{k}] ({slot.name})", slot.edge_u_m, slot.edge_v_m)
@@ -252,5 +251,5 @@ class _Checker:
 
 
 def check_package(package: Package) -> CheckReport:
-    """Read every mesh and texture of a package and report all faults; never raises for a bad package."""
+    """Read every mesh and texture of a package and report its faults; never raises for a bad package."""
     return _Checker(package).run()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen``: its subcommands, and the replacements of removed ones."""
+"""The command ``datagen``: its subcommands, and the replacements of removed subcommands."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ app.add_typer(recipe, name="recipe")
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command ``datagen``."""
     run_command(app)
 
 

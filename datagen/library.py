@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The library: asset packages found in folders, by id, with kind, classes, category, licence and hash.
+"""The library: asset packages in folders, by id, with kind, classes, category, licence and hash.
 
-Opening a library reads descriptions (``asset.json``) only, no meshes and no pixels.
+Opening a library reads only descriptions (``asset.json``), neither meshes nor images.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _MAX_DEPTH = 4  # depth of the search for packages below a library's root
 
 
 def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
-    """Library folders named in a recipe or a command: "bundled", absolute, or relative to ``base``.
+    """Library folders of a recipe or a command: "bundled", absolute, or relative to ``base``.
 
-    A relative name without a folder below ``base`` is resolved against the working directory.
+    A relative name that does not exist below ``base`` is relative to the working directory.
     """
     resolved = []
     for name in names:
@@ -43,16 +43,16 @@ def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
             resolved.append(bundled_library())
         else:
             path = Path(name).expanduser()
-            beside = base / path
-            resolved.append((beside if beside.exists() else path).resolve())
+            below = base / path
+            resolved.append((below if below.exists() else path).resolve())
     return tuple(resolved)
 
 
 class Library:
     """Asset packages of one or more folders, indexed by id.
 
-    ``paths`` are folders that are searched for packages (folders or zips), or packages themselves. Raises
-    :class:`InputError` listing every unreadable package, every duplicate id, and missing folders.
+    ``paths`` are folders that are searched for packages (folders or zip files), or packages. Raises
+    :class:`InputError` with all unreadable packages, duplicate ids and missing folders.
     """
 
     def __init__(self, paths: Iterable[str | Path]):
@@ -107,34 +107,32 @@ class Library:
         return asset_id in self._packages
 
     def __iter__(self) -> Iterator[Package]:
-        """Packages in the order of their ids."""
+        """Yield the packages in the order of their ids."""
         return (self._packages[asset_id] for asset_id in sorted(self._packages))
 
     @cached_property
     def sha256(self) -> str:
-        """Hash over the content of every package; equal libraries have equal hashes on any path."""
+        """Hash of the content of all packages, independent of their paths."""
         return sha256_hex(canonical_json({package.id: package.sha256 for package in self}))
 
     def package(self, asset_id: str) -> Package:
-        """The package with that id. The :class:`InputError` for an unknown id suggests similar ids."""
+        """The package with this id. Raises :class:`InputError`, with similar ids, if there is none."""
         if asset_id in self._packages:
             return self._packages[asset_id]
         near = difflib.get_close_matches(asset_id, self._packages, 3)
-        hint = f"did you mean {', '.join(near)}?" if near else "add the folder that holds it with --library"
+        hint = f"did you mean {', '.join(near)}?" if near else "add its folder with --library"
         where = ", ".join(str(p) for p in self.paths) or "empty library"
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 
     def including(self, package: Package) -> Library:
-        """This library with ``package`` added, or replacing the package of the same id; all other packages
-        are shared.
-        """
+        """A copy of this library with ``package`` added, in place of one with the same id."""
         other = copy.copy(self)
         other._packages = {**self._packages, package.id: package}
         other.__dict__.pop("sha256", None)
         return other
 
     def root_of(self, package: Package) -> Path:
-        """The folder of :attr:`paths` in which a package was found."""
+        """The one of :attr:`paths` in which a package was found."""
         return next(root for root in self.paths if package.path.is_relative_to(root))
 
     def select(
@@ -147,8 +145,8 @@ class Library:
     ) -> list[Package]:
         """Packages of a kind in the order of their ids.
 
-        ``category`` filters objects, ``material_class`` filters materials by any of their classes. Assets
-        marked ``evaluation_only`` are left out unless ``for_training`` is False.
+        ``category`` filters objects, ``material_class`` any asset by :func:`asset_classes`. Assets marked
+        ``evaluation_only`` are excluded unless ``for_training`` is False.
         """
         chosen = []
         for package in self:
@@ -163,7 +161,7 @@ class Library:
         return chosen
 
     def categories(self, *, for_training: bool = True) -> list[str]:
-        """Categories of the available objects, sorted."""
+        """Sorted categories of the objects, without ``evaluation_only`` ones if ``for_training``."""
         objects = self.select("object", for_training=for_training)
         return sorted({p.asset.category for p in objects if isinstance(p.asset, ObjectAsset)})
 
@@ -174,7 +172,7 @@ class Library:
 
 
 def find_packages(root: Path) -> list[Path]:
-    """Packages at or below a folder, sorted. Entries that start with '.' (half-written) are skipped."""
+    """Sorted packages at or below a folder, without unfinished ones, whose names start with '.'."""
     if is_package(root):
         return [root]
     found: list[Path] = []
@@ -192,7 +190,7 @@ def find_packages(root: Path) -> list[Path]:
 
 
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
-    """Classes of a material, or of the slots of an object or room."""
+    """Classes of a material, or the main classes of the slots of an object or room; empty for a panorama."""
     if isinstance(asset, PanoramaAsset):
         return ()
     if isinstance(asset, MaterialAsset):
@@ -202,7 +200,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A row of the library's table. ``detail``: category, classes, time of day, or the counts of a room."""
+    """A row of the library's table; ``detail`` is category, classes, time of day or a room's counts."""
 
     id: str
     kind: AssetKind
@@ -216,7 +214,7 @@ class AssetSummary:
 
 
 def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
-    """Summary of a package; the hash, which needs all of its files, is optional."""
+    """The row of a package; its hash, which requires reading all files, is optional."""
     asset = package.asset
     if isinstance(asset, ObjectAsset):
         detail = asset.category
@@ -245,7 +243,7 @@ def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
 
 
 def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) -> list[AssetSummary]:
-    """The table behind ``datagen library``: a summary of each asset, by kind, then id."""
+    """The table of ``datagen library``: a row for each asset, by kind, then id."""
     order = list(KIND_FOLDERS)
     with Library(paths) as library:
         return sorted(
@@ -256,7 +254,7 @@ def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) ->
 
 @dataclass(frozen=True)
 class LibraryCheck:
-    """Result of :func:`check_library`: checked packages and their findings."""
+    """Result of :func:`check_library`: number of packages, and their findings."""
 
     num_packages: int
     errors: tuple[Problem, ...]
@@ -266,9 +264,9 @@ class LibraryCheck:
 def check_library(
     paths: Iterable[str | Path], progress: Callable[[int, int], None] = lambda done, total: None
 ) -> LibraryCheck:
-    """Read every mesh and texture of every package; reports the faults of all of them, not just the first.
+    """Read every mesh and texture of all packages and report all faults.
 
-    Unlike :class:`Library` this continues after packages that cannot be opened. ``progress(done, total)``
+    Unlike :class:`Library`, this continues after packages that cannot be opened. ``progress(done, total)``
     counts packages.
     """
     errors: list[Problem] = []
@@ -291,7 +289,7 @@ def check_library(
             continue
         with package:
             if package.id in seen and seen[package.id].resolve() != path.resolve():
-                expected = f"a unique id; {seen[package.id]} has it too"
+                expected = f"a unique id; {seen[package.id]} has the same"
                 errors.append(Problem(path, "id", repr(package.id), expected, "rename one"))
             seen.setdefault(package.id, path)
             report = check_package(package)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommands ``plan``, ``run`` and ``estimate`` of ``datagen``, which defer heavy imports."""
+"""The subcommands ``plan``, ``run`` and ``estimate`` of ``datagen``; heavy modules are imported in them."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ STAGES = ("render", "stats", "pack")
 RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), or the name of a bundled recipe.")]
 LibraryOption = Annotated[
     list[str] | None,
-    typer.Option("--library", help='Library folder, repeatable; "bundled" is the project\'s own.'),
+    typer.Option("--library", help='Library folder, repeatable; "bundled" is that of the project.'),
 ]
 WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes to use.")]
-DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check everything, print it, stop.")]
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the input, print the plan, stop.")]
 
 
 @dataclass(frozen=True)
 class RecipeChanges:
-    """Options that override the recipe; None keeps the recipe's value."""
+    """Options that override values of the recipe; None keeps a value."""
 
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None
@@ -42,9 +42,7 @@ class RecipeChanges:
     views: Annotated[int | None, typer.Option(help="Views per configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
-        """The recipe's file, which may be a bundled file, and the recipe; flags override the file, which
-        overrides defaults.
-        """
+        """The path of the recipe, which may be a bundled one, and the recipe with the given options."""
         from datagen.formats.base import parse_model, read_yaml
         from datagen.formats.recipe import Recipe
 
@@ -59,28 +57,26 @@ class RecipeChanges:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run. ``only`` and ``unit``: None for all; ``attempts``: 0 runs the unit in this
-    process.
-    """
+    """Options of a run; ``only`` and ``unit`` None run all stages and units."""
 
     only: Annotated[
         Literal["render", "stats", "pack", "index"] | None,
-        typer.Option(help="One stage alone: views, their multi-view statistics, shards, or the index."),
+        typer.Option(help="Only this stage: views, their multi-view statistics, shards, or the index."),
     ] = None
-    unit: Annotated[int | None, typer.Option(min=0, help="One unit alone, by its index in the plan.")] = None
+    unit: Annotated[int | None, typer.Option(min=0, help="Only this unit, by its index in the plan.")] = None
     attempts: Annotated[
         int,
         typer.Option(
-            min=0, help="Tries per unit before it counts as failed; 0: --unit once, in this process."
+            min=0, help="Attempts per unit before it counts as failed; 0: run --unit once in this process."
         ),
     ] = 3
-    deep: Annotated[bool, typer.Option("--deep", help="Hash every shard again for the index.")] = False
+    deep: Annotated[bool, typer.Option("--deep", help="Check the hash of every shard for the index.")] = False
     sheets: Annotated[bool, typer.Option(help="Write a contact sheet for each configuration.")] = True
     space_check: Annotated[
-        bool, typer.Option(help="Refuse to begin if the disk is too small for the estimate.")
+        bool, typer.Option(help="Start only if the disk has space for the estimated need.")
     ] = True
     preview: Annotated[
-        bool, typer.Option("--preview", help="Keep OUT/preview.html current: last views, rate, failures.")
+        bool, typer.Option("--preview", help="Update OUT/preview.html: latest views, rate, failures.")
     ] = False
 
     @property
@@ -112,18 +108,15 @@ def plan(
 def run(
     source: Annotated[
         Path,
-        typer.Argument(metavar="RECIPE|FOLDER", help="Recipe as for plan, with --out; or a planned folder."),
+        typer.Argument(metavar="RECIPE|FOLDER", help="Recipe, with --out; or a folder with a plan."),
     ],
     changes: RecipeChanges,
     options: RunOptions,
-    out: Annotated[
-        Path | None, typer.Option(help="Dataset folder to write; left out for a planned folder.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Dataset folder to write, for a recipe.")] = None,
     workers: WorkersOption = 1,
     dry_run: DryRunOption = False,
 ) -> None:
-    """Plan, render, compute statistics, pack and index; interrupt at any time and continue with the same
-    command.
+    """Plan, render, compute statistics, pack and index; the same command continues an interrupted run.
 
     With --unit: the command of job scripts, and with --attempts 0 the way to reproduce a failure. Exit codes:
     0 done, 75 interrupted (run it again), 1 failed.
@@ -160,15 +153,15 @@ def run(
 def _check_planned(folder: Path, changes: RecipeChanges) -> None:
     """Raise :class:`InputError` if a recipe or its options are given without ``--out``."""
     if folder.is_file() or (not folder.exists() and str(folder) in bundled_names("recipes")):
-        raise input_error("--out", got="missing", expected="the dataset folder to write", remedy="name it")
+        raise input_error("--out", got="missing", expected="the dataset folder to write", remedy="add it")
     given = [name for name, value in asdict(changes).items() if value is not None]
     if given:
-        expected = "a recipe and --out; a planned folder has its recipe"
+        expected = "a recipe and --out; a folder with a plan contains its recipe"
         raise input_error(f"--{given[0]}", got=str(folder), expected=expected, remedy="leave the option out")
 
 
 def _check_and_print(recipe: Recipe, base: Path) -> None:
-    """Check everything that would stop a run at its start, and print the resolved recipe."""
+    """Check whatever may stop a run at its start, and print the resolved recipe."""
     import yaml
 
     from datagen.farm.planning import check_start
@@ -185,9 +178,7 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 
 
 def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    """Plan ``recipe`` into ``out``, with a progress bar and a summary; ``base`` is the folder of its relative
-    paths.
-    """
+    """Plan ``recipe`` into ``out`` and print a summary; ``base`` is the folder of its relative paths."""
     from datagen.farm.planning import create_plan, read_configurations
     from datagen.inspection.plan_summary import plan_summary
 
@@ -214,7 +205,7 @@ def _print_left(out: Path, options: RunOptions) -> None:
 
 
 def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
-    """Run one unit in this process, which then exits with the unit's code."""
+    """Run one unit in this process, and exit with the unit's code."""
     from datagen.farm.worker import run_unit_here
 
     def report(stage: str, done: int, total: int) -> None:
@@ -224,11 +215,11 @@ def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
 
 
 def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
-    """Write the index, and contact sheets; the command exits with 1 while units are missing."""
+    """Write the index and, if requested, contact sheets; the command exits with 1 if units are missing."""
     from datagen.farm.collect import collect
 
     def removed(path: Path) -> None:
-        typer.echo(f"removed {path}: nothing rests on it")
+        typer.echo(f"removed {path}, left by a killed attempt")
 
     with Bars("units") as bars:
         index = collect(out, deep, removed, partial(bars.tell, "index"))
@@ -241,14 +232,14 @@ def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
         f"{index.num_bytes / 1e6:,.0f} MB; index in {out / 'index.json'}"
     )
     if index.missing:
-        typer.echo(f"{len(index.missing)} units are not done, {index.missing[0]} the first of them", err=True)
+        typer.echo(f"{len(index.missing)} units are not done, {index.missing[0]} the first", err=True)
         raise typer.Exit(1)
 
 
 def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
-    """Run stages of units with a bar and, if requested, a page.
+    """Run stages of units with a progress bar and, if requested, the preview page.
 
-    The command exits with 75 when interrupted, with 1 if units failed.
+    The command exits with 75 if interrupted, with 1 if units failed.
     """
     from datagen.farm.folder import DatasetFolder
     from datagen.farm.local import LocalOptions, run_local
@@ -279,8 +270,8 @@ def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
             elif kind == "done":
                 finished[unit] = float(views_of[unit])
             else:
-                what = "is tried again" if kind == "retry" else "is set aside"
-                text = f"{unit} {what} ({done}/{total}): {stage}"
+                outcome = "is tried again" if kind == "retry" else "has failed"
+                text = f"{unit} {outcome} ({done}/{total}): {stage}"
                 bars.say(text)
                 if page is not None:
                     page.say(text)
@@ -292,27 +283,27 @@ def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
         summary = run_local(out, local, on_event)
     if page is not None:
         page.update(int(sum(finished.values())), is_over=True)
-    _end(out, summary)
+    _exit_unless_done(out, summary)
 
 
-def _end(out: Path, summary: RunSummary) -> None:
-    """Print why a run stopped or failed, and exit; does nothing if all units are done."""
+def _exit_unless_done(out: Path, summary: RunSummary) -> None:
+    """Print why a run stopped or failed, and exit; do nothing if all units are done."""
     from datagen.farm.worker import EXIT_INTERRUPTED
 
     if summary.interrupted:
-        typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
+        typer.echo("interrupted; finished views are kept, and the same command continues", err=True)
         raise typer.Exit(EXIT_INTERRUPTED)
     if summary.disk_full:
         typer.echo(
-            f"{summary.disk_full}; the run stops, what is finished is kept: make room, then the same\n"
-            "command goes on from here",
+            f"{summary.disk_full}; the run stops, and finished views are kept: free space, then continue\n"
+            "with the same command",
             err=True,
         )
         raise typer.Exit(1)
     for record in summary.failures:
         typer.echo(
             f"{record.id} failed {record.attempts} times: {record.reason}\n"
-            f"  log: {out / record.log}\n  try it alone: {record.command}",
+            f"  log: {out / record.log}\n  reproduce: {record.command}",
             err=True,
         )
     if summary.failures:
@@ -338,5 +329,5 @@ def estimate(
     with Bars("samples") as bars:
         result = run_estimate(recipe, opened, partial(bars.tell, "timing samples"))
     existing = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
-    has_room = print_estimate(result, workers, shutil.disk_usage(existing).free, as_json)
-    raise typer.Exit(0 if has_room else 1)
+    has_space = print_estimate(result, workers, shutil.disk_usage(existing).free, as_json)
+    raise typer.Exit(0 if has_space else 1)

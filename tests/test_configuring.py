@@ -132,7 +132,7 @@ def test_answers_that_cannot_be_write_nothing(tmp_path: Path) -> None:
             write_recipe(tmp_path / "r.yaml", *answers)
     assert list(tmp_path.iterdir()) == []
     write_recipe(tmp_path / "r.yaml", 1, 2, "64x48", "draft")
-    with pytest.raises(InputError, match="a file that is there"):
+    with pytest.raises(InputError, match="an existing file"):
         write_recipe(tmp_path / "r.yaml", 1, 2, "64x48", "draft")
 
 

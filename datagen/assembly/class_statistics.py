@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Statistics of the materials of each class in a library, from which ``CLASS_RANGES`` was derived.
+"""Statistics of the materials of each class in a library, the source of ``CLASS_RANGES``.
 
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
-For each main class, this prints the number of materials, the 5th, 50th and 95th percentiles, over materials,
-of the brightest channel of mean D and of mean R, each with its limits of variation, and the spread of texels
-about the material's mean: hue (as a share of a turn), saturation and value as factors, roughness as an offset
-(medians over the materials of the root mean square).
+For each main class, this prints the number of materials, the 5th, 50th and 95th percentiles over materials of
+the brightest channel of mean D and of mean R, each with its limits of variation, and the standard deviation
+of a material's texels (median over materials): of hue in turns, of saturation and value as factors, of R.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
 from datagen.library import Library
 
-_STRIDE_PX = 128  # spreads need fewer texels than means
+_MAX_SIDE_TEXELS = 128  # textures are subsampled to this size: spreads need fewer texels than means
 _MIN_SATURATION = 0.05  # hue and saturation of greys are noise
 
 
 @dataclass(frozen=True)
 class MaterialSample:
-    """Averages and spreads of one material; a spread is NaN where the channel is constant."""
+    """Brightest channel of mean D, mean R, and spreads over texels (NaN for a constant channel)."""
 
     value: float
     roughness: float
@@ -44,6 +43,7 @@ class MaterialSample:
 
 
 def _spread_of_color(texels: NDArray) -> tuple[float, float, float]:
+    """Spreads of hue (turns), saturation and value (factors) over texels (H, W, 3)."""
     import cv2
 
     hsv = cv2.cvtColor(np.ascontiguousarray(texels, dtype=np.float32), cv2.COLOR_RGB2HSV).reshape(-1, 3)
@@ -60,12 +60,12 @@ def _spread_of_color(texels: NDArray) -> tuple[float, float, float]:
 
 
 def sample_material(package: Package, material: Material, means: MeanMaterials) -> MaterialSample:
-    """Averages and spreads of a material of a package."""
+    """The sample of a material of a package."""
     mean = means.mean(package, material)
 
     def texels(texture: Texture, is_scalar: bool) -> NDArray:
         pixels = read_image(package.local_file(texture.texture))
-        step = max(1, max(pixels.shape[:2]) // _STRIDE_PX)
+        step = max(1, max(pixels.shape[:2]) // _MAX_SIDE_TEXELS)
         return texture_values(texture, pixels[::step, ::step], is_scalar)
 
     nan = float("nan")
@@ -78,7 +78,7 @@ def sample_material(package: Package, material: Material, means: MeanMaterials) 
 
 
 def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
-    """Samples by main class of all opaque, non-emissive materials and slots."""
+    """Samples of all opaque, non-emissive materials and slots, by main class."""
     means = MeanMaterials()
     found: dict[str, list[MaterialSample]] = defaultdict(list)
     for package in library:
@@ -96,7 +96,7 @@ def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
 
 
 def main(paths: list[str]) -> int:
-    """Print the table; returns the exit code."""
+    """Print the table for the libraries at ``paths``; returns the exit code, 2 for bad input."""
     try:
         with Library([Path(p) for p in paths]) as library:
             found = sample_library(library)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Coverage of a configuration by its views, from rays at low resolution.
+"""Measures the coverage of a configuration by its views, from rays at low resolution.
 
-Letters: V views, P points of a view, M triangles.
+Letters: P points of all views, M triangles.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from datagen.foundation.cameras import Camera
 PREVIEW_WIDTH_PX = 64
 MIN_SHELL_PIXELS = 0.03  # of the image: minimum area for a wall to count as visible
 _WALLS: tuple[Surface, ...] = ("wall", "tiles")
-_POINTS = 400
-_DEPTH_SLACK = 2e-3  # of the distance: keeps the point's own surface from occluding it
+_POINTS = 400  # approximate number of surface points sampled per view
+_DEPTH_SLACK = 2e-3  # relative shortening of visibility rays: keeps a point's own surface from occluding it
 _QUADRANTS = 4
 
 
 def preview_of(camera: Camera) -> Camera:
-    """The camera at the low resolution of the coverage checks."""
+    """The camera with its image scaled down to at most :data:`PREVIEW_WIDTH_PX` columns."""
     width = min(PREVIEW_WIDTH_PX, camera.width_px)
     return camera.scaled(width, max(8, round(width * camera.height_px / camera.width_px)))
 
 
 @dataclass(frozen=True)
 class Shell:
-    """Walls and ceiling of a room, found by each slot's ``surface`` label."""
+    """Walls and ceiling of a scene's room; ``surfaces`` is the kind of surface by slot of the room."""
 
     scene: WorldScene
     surfaces: dict[str, Surface]
 
     @cached_property
     def _label_of_face(self) -> NDArray[np.int64]:
-        """0 for other faces, 1 for the ceiling, 2 to 5 for walls by the direction that they face."""
+        """1 for the ceiling, 2 to 5 for walls by the direction of their normal, 0 for other faces; (M,)."""
         scene = self.scene
         parts = scene.geometries[0].asset.parts
         kinds = np.array([self.surfaces.get(part.material, "small") for part in parts])
@@ -53,14 +53,14 @@ class Shell:
         return np.where(kind == "ceiling", 1, np.where(is_wall, 2 + quarter, 0))
 
     def is_room(self, faces: NDArray[np.int64], num_pixels: int) -> bool:
-        """Whether an image shows two walls, or a wall and the ceiling, from the faces hit by its pixels."""
+        """Whether ``faces``, hit by an image's pixels, show two walls, or a wall and the ceiling."""
         pixels = np.bincount(self._label_of_face[faces], minlength=2 + _QUADRANTS)[1:]
         seen = pixels >= MIN_SHELL_PIXELS * num_pixels
         return bool(seen[1:].any() and seen.sum() >= 2)
 
 
 def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
-    """Mask of surface points (P, 3) that lie inside the camera's image and are not occluded."""
+    """Mask (P,) of the surface points (P, 3) that project into the camera's image and are not occluded."""
     pixels, depth = camera.project(points)
     limits = [camera.width_px, camera.height_px]
     with np.errstate(invalid="ignore"):
@@ -78,7 +78,7 @@ def measure(
     assigned: tuple[dict[str, MeanMaterial], ...],
     cameras: list[Camera],
 ) -> ViewCoverage:
-    """Coverage of a scene by its views; ``assigned`` are the mean materials of room and objects, by slot."""
+    """Coverage of a scene by its views; ``assigned``: mean materials by slot, of room and objects."""
     previews = [preview_of(camera) for camera in cameras]
     hits: list[Hits] = []
     points: list[Floats] = []
@@ -110,7 +110,7 @@ def _share(count: int, of: int) -> float:
 
 
 def _of_faces(scene: WorldScene, assigned: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
-    """Brightest channel of mean S and mean R of every triangle, (M,) each."""
+    """Brightest channel of mean S, and mean R, of every triangle's material, (M,) each."""
     tables = [
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
         for g, w in zip(scene.geometries, assigned, strict=True)

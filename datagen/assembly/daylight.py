@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Light from outside: radiance of skies and environment images by direction, and suns that reach a room."""
+"""Light from outside: radiance of skies and environment images by direction, and directions of the sun."""
 
 from __future__ import annotations
 
@@ -27,9 +27,7 @@ _SUN_TRIES = 24
 
 
 def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) -> Floats:
-    """World directions (rows, columns, 3) of an equirectangular image's cells; its centre column is +Y, its
-    top +Z.
-    """
+    """Unit directions (rows, columns, 3) of an equirectangular image's pixels: centre +Y, top +Z."""
     polar = (np.arange(rows) + 0.5) / rows * math.pi
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * math.pi
     sine = np.sin(polar)[:, None]
@@ -44,7 +42,7 @@ def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) 
 
 
 def lookup(table: Floats) -> EnvironmentMap:
-    """A function that looks up radiance in an equirectangular table (rows, columns, 3), nearest cell."""
+    """A function from directions to the nearest radiance in an equirectangular table (rows, columns, 3)."""
     rows, columns = table.shape[:2]
 
     def radiance(directions: Floats) -> Floats:
@@ -58,7 +56,7 @@ def lookup(table: Floats) -> EnvironmentMap:
 
 
 def environment_radiance(light: EnvironmentLight, library: Library) -> EnvironmentMap:
-    """Radiance by world direction of an environment light, its image averaged over cells of 5.6 degrees."""
+    """An environment light's radiance as a function of world direction, averaged over 5.6 degrees."""
     if light.image is None:
         constant = light.scale * np.array(light.radiance)
         return lambda directions: np.broadcast_to(constant, directions.shape)
@@ -81,13 +79,13 @@ def _image_table(library: Library, asset: str, image: str) -> Floats:
 
 
 def sky_radiance(light: SkyLight) -> EnvironmentMap:
-    """Radiance by direction of a sky without its sun, in the renderer's units."""
+    """A sky's radiance as a function of world direction, without its sun."""
     table = _sky_table(light.sun_direction, light.turbidity, light.ground_albedo)
     return lookup(light.sky_scale * table)
 
 
 def sun_of(light: SkyLight) -> DirectionalLight:
-    """The sun of a sky as a directional light of equal irradiance."""
+    """A directional light with the direction and irradiance of a sky's sun."""
     irradiance = light.sun_scale * _sun_irradiance(light.sun_direction, light.turbidity, light.ground_albedo)
     direction = -np.array(light.sun_direction) / np.linalg.norm(light.sun_direction)
     return DirectionalLight(
@@ -127,7 +125,7 @@ def sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) of Mitsuba's ``sunsky`` emitter along directions, as rendered."""
+    """Radiance (R, 3) of a ``sunsky`` emitter from unit directions; scaled by ``sky``, the sun by ``disc``."""
     select_variant()
     import drjit as dr
     import mitsuba as mi
@@ -149,7 +147,7 @@ def sunsky(
 
 
 def environment_image(library: Library, asset_id: str) -> str:
-    """The image of an asset named by a recipe as a source of daylight. Raises :class:`InputError`."""
+    """File name of an asset's environment image. Raises :class:`InputError` if it has none."""
     asset = library.package(asset_id).asset
     for light in getattr(asset, "lights", ()):
         if (
@@ -162,17 +160,18 @@ def environment_image(library: Library, asset_id: str) -> str:
         library.package(asset_id).path,
         "lights",
         "no environment light with an image",
-        "one, since the recipe names this asset in lights.environment_images",
-        "name an asset whose lights include an environment image",
+        "one, since the recipe lists this asset in lights.environment_images",
+        "list an asset whose lights include an environment image",
     )
 
 
 def draw_sun_direction(
     rays: RayScene, openings: tuple[Opening, ...], targets: Floats, enters: bool, draws: Draws
 ) -> tuple[Floats, bool]:
-    """A direction towards the sun (3,), and whether it lights one of ``targets`` (P, 3) through an opening.
+    """A unit vector (3,) towards the sun, and whether sunlight reaches one of ``targets`` (P, 3).
 
-    With ``enters``, lines from targets through openings are tried until one is steep enough and unobstructed.
+    With ``enters``, directions from targets through openings are tried until one is unobstructed and within
+    :data:`SUN_ELEVATION_RAD`; if none is found, or without ``enters``, the direction is random.
     """
     if enters and openings and len(targets):
         areas = [float(np.linalg.norm(np.cross(o.edge_u_m, o.edge_v_m))) for o in openings]
@@ -197,7 +196,7 @@ def draw_sun_direction(
 
 
 def rotation_about_up(angle_rad: float) -> NDArray[np.float64]:
-    """Rotation about +Z, (4, 4)."""
+    """Rotation matrix (4, 4) about +Z."""
     matrix = np.eye(4)
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     matrix[:2, :2] = [[c, -s], [s, c]]

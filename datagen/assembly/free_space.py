@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Free camera positions: inside regions of the environment or in the view of its own cameras, and outside
-solids.
-"""
+"""Free camera positions, in an environment's camera regions or in the view of its cameras, outside solids."""
 
 from __future__ import annotations
 
@@ -20,20 +18,20 @@ from datagen.foundation.random import Draws
 
 NUM_FEELERS = 96  # rays cast around a camera: 15 degrees between neighbours
 _REACH_M = 6.0  # free space without regions extends this far from the environment's own cameras
-_MAX_BACK_SHARE = 0.35
-_MAX_OPEN_SHARE = 0.75
+_MAX_BACK_SHARE = 0.35  # of these rays: more that hit backs of triangles mean that the camera is in a solid
+_MAX_OPEN_SHARE = 0.75  # of these rays: more that hit nothing mean that the camera is outside the room
 
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Free space of an environment with its objects. ``rays`` is the whole scene."""
+    """Free space of an environment, its objects included in ``rays``, for a range of camera heights."""
 
     environment: EnvironmentAsset
     rays: RayScene
     height_m: tuple[float, float]
 
     def check(self) -> None:
-        """Raise :class:`InputError` if the environment has neither camera regions nor cameras."""
+        """Raise :class:`InputError` without camera regions and cameras, or if all regions are too low."""
         where = f"environment {self.environment.id}"
         if not self.environment.camera_regions and not self.environment.cameras:
             raise input_error(
@@ -41,7 +39,7 @@ class FreeSpace:
                 "camera_regions",
                 "none, and no cameras",
                 "a camera region or a camera",
-                "add one to its asset.json",
+                "add one to the room's asset.json",
             )
         if self.environment.camera_regions and not self._regions:
             spans = [f"{r.minimum_m[2]:g} to {r.maximum_m[2]:g} m" for r in self.environment.camera_regions]
@@ -55,7 +53,7 @@ class FreeSpace:
 
     @cached_property
     def _regions(self) -> list[tuple[Floats, Floats, float]]:
-        """(low, high, weight) of the part of each region within the range of camera heights."""
+        """Corners (3,), (3,) and floor area of the part of each region within the range of camera heights."""
         found = []
         for region in self.environment.camera_regions:
             low, high = np.array(region.minimum_m), np.array(region.maximum_m)
@@ -67,7 +65,7 @@ class FreeSpace:
         return found
 
     def draw(self, draws: Draws) -> Floats | None:
-        """A candidate position (3,); None if the draw has no solution."""
+        """A random position (3,), not yet checked by :meth:`fault`; None if there is no floor below it."""
         if self._regions:
             low, high, _ = draws.weighted(self._regions, [w for _, _, w in self._regions])
             return low + draws.units(3) * (high - low)
@@ -88,9 +86,7 @@ class FreeSpace:
 
     @cached_property
     def trusts_winding(self) -> bool:
-        """Whether the front faces of triangles face free space, judged from the room's own cameras or
-        supports.
-        """
+        """Whether at least 90 % of rays from the room's cameras and above its supports hit front faces."""
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
         for s in self.environment.support_surfaces:
             middle = np.array(s.origin_m) + 0.5 * (np.array(s.edge_u_m) + np.array(s.edge_v_m))
@@ -102,9 +98,7 @@ class FreeSpace:
         return bool(self.rays.sees_back(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
 
     def fault(self, position: Floats, clearance_m: float) -> str:
-        """The reason to reject a position: ``too_close``, ``inside_solid`` or ``outside``; '' if it is
-        free.
-        """
+        """The fault of a position (3,): ``inside_solid``, ``too_close`` or ``outside``; '' if it is free."""
         directions = fibonacci_sphere(NUM_FEELERS)
         hits = self.rays.cast(position, directions)
         backs = int(self.rays.sees_back(hits, directions).sum())
@@ -117,9 +111,9 @@ class FreeSpace:
         return ""
 
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
-        """Up to ``count`` free positions (P, 3), from at most eight times as many draws.
+        """Up to ``count`` free positions (P, 3) from at most ``8 * count`` draws; rejections are counted.
 
-        Raises :class:`InputError` if none is free.
+        Raises :class:`InputError` if no position is free.
         """
         found: list[Floats] = []
         for _ in range(8 * count):
@@ -140,8 +134,8 @@ class FreeSpace:
             raise input_error(
                 f"environment {self.environment.id}",
                 "camera_regions" if self._regions else "cameras",
-                f"no free place for a camera ({counts})",
+                f"no free position for a camera ({counts})",
                 "free space inside the room",
-                "mend its camera_regions: they lie inside geometry or outside the room",
+                "correct camera_regions, which are inside geometry or outside the room",
             )
         return np.array(found).reshape(-1, 3)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Rooms generated for a configuration (``environments.parametric``).
 
-The room follows from (recipe seed, index) alone. It is an environment package in memory; the dataset folder
-stores it in ``rooms/`` for the stages after planning.
+A room is determined by (recipe seed, index, attempt). It is an environment package in memory; planning stores
+it in the dataset's folder ``rooms/`` for later stages.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _KEPT_IN_MEMORY = 4
 
 @dataclass(frozen=True)
 class GeneratedRoom:
-    """An environment package, and the bytes ``data`` of its zip."""
+    """An environment package and the bytes ``data`` of its zip file."""
 
     data: bytes
     package: Package
 
     @cached_property
     def bare_slots(self) -> frozenset[tuple[str, str]]:
-        """(asset id, slot) of slots with only a plain colour, which need a material."""
+        """(asset id, slot) of slots that need a material of the palette, since theirs is a placeholder."""
         asset = self.package.asset
         assert isinstance(asset, EnvironmentAsset)
         return frozenset(
@@ -43,18 +43,21 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """The room of a configuration; None if it comes from the library. Each attempt gives a different room."""
+    """The room of an attempt at configuration ``index``; None if the room comes from the library."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
         return None
     kind = draws.choice(_kinds(wanted))
     seed = f"{recipe.seed}/{index}" if attempt == 0 else f"{recipe.seed}/{index}/{attempt}"
-    return _made(kind, seed, recipe.lights.panoramas is None)
+    return _generated(kind, seed, recipe.lights.panoramas is None)
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """The generated room of a configuration; None if it comes from the library."""
+    """The generated room of a configuration; None if its room comes from the library.
+
+    Raises :class:`ValueError` if none of ``num_tries`` attempts gives the configuration's room.
+    """
     for attempt in range(num_tries):
         room = generated_room(recipe, configuration.index, attempt)
         if room is None or room.package.id == configuration.environment.asset:
@@ -63,10 +66,10 @@ def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> Gen
 
 
 def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
-    """One room of each kind of the recipe, generated on demand."""
+    """Yield one room of each kind that the recipe may generate."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
-        asset = _made(kind, "example", False).package.asset
+        asset = _generated(kind, "example", False).package.asset
         assert isinstance(asset, EnvironmentAsset)
         yield asset
 
@@ -76,5 +79,5 @@ def _kinds(wanted: ParametricRecipe) -> list[str]:
 
 
 @lru_cache(maxsize=_KEPT_IN_MEMORY)
-def _made(kind: str, seed: str, has_scenery: bool) -> GeneratedRoom:
+def _generated(kind: str, seed: str, has_scenery: bool) -> GeneratedRoom:
     return GeneratedRoom(*room_package(kind, seed, has_scenery))

@@ -3,7 +3,7 @@
 
 Letters: N vertices, M triangles, R rays. Positions are metres. Embree traces in float32; distances are then
 computed from the triangle's plane in float64, so that decisions do not depend on rounding. Neither library
-depends on a Mitsuba variant: a plan made on a GPU machine equals one made on a CPU.
+depends on a Mitsuba variant, so plans are equal on machines with and without a GPU.
 """
 
 from __future__ import annotations
@@ -24,27 +24,25 @@ from datagen.foundation.meshes.ply import decode_ply
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_MIN_COSINE = (
-    1e-3  # at flatter angles Embree's own distance is kept: the plane equation would divide by almost nothing
-)
+_MIN_COSINE = 1e-3  # below, Embree's distance is kept: the plane equation would divide by almost 0
 _MAX_CACHED_TRIANGLES = 6_000_000  # about 1 GB with search trees
 
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of R rays: ``distance_m`` (R,), inf where nothing was hit; ``face`` (R,), -1 there."""
+    """First hits of R rays: ``distance_m`` (R,), index ``face`` (R,) of the triangle; inf, -1 for misses."""
 
     distance_m: Floats
     face: Ints
 
     @property
     def hit_mask(self) -> NDArray[np.bool_]:
-        """True where something was hit, (R,)."""
+        """Whether each ray hit a triangle, (R,)."""
         return self.face >= 0
 
 
 class RayScene:
-    """Triangles for ray queries. ``normals`` (M, 3) are geometric, by the winding."""
+    """Triangles for ray queries, with unit ``normals`` (M, 3) by winding and ``areas`` (M,) in m²."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -91,7 +89,7 @@ class RayScene:
         return Hits(distance, face)
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike) -> NDArray:
-        """Whether anything lies within the distance along unit directions, (R,) bool."""
+        """Whether rays along unit ``directions`` (R, 3) hit anything within ``max_distance_m``, (R,) bool."""
         directions = np.ascontiguousarray(directions, dtype=np.float32).reshape(-1, 3)
         count = len(directions)
         if count == 0 or len(self.faces) == 0:
@@ -102,7 +100,7 @@ class RayScene:
         return self._embree.run(origins, directions, dists=limits, query="OCCLUDED") != -1
 
     def sees_back(self, hits: Hits, directions: Floats) -> NDArray:
-        """Whether a ray hits the back of its triangle, (R,) bool; False for misses."""
+        """Whether each ray along ``directions`` (R, 3) hit the back of a triangle, (R,); False for misses."""
         cosine = np.einsum("ij,ij->i", self.normals[np.maximum(hits.face, 0)], directions)
         return hits.hit_mask & (cosine > 0)
 
@@ -111,8 +109,8 @@ class RayScene:
 class AssetGeometry:
     """All parts of an asset as one triangle soup in the asset's frame.
 
-    ``part_of_face`` (M,) indexes ``asset.parts``. ``opaque_part``: whether a part blocks light (opacity
-    textured, or constant and at least one half).
+    ``part_of_face`` (M,) indexes ``asset.parts``. ``opaque_part`` tells for each part whether it blocks
+    light: its opacity is absent, textured, or at least 0.5.
     """
 
     asset: ObjectAsset | EnvironmentAsset
@@ -123,19 +121,17 @@ class AssetGeometry:
 
     @cached_property
     def minimum_m(self) -> Floats:
-        """Least coordinates of any used vertex, (3,)."""
+        """Lower corner (3,) of the bounding box of all vertices that a triangle uses."""
         return self.vertices[self.faces.ravel()].min(axis=0)
 
     @cached_property
     def maximum_m(self) -> Floats:
-        """Largest coordinates of any used vertex, (3,)."""
+        """Upper corner (3,) of the bounding box of all vertices that a triangle uses."""
         return self.vertices[self.faces.ravel()].max(axis=0)
 
     @cached_property
     def center_of_mass_m(self) -> Floats:
-        """Centroid (3,) of the surface, taken as a shell of uniform density, since open meshes have no
-        volume.
-        """
+        """Area-weighted centroid (3,) of the surface, since open meshes have no volume."""
         corners = self.vertices[self.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(cross, axis=1)
@@ -148,12 +144,12 @@ class AssetGeometry:
 
     @cached_property
     def rays(self) -> RayScene:
-        """All triangles, opaque or not, for contact queries."""
+        """All triangles, opaque or not, in the asset's frame."""
         return RayScene(self.vertices, self.faces)
 
 
 def load_geometry(package: Package) -> AssetGeometry:
-    """Read every mesh of an object or environment. Raises :class:`InputError` for unusable meshes."""
+    """Read all meshes of an object or environment. Raises :class:`InputError` for unusable ones."""
     asset = package.asset
     if not isinstance(asset, ObjectAsset | EnvironmentAsset):
         raise TypeError(f"{asset.id} is a {asset.kind}; expected an object or environment")
@@ -170,7 +166,7 @@ def load_geometry(package: Package) -> AssetGeometry:
         faces.append(turned + start)
         parts.append(np.full(len(turned), index, dtype=np.int32))
         start += len(moved)
-    opaque = np.array([_stops_light(asset, part.material) for part in asset.parts])
+    opaque = np.array([_is_opaque(asset, part.material) for part in asset.parts])
     return AssetGeometry(
         asset, np.concatenate(vertices), np.concatenate(faces).astype(np.int32), np.concatenate(parts), opaque
     )
@@ -193,20 +189,20 @@ def _sound_mesh(package: Package, name: str) -> Mesh:
     return mesh
 
 
-def _stops_light(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
+def _is_opaque(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
     opacity = asset.materials[material].opacity
     return opacity is None or isinstance(opacity, Texture) or opacity >= 0.5
 
 
 class GeometryCache:
-    """Least-recently-used cache of geometry by package hash; one per process."""
+    """Cache of geometry by package hash; evicts the least recently used above ``max_triangles`` in all."""
 
     def __init__(self, max_triangles: int = _MAX_CACHED_TRIANGLES):
         self._max_triangles = max_triangles
         self._entries: OrderedDict[str, AssetGeometry] = OrderedDict()
 
     def get(self, package: Package) -> AssetGeometry:
-        """The package's geometry, read if needed."""
+        """The package's geometry, read if it is not in the cache."""
         key = package.sha256
         if key in self._entries:
             self._entries.move_to_end(key)
@@ -221,7 +217,7 @@ class GeometryCache:
 
 
 class CollisionModel:
-    """A triangle soup that FCL tests exactly, triangle against triangle, under a rigid motion."""
+    """A triangle soup for exact tests by FCL, triangle against triangle, at rigid poses."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         import fcl
@@ -236,21 +232,21 @@ class CollisionModel:
         self._fcl = fcl
 
     def at(self, rotation: Floats | None = None, translation: Floats | None = None) -> Any:
-        """An FCL collision object of this model at a pose."""
+        """An FCL collision object of this model under a rotation (3, 3) and translation (3,)."""
         rotation = np.eye(3) if rotation is None else rotation
         translation = np.zeros(3) if translation is None else translation
         return self._fcl.CollisionObject(self._model, self._fcl.Transform(rotation, translation))
 
 
 def intersects(one: Any, other: Any) -> bool:
-    """Whether the surfaces of two placed FCL objects meet."""
+    """Whether the surfaces of two FCL collision objects intersect."""
     import fcl
 
     return fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
 
 def distance_m(one: Any, other: Any) -> float:
-    """Least distance between the surfaces of two placed FCL objects; 0 or less where they meet."""
+    """Least distance between the surfaces of two FCL collision objects; 0 if they intersect."""
     import fcl
 
     if intersects(one, other):
@@ -259,16 +255,16 @@ def distance_m(one: Any, other: Any) -> float:
 
 
 def world_points(world_from_asset: ArrayLike, points: Floats) -> Floats:
-    """Points (N, 3) under an affine (4, 4) transform."""
+    """Points (N, 3) transformed by an affine matrix (4, 4)."""
     matrix = np.asarray(world_from_asset, dtype=np.float64)
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 class WorldScene:
-    """Environment and placed objects as one set of opaque triangles.
+    """All opaque triangles of an environment and of placed objects (geometry, ``world_from_asset``).
 
-    ``item_of_face`` (M,): 0 is the environment, k the k-th object. ``instance_of_face`` (M,): one number per
-    part of the environment, then one per object. ``num_environment_parts`` separates the two ranges.
+    ``item_of_face`` (M,) is 0 for the environment, k for the k-th object. ``instance_of_face`` (M,) is the
+    index of a part of the environment, or ``num_environment_parts`` plus the index of an object.
     """
 
     def __init__(self, environment: AssetGeometry, objects: list[tuple[AssetGeometry, NDArray]]):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Brightness of lights: a probe of the finished room sets the intensity of every group.
+"""Sets the intensity of every group of lights by a path-traced probe of the furnished room.
 
 The probe gives each group's contribution to the mean irradiance at camera positions; shares are drawn
-log-uniformly, each from its range, and scaled so that their sum is the irradiance drawn from the recipe. A
-light without contribution is dropped and counted. If the room has a panorama, lamps are white-balanced.
+log-uniformly, each from its range, and scaled so that their sum is the irradiance drawn from the recipe.
+Groups without contribution are dropped and counted. With panoramas in the recipe, lamps are white-balanced.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 from datagen.library import Library
 
-_NEGLIGIBLE = 1e-9  # of the strongest group's irradiance at unit intensity; below, no light arrives
+_NEGLIGIBLE = 1e-9  # nominal irradiance, relative to the strongest group's, below which a group is dropped
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """Lights at their final intensities, emission by placed asset, and the probe for further queries."""
+    """Lights and emissive slots at their final intensities; ``gains`` are the probe's groups' factors."""
 
     lights: tuple[Light, ...]
     emission: tuple[dict[str, tuple[float, float, float]], ...]
@@ -46,7 +46,7 @@ class Lighting:
     mean_irradiance: float
 
     def shows_light(self, origins: Floats, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
-        """Whether rays (R, 3) hit a luminous surface directly; such pixels have no material."""
+        """Whether rays (R, 3) with these hits see a luminous surface, which has no material; (R,)."""
         shown = np.zeros(len(directions), dtype=bool)
         for group, gain in zip(self.probe.groups, self.gains, strict=True):
             if gain > 0 and group.emitters is not None:
@@ -57,7 +57,7 @@ class Lighting:
         return shown
 
     def luminance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
-        """Luminance (R,) along rays."""
+        """Luminance (R,) of reflected light along rays (R, 3), in W/(m² sr)."""
         radiance = self.probe.radiance(origins, directions, draws)
         return np.einsum("rgc,g,c->r", radiance, np.array(self.gains), LUMINANCE)
 
@@ -69,7 +69,10 @@ def light_room(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> Lighting:
-    """Choose lights and set their intensities. Raises :class:`InputError`."""
+    """Choose lights and set their intensities; ``key`` seeds the draws.
+
+    Raises :class:`InputError` if no light reaches the camera positions.
+    """
     groups = plan_lights(room, recipe, library, key, rejections)
     probe, irradiance = _probe(room, groups, library, key)
     arriving = (irradiance @ LUMINANCE).mean(axis=0)
@@ -88,8 +91,8 @@ def light_room(
             f"environment {room.environment.id}",
             "lights",
             f"no light reaches the camera positions ({counts or 'no light at all'})",
-            "at least one light that does",
-            "add light slots, openings or lights to its asset.json, or mend its camera regions",
+            "at least one light that reaches them",
+            "add light slots, openings or lights to the room's asset.json, or correct its camera regions",
         )
     rejections["light.no_effect"] += int((~useful).sum())
     draws = Draws(*key, "intensity")
@@ -113,7 +116,7 @@ def light_room(
 
 
 def _named(lights: list[Light]) -> tuple[Light, ...]:
-    """The lights, with numbers added to names that occur more than once."""
+    """The lights with unique names: a number is appended to repeated ones."""
     seen: Counter[str] = Counter()
     named = []
     for light in lights:
@@ -126,7 +129,7 @@ def _named(lights: list[Light]) -> tuple[Light, ...]:
 def _emission(
     room: RoomToLight, groups: list[PlannedGroup], gains: list[float], tint: Tint
 ) -> tuple[dict[str, tuple[float, float, float]], ...]:
-    """Radiance of every emissive slot by placed asset; 0 for slots that belong to no group."""
+    """Radiance of every emissive slot of each placed asset; 0 for slots that belong to no group."""
     gain_of = {slot: gain for group, gain in zip(groups, gains, strict=True) for slot in group.slots}
     emission = []
     for item, asset in enumerate(room.assets):
@@ -183,7 +186,7 @@ def _emitters(room: RoomToLight, group: PlannedGroup) -> Emitters | None:
 
 
 def _albedo_of_faces(room: RoomToLight) -> Floats:
-    """Reflected share of the light (M, 3): D (1 - S) + S of each triangle's assigned material."""
+    """Albedo (M, 3) of each triangle, D (1 - S) + S of its assigned material, at most 0.95."""
     tables = []
     for asset, assigned in zip(room.assets, room.assigned, strict=True):
         rows = []

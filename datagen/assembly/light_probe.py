@@ -2,9 +2,9 @@
 """A small diffuse path tracer, for exposure and for the rejection of dark views.
 
 Surfaces are diffuse with albedo D (1 - S) + S, the reflectance of the project's BSDF at normal incidence.
-Radiance is returned per light group, so that one run serves all intensities. A few thousand paths take a
-tenth of a second, with an error of about ten percent; the result is a pure function of the arguments.
-Letters: R rays, G groups.
+Radiance is returned per group of lights, so one run serves all intensities. A few thousand paths take a tenth
+of a second, with a relative error of about 10 %; the result is a pure function of the arguments.
+Letters: M triangles, R rays, G groups.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from datagen.foundation.random import Draws
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 NUM_BOUNCES = 5
-_OFFSET_M = 1e-4  # rays start this far off a surface: float32 positions in a room are good to 1e-6
-_MAX_LIGHTS_A_STEP = 6  # in larger groups one sampled light represents all
+_OFFSET_M = 1e-4  # rays start this far from a surface: float32 positions in a room have errors of 1e-6
+_MAX_LIGHTS_A_STEP = 6  # in larger groups, one light is sampled per step
 _MAX_TAIL_ALBEDO = 0.9  # bounds the geometric series of albedos near 1, which would amplify a noisy estimate
 
 EnvironmentMap = Callable[[Floats], Floats]
-"""Radiance (R, 3) from unit directions (R, 3)."""
+"""A function from unit directions (R, 3) to the radiance (R, 3) that arrives from them."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Emitters:
 
 @dataclass(frozen=True)
 class LightGroup:
-    """Lights that are dimmed together. ``sky`` is the radiance from outside, without the sun's disc."""
+    """Lights scaled by one factor. ``sky`` is the radiance from outside, without the discs of ``suns``."""
 
     lights: tuple[Light, ...] = ()
     emitters: Emitters | None = None
@@ -59,7 +59,7 @@ class LightGroup:
 
 
 class LightProbe:
-    """Light transport in one scene. ``albedo`` (M, 3) per triangle of ``scene.rays``."""
+    """Path tracer of one scene; ``albedo`` (M, 3) is that of each triangle of ``scene.rays``."""
 
     def __init__(
         self, scene: WorldScene, albedo: Floats, groups: list[LightGroup], openings: tuple[Opening, ...]
@@ -70,10 +70,10 @@ class LightProbe:
         self.openings = [Rectangle.of(o) for o in openings]
 
     def irradiance(self, points: Floats, draws: Draws, rays_per_point: int = 8) -> Floats:
-        """Irradiance (P, G, 3) in W/m^2 at free points (P, 3), averaged over the orientation of the receiver.
+        """Irradiance (P, G, 3) in W/m² at points (P, 3), averaged over orientations of the receiver.
 
-        The result is a quarter of the fluence rate, sampled by emitters for direct light and by random rays
-        for indirect light.
+        This is a quarter of the fluence rate. Direct light is sampled at emitters, indirect light by
+        ``rays_per_point`` uniform rays.
         """
         count = len(points)
         direct = np.zeros((count, len(self.groups), 3))
@@ -85,10 +85,10 @@ class LightProbe:
         return direct + math.pi * indirect.reshape(shape).mean(axis=1)
 
     def radiance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
-        """Reflected radiance (R, G, 3) along rays, without directly visible lights.
+        """Reflected radiance (R, G, 3) along rays (R, 3), without directly visible lights.
 
-        Light through an opening is sampled at the opening; rays that leave the scene elsewhere add the
-        background, so that nothing is counted twice.
+        Light through openings is sampled at the openings, so rays that leave the scene add the background
+        only elsewhere; directly visible background is included there.
         """
         count = len(origins)
         total = np.zeros((count, len(self.groups), 3))
@@ -99,7 +99,7 @@ class LightProbe:
             keep, missed = hits.hit_mask, ~hits.hit_mask
             self._add_escaped(total, index[missed], weight[missed], origins[missed], directions[missed])
             if bounce == NUM_BOUNCES:
-                break  # the last segment only collects light from outside
+                break  # the last segment only adds light from outside
             index, weight, face = index[keep], weight[keep], hits.face[keep]
             if len(index) == 0:
                 break
@@ -132,7 +132,7 @@ class LightProbe:
                 total[index[free], k] += weight[free] * group.sky(directions[free])
 
     def _direct(self, points: Floats, normals: Floats | None, group: LightGroup, draws: Draws) -> Floats:
-        """Irradiance (R, 3) directly from a group: on surfaces or, without normals, as fluence."""
+        """Direct irradiance (R, 3) of a group on surfaces; its fluence rate if ``normals`` is None."""
         arriving = np.zeros((len(points), 3))
         lights: list[Light] = [*group.lights, *group.suns]
         share = 1.0
@@ -191,8 +191,8 @@ class LightProbe:
 
 @dataclass(frozen=True)
 class _Sample:
-    """Emitter sample for R points: unit ``directions`` to it, ``distance_m``, ``irradiance`` (R, 3) at normal
-    incidence.
+    """A point on an emitter for each of R points: unit ``directions`` and ``distance_m`` towards it, and its
+    unoccluded ``irradiance`` (R, 3) at normal incidence divided by the probability density.
     """
 
     directions: Floats
@@ -202,7 +202,7 @@ class _Sample:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """An opening or a flat light; ``normal`` points into the room."""
+    """An opening or flat light: corner, edges, unit ``normal`` into the room, ``area`` in m²."""
 
     origin: Floats
     u: Floats
@@ -221,7 +221,7 @@ class Rectangle:
     def is_crossed(
         self, origins: Floats, directions: Floats, limit_m: Floats | float = np.inf
     ) -> NDArray[np.bool_]:
-        """Whether rays (R, 3) cross the rectangle against its normal within the limit, (R,)."""
+        """Whether rays (R, 3) cross the rectangle against its normal nearer than ``limit_m``, (R,)."""
         cosine = directions @ self.normal
         height = (self.origin - origins) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -233,7 +233,7 @@ class Rectangle:
 
 
 def _from_surface(points: Floats, on_light: Floats, normals: Floats, radiance_area: Floats) -> _Sample:
-    """A sample of a one-sided surface; ``radiance_area`` (R, 3) is radiance times area."""
+    """A sample at points (R, 3) of one-sided lights; ``radiance_area``: radiance over probability density."""
     towards = on_light - points
     # bounds the intensity of a light at less than 1 mm
     squared = np.maximum((towards * towards).sum(axis=1), 1e-6)
@@ -280,12 +280,12 @@ def _sample_light(light: Light, points: Floats, draws: Draws) -> _Sample:
 
 
 def _cosine_directions(normals: Floats, draws: Draws) -> Floats:
-    """Cosine-weighted directions about unit normals (R, 3): normal plus a point on the sphere."""
+    """Cosine-weighted unit directions (R, 3): each normal plus a uniform point on the unit sphere."""
     summed = normals + draws.sphere(len(normals))
     length = np.linalg.norm(summed, axis=1, keepdims=True)
     return np.where(length > 1e-9, summed / np.maximum(length, 1e-9), normals)
 
 
 def is_from_outside(light: Light) -> bool:
-    """Whether a light comes from infinity all around (at most one such light per configuration)."""
+    """Whether a light is an environment that surrounds the scene (at most one per configuration)."""
     return isinstance(light, EnvironmentLight | SkyLight)

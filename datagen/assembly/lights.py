@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Choice and position of lights.
+"""Chooses lights, their positions and colours; ``light_levels`` sets their intensities.
 
-Lights are dimmed in groups: the assets' own lights, each area light, each point light, and daylight through
-the openings. This module gives them positions and colours; ``light_levels`` sets their brightness.
+Lights form groups that are scaled together: all lights of assets, each area light of a slot, each point
+light, and daylight.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from datagen.foundation.color import color_of_temperature
 from datagen.foundation.random import Draws
 from datagen.library import Library
 
-SHARE_RANGE = (0.25, 1.0)  # of a group in the sum, before normalisation
+SHARE_RANGE = (0.25, 1.0)  # of a group's share of the irradiance, before shares are normalised to a sum of 1
 _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
 _MIN_LIGHT_CLEARANCE_M = 0.05
-_MAX_BACKS = 0.85  # share of all directions: true inside a wall, but not inside a lampshade of one sheet
+_MAX_BACKS = 0.85  # share of rays that hit backs: exceeded inside walls, not inside lampshades of one sheet
 _PANEL_TRIES = 60
 
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights dimmed together; ``slots`` names emissive slots as (item, slot), item 0 being the environment.
+    """Lights scaled together; ``slots`` are emissive slots as (item, slot), with item 0 the environment.
 
-    ``share`` is the range of the group's share of the light, relative to the shares of other groups.
+    ``share`` is the range of the group's share of the irradiance, relative to the shares of other groups.
     """
 
     name: str
@@ -59,7 +59,7 @@ class PlannedGroup:
 
 @dataclass(frozen=True)
 class RoomToLight:
-    """Input of lighting: the scene, placed assets, their assigned materials, and camera positions (P, 3)."""
+    """A scene to light: placed assets (room first), mean materials by slot, camera positions (P, 3)."""
 
     environment: EnvironmentAsset
     scene: WorldScene
@@ -77,7 +77,7 @@ def plan_lights(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> list[PlannedGroup]:
-    """The groups of a configuration at nominal intensity; ``key`` seeds the draws."""
+    """Draw the groups of a configuration, at nominal intensity; ``key`` seeds the draws."""
     draws = Draws(*key, "lights")
     wants = {
         "native": draws.chance(recipe.native_probability),
@@ -102,37 +102,35 @@ def plan_lights(
     groups: list[PlannedGroup] = []
     for kind in wants:
         if wants[kind]:
-            groups += _without_doubles(makers[kind](), groups, rejections)
+            groups += _without_overlap(makers[kind](), groups, rejections)
         if kind == "native" and daytime in DARK and not groups:
             wants["area"] = True
-    for kind in ("native", "daylight", "area", "point"):  # at least one is on, if the recipe allows any
+    for kind in ("native", "daylight", "area", "point"):  # at least one group, if the recipe allows any
         if not groups and not wants[kind] and getattr(recipe, f"{kind}_probability") > 0:
             groups += makers[kind]()
     if not groups:
         groups = plan_panels(room, recipe, 1, Draws(*key, "panel"), rejections)
     if sum(any(is_from_outside(light) for light in g.lights) for g in groups) > 1:
-        groups = [g for g in groups if g.name != "daylight"]  # a scene has one sky: its own
+        groups = [g for g in groups if g.name != "daylight"]  # the sky of an asset replaces drawn daylight
     return groups
 
 
-def _without_doubles(
+def _without_overlap(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """The new groups without lamps at a position where another lamp is on (as for a slot derived from a
-    light).
-    """
+    """The ``fresh`` groups without an area light that overlaps one of ``groups``."""
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
-        if any(isinstance(a, AreaLight) and _share_a_place(a, b) for a in group.lights for b in others):
+        if any(isinstance(a, AreaLight) and _overlap(a, b) for a in group.lights for b in others):
             rejections["light.occupied"] += 1
         else:
             kept.append(group)
     return kept
 
 
-def _share_a_place(one: AreaLight, other: AreaLight) -> bool:
-    """Whether two flat lights are coplanar, within 2 cm, and overlap."""
+def _overlap(one: AreaLight, other: AreaLight) -> bool:
+    """Whether two area lights are coplanar within 2 cm and overlap."""
     origin, u, v = (np.array(a) for a in (other.origin_m, other.edge_u_m, other.edge_v_m))
     normal = np.cross(u, v)
     normal /= np.linalg.norm(normal)
@@ -189,7 +187,7 @@ def _area(
 
 
 def _light_in_slot(slot: LightSlot, color: tuple[float, float, float], draws: Draws) -> AreaLight:
-    """A lamp at a random position in a slot, at least half as long and wide, 2 mm in front of it."""
+    """An area light of at least half the slot's length and width, at random in it and 2 mm in front."""
     u, v = np.array(slot.edge_u_m), np.array(slot.edge_v_m)
     share_u, share_v = draws.uniform(0.5, 1.0), draws.uniform(0.5, 1.0)
     normal = np.cross(u, v)
@@ -210,7 +208,7 @@ def _vector(value: Floats) -> tuple[float, float, float]:
 
 
 def is_blocked(light: AreaLight, rays: RayScene) -> bool:
-    """Whether geometry intersects an area light or is directly in front of more than a quarter of it."""
+    """Whether geometry intersects an area light or is within 15 cm in front of more than a quarter of it."""
     origin, u, v = (np.array(a) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     normal = np.cross(u, v)
     normal /= np.linalg.norm(normal)
@@ -230,7 +228,7 @@ def is_blocked(light: AreaLight, rays: RayScene) -> bool:
 def plan_panels(
     room: RoomToLight, recipe: LightRecipe, count: int, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Panels under the ceiling above camera positions, for rooms without light slots."""
+    """Up to ``count`` panels under the ceiling above camera positions, each a group."""
     groups: list[PlannedGroup] = []
     for _ in range(_PANEL_TRIES if len(room.eyes) else 0):
         if len(groups) == count:
@@ -285,6 +283,7 @@ def _point(
 
 
 def _point_fault(position: Floats, room: RoomToLight) -> str:
+    """The reason to reject a point light at a position (3,): ``inside_solid`` or ``blocked``; '' if none."""
     directions = fibonacci_sphere(48)
     hits = room.scene.rays.cast(position, directions)
     if room.has_solid_backs and room.scene.rays.sees_back(hits, directions).mean() > _MAX_BACKS:
@@ -300,7 +299,7 @@ def _panorama(daytime: Daytime, library: Library, draws: Draws) -> list[PlannedG
 def _daylight(
     room: RoomToLight, recipe: LightRecipe, library: Library, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """A sky with its sun, or an environment image, for rooms that have openings."""
+    """A group with a sky and its sun, or with an environment image; none for rooms without openings."""
     openings = room.environment.openings
     images = sorted(recipe.environment_images)
     wants_image, pick, turn = draws.chance(0.5), draws.unit(), draws.uniform(-math.pi, math.pi)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Assigns materials as in real homes: by kind of surface, in one style.
 
-For every slot, the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are reduced to looks that fit
-the room's style and the slot's geometry and into whose ranges some material of the palette can be varied. A
-look is drawn by weight, then a material, then a point in the ranges. A slot's own material is varied a
-little, within its look if it has one.
+For every slot, those looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are eligible that match the
+room's style and for which the palette contains a material that fits the slot and can be varied into the
+look's ranges. A look is drawn by weight, then a material, then a point in the ranges. A slot that keeps its
+material gets a small variation, within a look if the material matches one.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from datagen.formats.package import Package
 from datagen.formats.recipe import MaterialRecipe
 from datagen.foundation.random import Draws, weighted_item
 
-_DYED_HUE_TURNS = 0.2  # dyed classes may have any hue
+_DYED_HUE_TURNS = 0.2  # classes with at least this range of hues count as dyed and may have any hue
 _MAX_FACTOR = 4.0  # of saturation and value: the largest factor that a configuration can store
 _GREY = 0.02  # saturation below which a colour has no hue
 _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
-"""Limits of the small variation of materials that are kept."""
+"""Largest factors of value and saturation and largest offset of R for materials that a slot keeps."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Variations that bring a material into a look: ranges of hue shift, saturation, value and roughness."""
+    """Ranges of the :class:`ColorAdjustment` that bring a material's means into a look's ranges."""
 
     hue_shift: Interval
     saturation_scale: Interval
@@ -49,8 +49,9 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """The adjustment at the relative position ``where`` in [0, 1]^4 of the ranges; with ``strength`` 0,
-        the smallest adjustment that reaches the look.
+        """The adjustment at relative position ``where`` (4,) of the ranges, in [0, 1].
+
+        A ``strength`` below 1 moves it towards the smallest adjustment in the ranges, which 0 gives.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:
@@ -68,21 +69,21 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """The variations that bring a material into a look's ranges; None if there are none.
+    """The adjustments that bring a material with these means into a look's ranges; None if none does.
 
-    A material without textures is a tint and may get any colour of its class.
+    A material of a dyed class without textures may get any colour.
     """
     limits = CLASS_RANGES[material.classes[0]]
     is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS
     hue, saturation, value = colorsys.rgb_to_hsv(*mean.diffuse_albedo)
     _, tint, specular = colorsys.rgb_to_hsv(*mean.specular_albedo)
-    if not _holds(look.specular, specular) or not _holds(look.tint, tint):
+    if not _contains(look.specular, specular) or not _contains(look.tint, tint):
         return None
     max_value, max_saturation = (_MAX_FACTOR,) * 2 if is_tint else (limits.value, limits.saturation)
     values = _scales(look.value, value, look.stain, max_value)
     saturations = _scales(look.saturation, saturation, look.stain, max_saturation)
     step = 2 * limits.roughness_step if is_tint else limits.roughness_step
-    offsets = _meet((look.roughness[0] - mean.roughness, look.roughness[1] - mean.roughness), (-step, step))
+    offsets = _common((look.roughness[0] - mean.roughness, look.roughness[1] - mean.roughness), (-step, step))
     turns = (0.0, 0.0)
     if saturation > _GREY and look.hue is not None:
         wanted = 0.5 * (look.hue[0] + look.hue[1])
@@ -90,28 +91,28 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
         half = 0.5 * (look.hue[1] - look.hue[0])
         is_dyed = look.is_printed or limits.hue_turns >= _DYED_HUE_TURNS
         max_turns = 0.5 if is_dyed else limits.hue_turns
-        turns = _meet((shift - half, shift + half), (-max_turns, max_turns))  # type: ignore[assignment]
+        turns = _common((shift - half, shift + half), (-max_turns, max_turns))  # type: ignore[assignment]
     if values is None or saturations is None or offsets is None or turns is None:
         return None
     return Reach(turns, saturations, values, offsets)
 
 
-def _holds(interval: Interval, value: float) -> bool:
+def _contains(interval: Interval, value: float) -> bool:
     return interval[0] <= value <= interval[1]
 
 
-def _meet(one: Interval, other: Interval) -> Interval | None:
+def _common(one: Interval, other: Interval) -> Interval | None:
     low, high = max(one[0], other[0]), min(one[1], other[1])
     return (low, high) if low <= high else None
 
 
 def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> Interval | None:
-    """Factors that bring ``own`` into the range ``wanted``, at most ``max_factor`` and at least its inverse
-    or the inverse of ``stain``.
+    """Factors that bring ``own`` into ``wanted``, from the inverse of the larger of ``max_factor`` and
+    ``stain`` to ``max_factor``; None if there are none.
     """
-    if own <= _GREY and _holds(wanted, own):
+    if own <= _GREY and _contains(wanted, own):
         return (1.0, 1.0)  # black and grey cannot be scaled to a colour
-    return _meet(
+    return _common(
         (wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1 / max(max_factor, stain), max_factor)
     )
 
@@ -142,8 +143,9 @@ class LikelyDresser:
     ) -> dict[str, MaterialAssignment]:
         """Assignments for the slots of one placed asset; unchanged slots are absent.
 
-        ``surfaces`` is the surface of each slot. A slot among ``foreign_slots`` never keeps its own material.
-        Every group of slots that share a material uses the same number of draws, whatever the palette.
+        ``surfaces`` is the kind of surface of each slot. A slot among ``foreign_slots`` (asset id, slot)
+        keeps its material only if the palette offers no other. The number of draws does not depend on the
+        palette.
         """
         asset = package.asset
         assert isinstance(asset, ObjectAsset | EnvironmentAsset)
@@ -153,12 +155,12 @@ class LikelyDresser:
             if any(asset.materials[slot].emission is not None for slot in slots):
                 continue
             is_foreign = any((package.id, slot) in foreign_slots for slot in slots)
-            assignment = self._dressed(package, asset, slots, surfaces[slots[0]], is_foreign, units)
+            assignment = self._assignment(package, asset, slots, surfaces[slots[0]], is_foreign, units)
             if assignment != MaterialAssignment():
                 found.update(dict.fromkeys(slots, assignment))
         return found
 
-    def _dressed(
+    def _assignment(
         self,
         package: Package,
         asset: ObjectAsset | EnvironmentAsset,
@@ -183,7 +185,7 @@ class LikelyDresser:
                 return MaterialAssignment(asset=plain[int(units[3] * len(plain))].id)
         own = [asset.materials[slot] for slot in slots]
         mean = mean_of([self.means.mean(package, material) for material in own])
-        return MaterialAssignment(adjustment=_kept(surface, self.style, own[0], mean, units[4:], strength))
+        return MaterialAssignment(adjustment=_varied(surface, self.style, own[0], mean, units[4:], strength))
 
     def _choices(
         self, asset: ObjectAsset | EnvironmentAsset, slots: tuple[str, ...], surface: Surface
@@ -227,7 +229,7 @@ class LikelyDresser:
         return found.at(where, strength)
 
 
-def _kept(
+def _varied(
     surface: Surface,
     style: RoomStyle,
     material: Material,
@@ -235,7 +237,7 @@ def _kept(
     where: NDArray[np.float64],
     strength: float,
 ) -> ColorAdjustment:
-    """A small variation of a slot's own material, within the first look of its class that contains it."""
+    """A small variation of a slot's material, within the first look into which it can be varied."""
     if strength == 0:
         return ColorAdjustment()
     calm = Reach(
@@ -253,9 +255,9 @@ def _kept(
             continue
         met = Reach(
             (0.0, 0.0),
-            _meet(calm.saturation_scale, within.saturation_scale) or (1.0, 1.0),
-            _meet(calm.value_scale, within.value_scale) or (1.0, 1.0),
-            _meet(calm.roughness_offset, within.roughness_offset) or (0.0, 0.0),
+            _common(calm.saturation_scale, within.saturation_scale) or (1.0, 1.0),
+            _common(calm.value_scale, within.value_scale) or (1.0, 1.0),
+            _common(calm.roughness_offset, within.roughness_offset) or (0.0, 0.0),
         )
         return met.at(where, strength)
     return calm.at(where, strength)

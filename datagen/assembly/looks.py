@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Likely materials and colours of the surfaces of real rooms.
 
-A :class:`Look` is a class of material with ranges of D (hue, saturation and value of its mean, in linear
-HSV), S and R. A room has one :class:`RoomStyle`, shared by its looks: one tone of wood, one metal for all
-handles and taps, one accent colour, white or dark or wooden joinery.
+A :class:`Look` is a class of material with ranges of the mean of D (hue, saturation and value in linear HSV),
+S and R. All looks of a room follow one :class:`RoomStyle`: a tone of wood for furniture and one for the
+floor, one metal for all handles and taps, one accent colour, and white, dark or wooden joinery.
 
-Sources. EN 12464-1:2021 recommends reflectances of 0.7 to 0.9 for ceilings, 0.5 to 0.8 for walls, 0.2 to 0.6
+Sources: EN 12464-1:2021 recommends reflectances of 0.7 to 0.9 for ceilings, 0.5 to 0.8 for walls, 0.2 to 0.6
 for floors and 0.2 to 0.7 for large objects; ranges are wider where practice differs (dark floors, coloured
-walls). Hues, saturations and roughness: ``python -m datagen.assembly.surface_statistics`` over imported
-rooms. Woods: planed wood has CIELAB values of about L* 45 to 85, a* 3 to 13 and b* 16 to 25, a saturation of
-0.45 to 0.75 in linear HSV; oil and lacquer raise it to 0.85, whitewash and weathering lower it.
+walls). Hues, saturations and roughness are from ``python -m datagen.assembly.surface_statistics`` over
+imported rooms. Planed wood has CIELAB values of about L* 45 to 85, a* 3 to 13 and b* 16 to 25, which is a
+saturation of 0.45 to 0.75 in linear HSV; oil and lacquer raise it to 0.85, whitewash and weathering lower it.
 """
 
 from __future__ import annotations
@@ -30,20 +30,14 @@ _FINISH_WEIGHTS = (0.62, 0.2, 0.18)
 _JOINERY: tuple[Joinery, ...] = ("white", "wood", "dark")
 _JOINERY_WEIGHTS = (0.78, 0.13, 0.09)
 _ACCENTS: tuple[Interval, ...] = ((0.01, 0.11), (0.11, 0.18), (0.22, 0.45), (0.5, 0.64), (0.93, 1.0))
-_ACCENT_WEIGHTS = (
-    0.32,
-    0.12,
-    0.24,
-    0.27,
-    0.05,
-)
-"""Earth, ochre, green, blue, rose; violet occurs in wild rooms only."""
+_ACCENT_WEIGHTS = (0.32, 0.12, 0.24, 0.27, 0.05)
+"""Weights of the accent hues earth, ochre, green, blue and rose (ranges in turns)."""
 ACCENT_SPREAD = 0.03  # range of hues within one accent, in turns
 
 
 @dataclass(frozen=True)
 class Wood:
-    """A tone of wood: ranges of the mean of D in linear HSV."""
+    """A tone of wood: ranges of the mean of D in linear HSV, with hue in turns."""
 
     value: Interval
     saturation: Interval
@@ -61,12 +55,12 @@ _WOODS: tuple[Wood, ...] = (
     Wood((0.02, 0.1), (0.3, 0.68), (0.03, 0.08)),  # dark stain
 )
 _WOOD_WEIGHTS = (0.1, 0.14, 0.16, 0.24, 0.07, 0.1, 0.13, 0.06)
-WOOD_STAIN = 2.5
+WOOD_STAIN = 2.5  # largest factor by which wood is darkened, as by a stain
 
 
 @dataclass(frozen=True)
 class RoomStyle:
-    """Style of a room: tones of wood (furniture, floor), an accent hue, a metal, joinery."""
+    """Style of a room: tones of wood of furniture and floor, accent hue in turns, metal and joinery."""
 
     wood: Wood
     floor: Wood
@@ -76,7 +70,7 @@ class RoomStyle:
 
     @classmethod
     def draw(cls, draws: Draws) -> RoomStyle:
-        """Draw a style; half of the floors have the furniture's tone."""
+        """Draw a style; with probability 0.5 the floor gets the tone of the furniture."""
         wood = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         other = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         floor = wood if draws.chance(0.5) else other
@@ -87,12 +81,12 @@ class RoomStyle:
 
 @dataclass(frozen=True)
 class Look:
-    """A class of material with ranges of means: ``value`` and ``saturation`` of D, its ``hue`` (turns; None:
-    unchanged), ``roughness`` R, ``specular`` the brightest channel of S and ``tint`` the saturation of S.
+    """A class of material with ranges of its means: ``value``, ``saturation`` and ``hue`` (turns; None:
+    unchanged) of D, ``roughness`` R, ``specular`` the brightest channel of S, ``tint`` the saturation of S.
 
-    ``follows`` takes the ranges of a wood, or the accent hue, from the style. ``only``: choice of the style
-    that the look requires. ``stain``: largest factor by which a textured material may be darkened and its
-    saturation lowered, if above the limit of its class. ``is_printed``: any hue is allowed, whatever the
+    ``follows`` names what replaces ranges: the style's wood of furniture or floor, or its accent hue.
+    ``only`` is the finish or joinery that the style must have. ``stain`` is the largest factor by which value
+    and saturation may be lowered, if it is above the limit of the class. ``is_printed`` allows any hue in any
     class.
     """
 
@@ -149,7 +143,7 @@ def _steel(weight: float, roughness: Interval = (0.05, 0.42), only: Finish | Non
 
 
 def _finish(weight: float) -> tuple[Look, ...]:
-    """Metal in the room's finish; black is anodised or cast."""
+    """One look for each finish of a style: steel, brass, and black (anodised or cast) metal."""
     brass = Look(
         weight, "metal", (0.0, 0.02), ANY, (0.1, 0.42), specular=(0.6, 1.0), tint=(0.3, 0.62), only="brass"
     )
@@ -162,8 +156,7 @@ def _cloth(weight: float, value: Interval, saturation: Interval, accent: bool = 
 
 
 KEPT: dict[Surface, float] = {"cover": 0.7, "frame": 0.3, "joinery": 0.3}
-"""Share of slots that keep their material instead of a replacement: book covers, for example, are each
-printed in another colour."""
+"""Probability, by kind of surface, that a slot keeps its material, as book covers do to remain varied."""
 LOOKS: dict[Surface, tuple[Look, ...]] = {
     "ceiling": (
         Look(4, "painted", (0.66, 0.88), (0.0, 0.1), (0.6, 1.0)),
@@ -307,5 +300,5 @@ LOOKS: dict[Surface, tuple[Look, ...]] = {
         Look(1, "fabric", (0.02, 0.4), (0.0, 0.5), (0.6, 1.0)),
     ),
 }
-"""Looks by surface, with weights relative within a surface. ``small`` has none: any suitable class with muted
-colours."""
+"""Looks by kind of surface, with weights relative within it. Surfaces without looks, such as ``small``, take
+any class that suits the slot."""

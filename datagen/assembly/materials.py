@@ -2,9 +2,8 @@
 """Assignment of materials to slots, by class, and their variation.
 
 A slot names the classes that suit its geometry (``replaceable_by``). Only materials whose main class is among
-them are assigned to it (except for the share given by a recipe's ``any_class_probability``), and only if the
-mesh has the UVs that a texture needs. Variation stays within typical ranges of the class:
-:data:`CLASS_RANGES`.
+them are assigned to it (with the probability ``any_class_probability`` of a recipe, those of any class), and
+textured ones only if the mesh has UVs. Variation stays within :data:`CLASS_RANGES`.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ from datagen.foundation.images import read_image
 from datagen.foundation.random import Draws, weighted_item
 from datagen.library import Library
 
-_MEAN_STRIDE_PX = 512  # texels a side; enough for a mean colour
+_MAX_SIDE_TEXELS = 512  # textures are subsampled to this size for their mean
 
 
 @dataclass(frozen=True)
 class ClassRange:
-    """Limits of a class's variation, and ranges for the means of its materials.
+    """Limits of the variation of a class, and ranges of the means of its materials.
 
-    ``hue_turns`` is the largest shift, ``saturation`` and ``value`` the largest factor (the smallest is its
-    inverse), ``roughness_step`` the largest offset. ``value_limits`` bound the mean of the brightest channel
-    of D, ``roughness_limits`` the mean of R. A material outside the limits is never moved farther away.
+    ``hue_turns`` is the largest shift of hue, ``saturation`` and ``value`` the largest factors (the smallest
+    are their inverses), ``roughness_step`` the largest offset of R. ``value_limits`` bound the brightest
+    channel of mean D, ``roughness_limits`` mean R. No variation moves a material outside these farther away.
     """
 
     hue_turns: float
@@ -71,14 +70,14 @@ CLASS_RANGES: dict[MaterialClass, ClassRange] = {
     "organic": ClassRange(0.02, 1.2, 1.3, 0.1, (0.02, 0.7), (0.3, 1.0)),
     "other": ClassRange(0.03, 1.2, 1.2, 0.1, (0.02, 0.85), (0.05, 1.0)),
 }
-"""Albedos: photometric tables give 0.04 for charcoal to 0.88 for fresh white paint. Roughness: finishes
-possible for the class (a glaze is never matt, plaster never glossy). Hue may change freely only in dyed
-classes (plastic, paint, fabric); wood, stone, leather and metal keep theirs. See docs/assembly.md."""
+"""Limits by class. Photometric tables give albedos from 0.04 for charcoal to 0.88 for fresh white paint.
+Ranges of R cover the finishes of a class (a glaze is never matt, plaster never glossy). Only dyed classes
+(plastic, painted, fabric) change their hue freely. See docs/assembly.md."""
 
 
 @dataclass(frozen=True)
 class MeanMaterial:
-    """Surface averages of a material: D and S (3,), linear; R; emitted radiance (3,)."""
+    """A material's averages over its textures: D, S (linear RGB), R, each in [0, 1], and emitted radiance."""
 
     diffuse_albedo: tuple[float, float, float]
     specular_albedo: tuple[float, float, float]
@@ -87,7 +86,7 @@ class MeanMaterial:
 
 
 class MeanMaterials:
-    """Averages of materials; each texture of each package is read once per process."""
+    """Averages of materials, with a cache by texture."""
 
     def __init__(self) -> None:
         self._means: dict[tuple[str, str, bool], tuple[float, float, float]] = {}
@@ -114,7 +113,7 @@ class MeanMaterials:
         key = (package.sha256, value.model_dump_json(), is_scalar)
         if key not in self._means:
             pixels = read_image(package.local_file(value.texture))
-            step = max(1, max(pixels.shape[:2]) // _MEAN_STRIDE_PX)
+            step = max(1, max(pixels.shape[:2]) // _MAX_SIDE_TEXELS)
             texels = texture_values(value, pixels[::step, ::step], is_scalar).astype(np.float64)
             mean = np.broadcast_to(texels.reshape(-1, 1 if is_scalar else 3).mean(axis=0), (3,))
             self._means[key] = (float(mean[0]), float(mean[1]), float(mean[2]))
@@ -122,7 +121,7 @@ class MeanMaterials:
 
 
 def adjusted(mean: MeanMaterial, adjustment: ColorAdjustment) -> MeanMaterial:
-    """The averages after an adjustment (see :class:`ColorAdjustment`); exact for constants."""
+    """The averages after an adjustment of the material; exact if it has no textures."""
 
     def turned(color: tuple[float, float, float], value_scale: float) -> tuple[float, float, float]:
         hue, saturation, value = colorsys.rgb_to_hsv(*color)
@@ -142,7 +141,7 @@ def adjusted(mean: MeanMaterial, adjustment: ColorAdjustment) -> MeanMaterial:
 def draw_adjustment(
     mean: MeanMaterial, main_class: MaterialClass, strength: float, draws: Draws
 ) -> ColorAdjustment:
-    """A variation within the class's :data:`CLASS_RANGES`, scaled by ``strength`` in [0, 1]."""
+    """A random adjustment within the :data:`CLASS_RANGES` of a class, scaled by ``strength`` in [0, 1]."""
     limits = CLASS_RANGES[main_class]
     hue = draws.uniform(-1, 1) * limits.hue_turns * strength
     saturation = math.exp(draws.uniform(-1, 1) * math.log(limits.saturation) * strength)
@@ -150,9 +149,9 @@ def draw_adjustment(
     step = draws.uniform(-1, 1) * limits.roughness_step * strength
     brightest = max(mean.diffuse_albedo)
     if brightest > 0:
-        target = _held(brightest * value, brightest, *limits.value_limits)
+        target = _clamped(brightest * value, brightest, *limits.value_limits)
         value = target / brightest
-    rough = _held(mean.roughness + step, mean.roughness, *limits.roughness_limits)
+    rough = _clamped(mean.roughness + step, mean.roughness, *limits.roughness_limits)
     return ColorAdjustment(
         hue_shift=quantized(hue, 4),
         saturation_scale=quantized(saturation, 4),
@@ -161,21 +160,19 @@ def draw_adjustment(
     )
 
 
-def _held(moved: float, start: float, low: float, high: float) -> float:
+def _clamped(moved: float, start: float, low: float, high: float) -> float:
     """``moved`` clamped to [low, high], widened to include ``start``."""
     return min(max(moved, min(low, start)), max(high, start))
 
 
 def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
-    """Whether a material may be assigned to a slot: right class, opaque, not luminous, tileable if
-    textured.
-    """
-    is_right = material.material.classes[0] in asset.materials[slot].replaceable_by
-    return is_right and is_assignable(material, slot, asset)
+    """Whether a material's main class suits a slot and the slot's geometry can show it."""
+    has_class = material.material.classes[0] in asset.materials[slot].replaceable_by
+    return has_class and is_assignable(material, slot, asset)
 
 
 def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
-    """Whether a slot's geometry can show a material: opaque, not luminous, tileable if textured."""
+    """Whether a material is opaque, not emissive and, if textured, tileable, and the slot then has UVs."""
     own = material.material
     if own.emission is not None or own.opacity is not None:
         return False
@@ -186,7 +183,7 @@ def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | Envir
 
 
 def is_plain(package: Package) -> bool:
-    """Whether a material can be assigned to any slot: constant channels, opaque, not luminous."""
+    """Whether a package is a material for any slot: without textures, opaque and not emissive."""
     asset = package.asset
     if not isinstance(asset, MaterialAsset):
         return False
@@ -195,7 +192,7 @@ def is_plain(package: Package) -> bool:
 
 
 def slots_by_material(asset: ObjectAsset | EnvironmentAsset) -> list[tuple[str, ...]]:
-    """The slots of an asset in their order; slots that hold bakes of one material form a group."""
+    """An asset's slots by name, in groups; slots with bakes of one material (``baked_from``) form a group."""
     groups: dict[tuple[bool, str], list[str]] = {}
     for slot in sorted(asset.materials):
         origin = asset.materials[slot].baked_from
@@ -213,10 +210,10 @@ def assign_materials(
 ) -> dict[str, MaterialAssignment]:
     """Assignments for the slots of one placed asset; unchanged slots are absent.
 
-    ``palette`` holds the material packages in a fixed order. A class is drawn first, then one of its
-    materials, so that large classes do not dominate. A slot among ``foreign_slots`` (asset id, slot) never
-    keeps its own material: if no material of its classes fits, it gets one without textures. All other slots
-    without a fitting material keep their own. Bakes of one material (``baked_from``) get the same assignment.
+    ``palette`` is the list of material packages in a fixed order. A class is drawn first, then one of its
+    materials, so that large classes do not dominate. A slot among ``foreign_slots`` (asset id, slot) for
+    which no material fits gets one without textures; other such slots keep their material. Slots with bakes
+    of one material (``baked_from``) get the same assignment.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
@@ -260,7 +257,7 @@ def assign_materials(
 
 
 def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
-    """The mean over the bakes of one material."""
+    """The mean over the bakes of one material, none of which is emissive."""
     if len(bakes) == 1:
         return bakes[0]
 
@@ -275,7 +272,7 @@ def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
 def _drawn(
     fitting: list[Package], class_weights: Mapping[MaterialClass, float], pick: NDArray[np.float64]
 ) -> Package | None:
-    """One of ``fitting``, its class first, by two numbers in [0, 1); None if no class has a weight."""
+    """The package of ``fitting`` selected by ``pick`` (2,) in [0, 1); None if all weights are 0."""
     by_class: dict[MaterialClass, list[Package]] = {}
     for package in fitting:
         assert isinstance(package.asset, MaterialAsset)
@@ -289,7 +286,7 @@ def _drawn(
 
 
 def mean_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:
-    """Averages of the materials assigned to the slots of an asset, adjustments and emission included."""
+    """Averages, by slot, of the materials of a placed asset after assignment, adjustment and its emission."""
     package = library.package(placed.asset)
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Panoramas outside windows: time of day, panorama, brightness."""
+"""Draws the time of day outside a room and the panorama that lights it."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
     "dusk": (0.02, 0.15),
     "night": (5e-4, 4e-3),
 }
-"""Ratio of outside light to the lamps' light; at night a street gives a few per mille."""
+"""Range of daylight's share of the irradiance, relative to the shares of lamps (at night: street lights)."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
-"""Times of day when lamps are on."""
+"""Times of day at which lamps are always on."""
 
 
 def draw_daytime(
     assets: tuple[EnvironmentAsset | ObjectAsset, ...], recipe: LightRecipe, draws: Draws
 ) -> Daytime | None:
-    """The time of day outside a room (the first of ``assets``).
+    """Draw the time of day outside a room, the first of ``assets``.
 
-    None if the recipe has no panoramas, or if the room is closed or has its own sky.
+    None if the recipe has no panoramas, the room has no openings, or an asset contains a sky.
     """
     room = assets[0]
     assert isinstance(room, EnvironmentAsset)
@@ -47,13 +47,13 @@ def panoramas_of(library: Library, daytime: Daytime) -> list[PanoramaAsset]:
 
 
 def draw_panorama(daytime: Daytime, library: Library, draws: Draws) -> EnvironmentLight:
-    """Light from a random panorama of a time of day, rotated at random."""
+    """Light of a random panorama of a time of day, rotated about the vertical at random."""
     chosen = draws.choice(panoramas_of(library, daytime))
     return turned_image(chosen.id, chosen.image, draws.uniform(-math.pi, math.pi))
 
 
 def turned_image(asset: str, image: str, turn_rad: float) -> EnvironmentLight:
-    """An image of a package as daylight, rotated about the vertical."""
+    """Environment light with an image of the package ``asset``, rotated about the vertical."""
     rows = tuple(tuple(round(x, 9) for x in row) for row in rotation_about_up(turn_rad).tolist())
     return EnvironmentLight(
         name="daylight",

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Places objects on surfaces: at rest, clear of each other and of the room, tested on the meshes.
 
-A candidate is an object, a surface, a scale, a yaw and a position. The object falls onto the room: points of
-its underside are cast down onto the triangles, and it rests on the highest hit, even if the declared
-rectangle is slightly off. The object must be stable (centre of mass above the hull of its contacts), must not
-intersect the room or another object (triangle against triangle, FCL) and must not lie inside one of them.
+A candidate is an object, a surface, a scale, a yaw and a position. Rays are cast down from the object's
+underside, and it rests on the highest hit, even if the declared rectangle is slightly inaccurate. The object
+must be stable (centre of mass above the hull of its contacts), must not intersect the room or another object
+(triangle against triangle, FCL) and must not be inside one of them.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from datagen.formats.recipe import ObjectRecipe
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
-CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground carry weight
-# objects are placed this far above the surface: exact tests report coplanar contact as a collision
+CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground count as contacts
+# objects are raised by this for collision tests, which report coplanar contact as a collision
 MAX_PENETRATION_M = 5e-4
-SURFACE_TOLERANCE_M = 0.02  # largest distance of a declared support from the real surface (a rug, a cloth)
+SURFACE_TOLERANCE_M = 0.02  # largest distance of a declared support from the mesh (a rug, a cloth)
 # an object whose centre of mass is nearer to the rim of the contact hull could topple
 MIN_CONTACT_MARGIN_M = 2e-3
 _MIN_UP = 0.98  # contacts with a normal flatter than 11 degrees do not count
 _WALL_HEIGHT_M = 0.9  # floor-standing objects above this height are often placed with their back to a wall
 _WALL_PROBABILITY = 0.65
-_ATTEMPTS_A_SCALE = 12  # a new scale means a new collision tree, half a second for a large mesh
+_ATTEMPTS_A_SCALE = 12  # each scale needs a new collision tree, half a second for a large mesh
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """A support surface as numbers: corner, unit edges, lengths."""
+    """A support surface as arrays: corner, unit vectors along its edges, and their lengths in metres."""
 
     origin: Floats
     u: Floats
@@ -63,15 +63,14 @@ class _Frame:
 
 
 def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurface]:
-    """Surfaces of the right kind for an object on which it could fit at its smallest scale."""
+    """The room's support surfaces of the object's kinds on which it may fit at its smallest scale."""
     low = np.array(asset.minimum_m) * asset.scale_range[0]
     high = np.array(asset.maximum_m) * asset.scale_range[0]
     size = np.sort((high - low)[:2])
     fitting = []
     for surface in room.support_surfaces:
         edges = sorted(float(np.linalg.norm(e)) for e in (surface.edge_u_m, surface.edge_v_m))
-        # turned by 45 degrees a thin object is at most its own diagonal long, so that only clear misfits are
-        # rejected here
+        # an object that fits diagonally must not be rejected
         fits = size[0] <= edges[0] + 1e-9 and size[1] <= math.hypot(*edges)
         if surface.kind in asset.supports and high[2] - low[2] <= surface.clearance_m and fits:
             fitting.append(surface)
@@ -79,7 +78,7 @@ def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurf
 
 
 class Placer:
-    """Places objects one after the other in one room and counts rejections."""
+    """Places objects in a room one after the other, and counts rejections."""
 
     def __init__(self, room: Room, recipe: ObjectRecipe, rejections: Counter[str]):
         self.room = room
@@ -88,7 +87,7 @@ class Placer:
         self.placed: list[PlacedThing] = []
 
     def place(self, thing: Thing, draws: Draws) -> PlacedThing | None:
-        """Try up to ``max_attempts`` candidates of an object; None if none can be placed."""
+        """Place an object at the first valid of ``max_attempts`` candidates; None if there is none."""
         surfaces = surfaces_for(thing.asset, self.room.asset)
         if not surfaces:
             self.rejections["placement.no_surface"] += 1
@@ -128,9 +127,7 @@ class Placer:
     def _draw_pose(
         self, thing: Thing, surface: SupportSurface, frame: _Frame, scale: float, draws: Draws
     ) -> tuple[float, Floats] | None:
-        """Yaw and position (2,) such that the footprint lies inside the rectangle; None if it is too
-        large.
-        """
+        """Draw yaw and position (2,) with the footprint inside the rectangle; None if it is too large."""
         height = float(thing.geometry.maximum_m[2]) * scale
         likes_wall = surface.kind == "floor" and height > _WALL_HEIGHT_M
         at_wall = draws.chance(_WALL_PROBABILITY) and likes_wall
@@ -158,7 +155,7 @@ class Placer:
         return yaw, corner + frame.u[:2] * (du - along_u.min()) + frame.v[:2] * (dv - along_v.min())
 
     def _drop(self, thing: Thing, scale: float, yaw: float, position: Floats) -> float | str:
-        """The vertical shift that brings the object to rest on the surface below, or the rejection."""
+        """Vertical shift in metres that brings the object to rest on the surface, or the reason to reject."""
         points = world_points(pose(scale, yaw, position), thing.underside)
         start = points + np.array([0.0, 0.0, SURFACE_TOLERANCE_M])
         down = np.broadcast_to([0.0, 0.0, -1.0], points.shape)
@@ -182,7 +179,7 @@ class Placer:
     def _checked(
         self, thing: Thing, surface: SupportSurface, scale: float, yaw: float, position: Floats
     ) -> PlacedThing | str:
-        """The placed object, or the reason for its rejection by collision."""
+        """The object placed at a pose, or the reason to reject it if it collides."""
         vertices = world_points(pose(scale, yaw, position), thing.geometry.vertices)
         used = vertices[np.unique(thing.geometry.faces)]
         bounds = np.stack([used.min(axis=0), used.max(axis=0)])
@@ -217,9 +214,7 @@ class Placer:
 
 
 def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
-    """Whether rays from the centre of ``inner``'s box along all six axes hit ``outer``, as for a ball in a
-    box.
-    """
+    """Whether all six axis rays from the centre of ``inner`` hit ``outer``, whose box contains its box."""
     if (inner.bounds_m[0] < outer.bounds_m[0]).any() or (inner.bounds_m[1] > outer.bounds_m[1]).any():
         return False
     center = inner.bounds_m.mean(axis=0)
@@ -227,7 +222,7 @@ def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
 
 
 def _is_inside_solid(points: Floats, rays: RayScene) -> bool:
-    """Whether rays from most of the points hit only backs of triangles, as inside a wall or a cushion."""
+    """Whether, for most of 16 sampled points, at least 4 of 6 rays along the axes hit backs of triangles."""
     chosen = points[:: max(1, len(points) // 16)][:16]
     origins = np.repeat(chosen, 6, axis=0)
     directions = np.tile(_AXES, (len(chosen), 1))
@@ -244,10 +239,11 @@ def place_things(
     rejections: Counter[str],
     weight_of_library: Mapping[str, tuple[str, float]] | None = None,
 ) -> list[PlacedThing]:
-    """Choose objects by category weight and place them, large ones first.
+    """Draw objects by weight of library and category and place them, large ones first.
 
-    ``weight_of_library`` maps an object's id to its library and the library's weight; the library is drawn
-    first. ``key`` seeds the draws. Raises :class:`InputError` if fewer than ``count[0]`` can be placed."""
+    ``weight_of_library`` maps an object's id to its library and the library's weight. ``key`` seeds the
+    draws. Raises :class:`Shortfall` if fewer than ``count[0]`` can be placed, :class:`InputError` if nothing
+    fits."""
     draws = Draws(*key, "objects")
     target = draws.integer(*recipe.count)
     if target == 0:
@@ -266,7 +262,7 @@ def place_things(
     for k in order:
         placer.place(chosen[k], Draws(*key, "place", k))
     extra = 0
-    while len(placer.placed) < target and extra < target:  # an object without room is replaced by another
+    while len(placer.placed) < target and extra < target:  # replace objects that could not be placed
         other = _draw_thing(shelves, draws)
         placer.place(other, Draws(*key, "replace", extra))
         extra += 1
@@ -284,7 +280,7 @@ def place_things(
 
 @dataclass(frozen=True)
 class _Shelf:
-    """The objects of one library by category; weights of the library and of its categories."""
+    """The objects of one library by category, with the weights of the library and of each category."""
 
     weight: float
     by_category: dict[str, list[Thing]]
@@ -294,9 +290,7 @@ class _Shelf:
 def _shelves(
     things: list[Thing], recipe: ObjectRecipe, weight_of_library: Mapping[str, tuple[str, float]]
 ) -> list[_Shelf]:
-    """Libraries of positive weight with objects of positive weight, by name; a single one if libraries have
-    no weights.
-    """
+    """Libraries of positive weight with objects of positive weight, by name; one if they have no weights."""
     libraries: dict[tuple[str, float], dict[str, list[Thing]]] = {}
     for thing in sorted(things, key=lambda t: (t.asset.category, t.asset.id)):
         of_library = libraries.setdefault(weight_of_library.get(thing.asset.id, ("", 1.0)), {})

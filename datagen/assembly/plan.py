@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Makes a configuration from (recipe, index, library), as a pure function.
 
-The steps are room, objects, materials, lights, views; each is a module here. Splits are by configuration;
-with ``splits.disjoint`` the library is partitioned too, so that no asset of the test or validation split
-occurs in training.
+The steps are room, objects, materials, lights and views, each in its module. Every configuration belongs to
+one split; with ``splits.disjoint`` the library is partitioned too, so that no asset of the test or validation
+split occurs in training.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from datagen.foundation.errors import raise_problems
 from datagen.foundation.random import Draws, digest
 from datagen.library import Library
 
-NUM_EYES = 384  # positions where the light is probed
-NUM_TRIES = 3
+NUM_EYES = 384  # camera positions where the irradiance of lights is computed
+NUM_TRIES = 3  # largest number of draws of a configuration with too few objects or views
 
 __all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of", "world_of"]
 
@@ -55,7 +55,7 @@ class _ProcessCaches:
     surfaces: dict[str, dict[str, Surface]]
 
     def room(self, package: Package) -> Room:
-        """The room of an environment package; only the most recent ones are kept."""
+        """The room of an environment package, from a cache of two."""
         if package.sha256 not in self.rooms:
             if len(self.rooms) >= 2:
                 self.rooms.pop(next(iter(self.rooms)))
@@ -63,7 +63,7 @@ class _ProcessCaches:
         return self.rooms[package.sha256]
 
     def thing(self, package: Package) -> Thing:
-        """The object of an object package."""
+        """The object of a package, prepared for placement, from a cache of 200."""
         if package.sha256 not in self.things:
             if len(self.things) >= 200:
                 self.things.clear()
@@ -72,7 +72,7 @@ class _ProcessCaches:
         return self.things[package.sha256]
 
     def surfaces_of(self, package: Package) -> dict[str, Surface]:
-        """Kind of surface of every slot of a package."""
+        """Kind of surface of every slot of a package, cached."""
         if package.sha256 not in self.surfaces:
             self.surfaces[package.sha256] = surfaces_of(self.geometry.get(package))
         return self.surfaces[package.sha256]
@@ -89,28 +89,27 @@ def _process_caches() -> _ProcessCaches:
 
 
 def configuration_id(recipe: Recipe, index: int) -> str:
-    """Id of the recipe's configuration number ``index``."""
+    """Id of configuration ``index`` of a recipe: the recipe's name and the index in five digits."""
     return f"{recipe.name}-{index:05d}"
 
 
 def check_recipe(recipe: Recipe, library: Library) -> None:
-    """Find faults that would make a configuration fail, before work starts.
+    """Raise :class:`InputError` with the faults that would make a configuration fail.
 
-    Raises :class:`InputError` for filters and weights without a match in the library, for splits without
-    configurations or assets, and for a library without rooms.
+    These are filters and weights without a match in the library, splits without configurations or assets, and
+    a library without rooms.
     """
-    problems = recipe_problems(recipe, library)
-    raise_problems(problems)
+    raise_problems(recipe_problems(recipe, library))
 
 
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
-    """The recipe's configuration number ``index``: equal arguments give equal ``canonical_json`` bytes.
+    """Configuration ``index`` of a recipe; equal arguments give equal ``canonical_json`` bytes.
 
-    With too few objects or views, objects, lights and cameras are drawn again in the same room or, if rooms
-    are generated, in another one, at most :data:`NUM_TRIES` times in all; ``rejections`` counts these retries
-    as ``configuration.retried``. A generated room is not in ``library``: see
-    :func:`datagen.assembly.generated.room_of`. Raises :class:`InputError` if the library cannot satisfy the
-    recipe.
+    If too few objects or views are found, all are drawn again, in the same room or, if it is generated, in
+    another one, up to :data:`NUM_TRIES` draws in total; ``rejections`` counts them as
+    ``configuration.retried``. A generated room is not in ``library``: see
+    :func:`datagen.assembly.generated.room_of`. Raises :class:`IndexError` for an index out of range,
+    :class:`InputError` if the library cannot satisfy the recipe.
     """
     if not 0 <= index < recipe.configurations:
         raise IndexError(f"configuration {index} of {recipe.configurations}")
@@ -188,7 +187,7 @@ def _assemble_once(
 def assemble_all(
     recipe: Recipe, library: Library, indices: Iterable[int] | None = None
 ) -> Iterator[Configuration]:
-    """The configurations in sequence, all or only ``indices``, after :func:`check_recipe`."""
+    """Yield the configurations of ``indices``, or all of them, in sequence, after :func:`check_recipe`."""
     check_recipe(recipe, library)
     for index in range(recipe.configurations) if indices is None else indices:
         yield assemble(recipe, index, library)
@@ -203,7 +202,7 @@ def _dress(
     library: Library,
     caches: _ProcessCaches,
 ) -> tuple[list[PlacedAsset], list[Package]]:
-    """Room and objects as placed assets with materials, room first, and their packages."""
+    """Room and objects, room first, as placed assets with assigned materials, and their packages."""
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
     likely = _likely_dresser(recipe, key, pools, caches)
     placed = []
@@ -233,7 +232,7 @@ def _dress(
 
 
 def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
-    """Library and weight of each object's id; empty if the recipe has no weights of libraries."""
+    """Library and its weight by id of object; empty if the recipe has no ``objects.library_weights``."""
     wanted = recipe.objects.library_weights
     if not wanted or len(recipe.library) != len(library.paths):
         return {}
@@ -247,7 +246,7 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
 def _likely_dresser(
     recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
 ) -> LikelyDresser | None:
-    """The material assignment of a likely configuration; None for a wild one."""
+    """The dresser of a configuration with likely materials; None if it is drawn to have wild ones."""
     weights = recipe.materials.variation
     draws = Draws(*key[:2], "style")
     if not draws.chance(weights.likely / (weights.likely + weights.wild)):
@@ -265,7 +264,7 @@ def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldS
 
 
 def world_of(configuration: Configuration, library: Library) -> WorldScene:
-    """Room and objects of a configuration, for ray queries."""
+    """The opaque triangles of a configuration's room and objects, in world space."""
     placed = [configuration.environment, *configuration.objects]
     geometry = _process_caches().geometry
     return _world([geometry.get(library.package(p.asset)) for p in placed], placed)

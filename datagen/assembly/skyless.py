@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Finds users' rooms without a sky, to report them and the substitute for daylight before work starts."""
+"""Finds rooms of users' libraries without a sky and reports how they get daylight."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ from datagen.library import Library
 
 
 def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
-    """A sentence for each user's room without a sky: how daylight is added, or why that is impossible.
-
-    Empty if the recipe has no daylight.
-    """
+    """A sentence for each such room: how it gets daylight, or why it cannot; none without daylight."""
     lights = recipe.lights
     if not recipe.environments.needs_library or (
         lights.panoramas is None and not lights.daylight_probability
@@ -33,10 +30,10 @@ def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
                     "and no openings, so no daylight reaches it; mark its windows, or give its scene a world"
                 )
             elif lights.panoramas is not None:
-                how = "so a panorama lies outside its openings (lights.panoramas)"
+                how = "so a panorama lights it through its openings (lights.panoramas)"
             else:
                 how = (
-                    f"so daylight comes through its openings in {lights.daylight_probability:.0%} of its "
+                    f"so daylight enters through its openings in {lights.daylight_probability:.0%} of its "
                     "configurations (lights.daylight_probability; 0 leaves it out)"
                 )
             found[room.id] = f"{room.id} has no sky of its own, {how}"

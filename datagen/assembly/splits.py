@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Splits: which configurations are for training, validation and test, and which assets each may use.
+"""Distributes configurations and, with ``splits.disjoint``, assets over train, validation and test.
 
-Configurations are distributed evenly along their index (so that any prefix of a dataset has about the right
-shares) by exact arithmetic. With ``splits.disjoint`` each pool of assets (environments, objects of one
-category, materials of one main class) is distributed in the order of a hash of its ids. To keep assets from
-leaking under another name, rooms and objects that share their largest mesh go to one split, and so do
-materials that share an image. If a room or an object uses an image that belongs to another split, that slot
-must get another material (rooms of one library share their floors and woods; grouping them by images would
-leave one family).
+Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has about the right shares.
+With ``splits.disjoint``, each pool of assets (environments, objects of one category, materials of one main
+class) is distributed in the order of a hash of ids. To prevent leakage under another name, rooms and objects
+that share their largest mesh go to one split, and so do materials that share an image. A slot of a room or
+object whose material contains an image of another split must get another material (grouping rooms by images
+would leave one family, since rooms of one library share floors and woods).
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 
 @dataclass(frozen=True)
 class Pools:
-    """The packages available to a split, each list in the order of ids."""
+    """The packages that a split may use, each list in the order of ids."""
 
     environments: list[Package]
     objects: list[Package]
     materials: list[Package]
     foreign_slots: frozenset[tuple[str, str]] = frozenset()
-    """(asset id, slot) whose own material contains an image that belongs to another split."""
+    """(asset id, slot) of slots whose material contains an image that belongs to another split."""
 
 
 def _shares(recipe: Recipe) -> dict[Split, Fraction]:
@@ -48,31 +47,31 @@ def _shares(recipe: Recipe) -> dict[Split, Fraction]:
     return {split: share / total for split, share in raw.items()}
 
 
-def _before(share: Fraction, count: int) -> int:
-    """Number of the first ``count`` that belong to a share: the nearest integer."""
+def _rounded_share(share: Fraction, count: int) -> int:
+    """``share`` times ``count``, rounded to the nearest integer."""
     return (2 * share.numerator * count + share.denominator) // (2 * share.denominator)
 
 
 def split_of(recipe: Recipe, index: int) -> Split:
-    """Split of a configuration, in constant time."""
+    """Split of configuration ``index``, in constant time."""
     shares = _shares(recipe)
-    tests = _before(shares["test"], index)
-    if _before(shares["test"], index + 1) > tests:
+    tests = _rounded_share(shares["test"], index)
+    if _rounded_share(shares["test"], index + 1) > tests:
         return "test"
     if shares["test"] == 1:
         return "test"
     rank = index - tests  # among the configurations outside the test split
     share = shares["validation"] / (1 - shares["test"])
-    return "validation" if _before(share, rank + 1) > _before(share, rank) else "train"
+    return "validation" if _rounded_share(share, rank + 1) > _rounded_share(share, rank) else "train"
 
 
 def split_counts(recipe: Recipe) -> dict[Split, int]:
     """Number of configurations in each split."""
     shares = _shares(recipe)
-    tests = _before(shares["test"], recipe.configurations)
+    tests = _rounded_share(shares["test"], recipe.configurations)
     rest = recipe.configurations - tests
     share = shares["validation"] / (1 - shares["test"]) if shares["test"] < 1 else Fraction(0)
-    validation = _before(share, rest)
+    validation = _rounded_share(share, rest)
     return {"train": rest - validation, "validation": validation, "test": tests}
 
 
@@ -86,12 +85,11 @@ _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDicti
 
 
 def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
-    """Assets that a split may use. Raises :class:`InputError` with the faults of :func:`recipe_problems`."""
+    """Assets that a split may use. Raises :class:`InputError` if :func:`recipe_problems` finds any."""
     per_recipe = _POOLS.setdefault(library, {})
     key = sha256_hex(canonical_json(recipe))
     if key not in per_recipe:
-        problems = recipe_problems(recipe, library)
-        raise_problems(problems)
+        raise_problems(recipe_problems(recipe, library))
         per_recipe.clear()
         per_recipe[key] = _all_pools(recipe, library)
     return per_recipe[key][split]
@@ -132,10 +130,10 @@ def _all_pools(recipe: Recipe, library: Library) -> dict[Split, Pools]:
 
 
 def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
-    """The split of each asset.
+    """The split of each asset, by id.
 
-    Each pool is distributed so that every split in use gets at least one asset if there are enough, training
-    first. Families (assets that share a file's content) stay together, in the pool of their first member.
+    In each pool, every split in use gets at least one asset if there are enough, training first. Families
+    (assets that share an identifying file) stay together, in the split of their first member.
     """
     shares = _shares(recipe)
     used = [split for split in SPLITS if shares[split] > 0]
@@ -146,7 +144,7 @@ def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
         open_ids = [i for i in ids if i not in home]
         dealt = {split: sum(home.get(i) == split for i in ids) for split in used}
         for family in open_ids:
-            # the split that lacks most; first any without assets, training before the others
+            # the split with the largest deficit, but first splits without assets; ties in the order of SPLITS
             lack = [(dealt[s] == 0, float(shares[s] * len(ids)) - dealt[s], -k) for k, s in enumerate(used)]
             best = used[max(range(len(used)), key=lambda k: lack[k])]
             home[family] = best
@@ -155,7 +153,7 @@ def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
 
 
 def _dealing_order(pools: Pools) -> list[list[Package]]:
-    """Environments, then objects by category, then materials by main class."""
+    """The pools in the order of distribution: environments, objects by category, materials by main class."""
     groups: dict[tuple[int, str], list[Package]] = {}
     for package in pools.environments:
         groups.setdefault((0, ""), []).append(package)
@@ -169,9 +167,7 @@ def _dealing_order(pools: Pools) -> list[list[Package]]:
 
 
 def _families(packages: list[Package]) -> dict[str, str]:
-    """For each asset, the smallest id among those that share an identifying file (:func:`_telling_files`),
-    directly or through others.
-    """
+    """For each asset, the smallest id in its family: the assets connected by shared identifying files."""
     parent = {p.id: p.id for p in packages}
 
     def root(asset_id: str) -> str:
@@ -181,17 +177,17 @@ def _families(packages: list[Package]) -> dict[str, str]:
 
     owner: dict[str, str] = {}
     for package in packages:
-        for name in _telling_files(package):
+        for name in _identifying_files(package):
             content = sha256_hex(package.read_bytes(name))
             one, other = root(owner.setdefault(content, package.id)), root(package.id)
             parent[max(one, other)] = min(one, other)
     return {asset_id: root(asset_id) for asset_id in parent}
 
 
-def _telling_files(package: Package) -> list[str]:
+def _identifying_files(package: Package) -> list[str]:
     """Files that identify an asset: the largest mesh of a room or object, the images of a material.
 
-    Small meshes (a quad, a box) may be equal by chance and are ignored.
+    Smaller meshes (a quad, a box) are ignored, since different assets may contain equal ones.
     """
     names = list(package.names())
     meshes = [name for name in names if name.lower().endswith(".ply")]
@@ -202,15 +198,14 @@ def _telling_files(package: Package) -> list[str]:
 
 
 def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str, str]]:
-    """Slots of rooms and objects whose own material uses an image of another split.
+    """(asset id, slot) of the slots of rooms and objects whose material uses an image of another split.
 
-    An image belongs to the materials that contain it, else to the room or object with the smallest id that
-    does.
+    An image belongs to the first material that contains it, else to the first room or object by id that does.
     """
     hashes: dict[tuple[str, str], str] = {}
     owner: dict[str, str] = {}
-    wearers = sorted((*pools.environments, *pools.objects), key=lambda p: p.id)
-    for package in (*pools.materials, *wearers):
+    rooms_and_objects = sorted((*pools.environments, *pools.objects), key=lambda p: p.id)
+    for package in (*pools.materials, *rooms_and_objects):
         for material in _materials(package).values():
             for texture in material.textures():
                 content = sha256_hex(package.read_bytes(texture.texture))
@@ -218,7 +213,7 @@ def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str,
                 owner.setdefault(content, package.id)
     return frozenset(
         (package.id, slot)
-        for package in wearers
+        for package in rooms_and_objects
         for slot, material in _materials(package).items()
         if material.emission is None  # emitters have no ground truth that could leak
         and any(home[owner[hashes[package.id, t.texture]]] != home[package.id] for t in material.textures())
@@ -234,7 +229,7 @@ def _materials(package: Package) -> dict[str, Material]:
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
-    """All contradictions between a recipe and a library."""
+    """All contradictions between a recipe and a library; empty if there are none."""
     where = f"recipe {recipe.name}"
     problems = _name_problems(recipe, library, where)
     pools = _everything(recipe, library)
@@ -249,7 +244,7 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
         problems.add(
             "objects",
             "no usable object",
-            f"some, for count {list(recipe.objects.count)}",
+            f"at least one, for objects.count {list(recipe.objects.count)}",
             "add objects to the library or set objects.count to [0, 0]",
         )
     counts = split_counts(recipe)
@@ -286,7 +281,7 @@ def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem
             problems.add(
                 "splits.disjoint",
                 f"no {kind} for the {split} split",
-                "a separate one for every split, sharing no file with another split's",
+                "a separate one for every split, which shares no file with that of another split",
                 f"add one to the library, or set splits.disjoint to false or splits.{split} to 0",
             )
     return problems
@@ -326,5 +321,5 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> Problems:
     for time in recipe.lights.panoramas.wanted() if recipe.lights.panoramas is not None else ():
         if not panoramas_of(library, time):
             got, remedy = "no such panorama", "add `bundled` to the recipe's library, or leave it out"
-            problems.add(f"lights.panoramas.{time}", got, "one in the library", remedy)
+            problems.add(f"lights.panoramas.{time}", got, "at least one in the library", remedy)
     return problems

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Statistics of surfaces in rooms, from which :data:`datagen.assembly.looks.LOOKS` was derived.
+"""Statistics of the materials of kinds of surface, the source of :data:`datagen.assembly.looks.LOOKS`.
 
     python -m datagen.assembly.surface_statistics LIBRARY [LIBRARY ...]
 
-For each kind of surface (wall, floor, fitting ...) in the environments' slots, this prints the number of
-slots and the minimum, area-weighted median and maximum of the value, saturation and hue of their mean D, of
-the brightest channel of their mean S, and of their mean R. Hues of greys, emitters and cut-outs are left out.
+For each kind of surface (wall, floor, fitting ...) in environments, this prints the number of slots and the
+minimum, area-weighted median and maximum of the value, saturation and hue of their mean D, of the brightest
+channel of their mean S, and of their mean R, without emissive or transparent slots and the hues of greys.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ _MIN_SATURATION = 0.05  # the hue of a grey is noise
 
 @dataclass(frozen=True)
 class SurfaceSample:
-    """One slot: its area in m^2 and its means; ``hue`` is NaN for a grey."""
+    """A slot's area; value, saturation and hue (turns, NaN for a grey) of its mean D; brightest channel of
+    its mean S; its mean R.
+    """
 
     area_m2: float
     value: float
@@ -41,7 +43,7 @@ class SurfaceSample:
 
 
 def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
-    """Samples of all slots of the library's environments, by surface."""
+    """Samples of all opaque, non-emissive slots of the library's environments, by kind of surface."""
     means = MeanMaterials()
     found: dict[str, list[SurfaceSample]] = defaultdict(list)
     for package in library:
@@ -64,7 +66,7 @@ def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
 
 
 def weighted_median(values: list[float], weights: list[float]) -> float:
-    """The value at which half of the weight is reached; NaN if all values are NaN."""
+    """The smallest finite value up to which half of the weight lies; NaN if no value is finite."""
     pairs = sorted((v, w) for v, w in zip(values, weights, strict=True) if np.isfinite(v) and w > 0)
     if not pairs:
         return float("nan")
@@ -87,7 +89,7 @@ def _range(samples: list[SurfaceSample], field: str) -> str:
 
 
 def main(paths: list[str]) -> int:
-    """Print the table; returns the exit code."""
+    """Print the table for the libraries at ``paths``; returns the exit code, 2 for bad input."""
     try:
         with Library([Path(p) for p in paths]) as library:
             found = sample_surfaces(library)

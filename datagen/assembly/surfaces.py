@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Classification of slots by their surface in a room (a wall, a worktop, a curtain), from declaration, names,
-shape and class.
+"""Classifies slots by kind of surface (wall, worktop, curtain ...), by declaration, names, shape and class.
 
-A slot without a declared ``surface`` is classified by the words in its name, in the name of the material of
-which it holds a bake and in the names of its parts; then, in a room, by the position of its triangles (low
-and level is a floor), in an object by its category; finally by its main class.
+A room's slot without a declared ``surface`` is classified by the words in its name, in the name of the
+material of which it is a bake and in the names of its parts, then by the position of its triangles (low and
+horizontal is a floor), finally by its main class. An object's slot is classified by its name and the object's
+category.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _WORDS: tuple[tuple[Surface, str], ...] = (
     ("furniture", "furniture chair chairs stool bench bed board seat shelf shelves bookcase bookshelf"),
     ("furniture", "sideboard dresser drawers unit units cupboard cabinet vanity wardrobe nightstand console"),
 )
-"""Words that imply a surface; if a name contains several, the first line of the table applies."""
+"""Words that imply a kind of surface; if a name contains several, the first line of the table applies."""
 _SURFACE_OF_WORD: dict[str, Surface] = {word: surface for surface, words in _WORDS for word in words.split()}
 _RANK: dict[Surface, int] = {surface: rank for rank, (surface, _) in reversed(list(enumerate(_WORDS)))}
 _OF_CATEGORY: dict[str, Surface] = {
@@ -58,14 +58,15 @@ _OF_CLASS: dict[MaterialClass, Surface] = {
     "stone": "worktop", "glazed": "vessel", "ceramic": "vessel", "paper": "cover", "plastic": "gadget",
     "painted": "furniture", "plaster": "wall",
 }  # fmt: skip
-_MIN_SHELL_SHARE = 0.04  # of a room's surface: smaller slots are objects in it, not its floor or a wall
-_LEVEL = 0.7  # |z| of a normal that counts as level
+_MIN_SHELL_SHARE = 0.04  # of a room's area: smaller slots are not floor, ceiling or wall
+_LEVEL = 0.7  # |z| of a unit normal above which a triangle counts as horizontal
 
 
 def surface_of_words(text: str) -> Surface | None:
-    """The surface implied by the words of a name, or None; if several match, the first in the table.
+    """The kind of surface that the words of a name imply, or None.
 
-    Words end at anything but letters, and where a capital follows a lower-case letter.
+    If several do, the first in the table applies. Words end at characters other than letters, and where a
+    capital follows a lower-case letter.
     """
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     words = [word.lower() for word in re.split(r"[^A-Za-z]+", spaced) if word]
@@ -79,7 +80,7 @@ def _of_names(names: Iterable[str]) -> Surface | None:
 
 
 def surfaces_of(geometry: AssetGeometry) -> dict[str, Surface]:
-    """Surface of every slot of an asset."""
+    """Kind of surface of every slot of an asset."""
     asset = geometry.asset
     parts: dict[str, list[str]] = {slot: [] for slot in asset.materials}
     for part in asset.parts:
@@ -106,9 +107,7 @@ def _of_class(material: SlotMaterial) -> Surface:
 
 
 def _shell(geometry: AssetGeometry) -> dict[str, Surface]:
-    """Floor, ceiling and walls by area and position: large and horizontal at the bottom or the top, or
-    upright.
-    """
+    """Floor, ceiling and walls among a room's large slots, by orientation and height of their triangles."""
     rays = geometry.rays
     total = float(rays.areas.sum())
     if not total > 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects and rooms as used by placement: footprints, undersides, poses, and solidity."""
+"""Objects and rooms as used by placement: footprints, undersides, poses and collisions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MANY_POINTS = 2000
 
 
 def convex_hull_2d(points: Floats) -> Floats:
-    """Corners of the convex hull of (N, 2) points, counter-clockwise; fewer than 3 if it is degenerate."""
+    """Corners (K, 2) of the convex hull of points (N, 2), counter-clockwise; K < 3 if it is degenerate."""
     unique = np.unique(np.round(points, 9), axis=0)
     if len(unique) < 3:
         return unique
@@ -53,9 +53,7 @@ def convex_hull_2d(points: Floats) -> Floats:
 
 
 def margin_inside(hull: Floats, point: Floats) -> float:
-    """Distance from a point (2,) to the boundary of a convex polygon (K, 2), negative outside; -inf for K <
-    3.
-    """
+    """Signed distance of a point (2,) to a convex polygon (K, 2), negative outside; -inf if K < 3."""
     if len(hull) < 3:
         return -math.inf
     edges = np.roll(hull, -1, axis=0) - hull
@@ -66,20 +64,20 @@ def margin_inside(hull: Floats, point: Floats) -> float:
 
 @dataclass(frozen=True)
 class Thing:
-    """An object asset prepared for placement: geometry from its mesh, at scale 1 in its own frame."""
+    """An object asset prepared for placement, with geometry at scale 1 in the asset's frame."""
 
     asset: ObjectAsset
     geometry: AssetGeometry
 
     @cached_property
     def footprint(self) -> Floats:
-        """Convex hull of the mesh projected onto the ground, (K, 2)."""
+        """Corners (K, 2) of the convex hull of the mesh projected onto the ground."""
         used = self.geometry.vertices[np.unique(self.geometry.faces)]
         return convex_hull_2d(used[:, :2])
 
     @cached_property
     def underside(self) -> Floats:
-        """Points that could touch the ground, (P, 3): low vertices and a lattice on low downward faces."""
+        """Points (P, 3) that may touch the ground: low vertices, and points on low faces that face down."""
         geometry = self.geometry
         low = geometry.minimum_m[2]
         band = low + max(0.003, 0.03 * float(geometry.maximum_m[2] - low))
@@ -98,7 +96,10 @@ class Thing:
         return points[on_rim | stride]
 
     def can_stand(self, contact_tolerance_m: float) -> bool:
-        """Whether the object would stay upright on level ground, at its smallest scale."""
+        """Whether the object is stable on level ground: its centre of mass is above the hull of its contacts.
+
+        Contacts are points within the tolerance of the lowest point, at the smallest scale.
+        """
         points = self.underside
         low = float(self.geometry.minimum_m[2])
         contact = points[points[:, 2] <= low + contact_tolerance_m / self.asset.scale_range[0]]
@@ -109,15 +110,15 @@ class Thing:
         return {}
 
     def collision_at(self, scale: float) -> CollisionModel:
-        """The collision model at a scale (FCL moves models rigidly, it does not scale them)."""
+        """The collision model at a scale, which FCL's rigid poses do not include."""
         if scale not in self._models:
-            self._models.clear()  # most assets have one scale; the others draw a new one for every candidate
+            self._models.clear()  # earlier scales seldom recur
             self._models[scale] = CollisionModel(self.geometry.vertices * scale, self.geometry.faces)
         return self._models[scale]
 
 
 def _lattice(corners: Floats) -> Floats:
-    """Interior points of triangles (M, 3, 3): centroids and, for large ones, a 4-point refinement."""
+    """Seven points of each triangle (M, 3, 3): centroid, one near each corner, middles of edges; (7 M, 3)."""
     if len(corners) == 0:
         return np.zeros((0, 3))
     weights = np.array(
@@ -136,14 +137,14 @@ def pose(scale: float, yaw_rad: float, position_m: Floats) -> NDArray[np.float64
 
 
 def rotation_z(angle_rad: float) -> NDArray[np.float64]:
-    """Rotation about +Z, (3, 3)."""
+    """Rotation matrix (3, 3) about +Z."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
 class PlacedThing:
-    """A placed object. ``bounds_m`` (2, 3) is its bounding box in the world."""
+    """A placed object; ``bounds_m`` (2, 3) are the corners of its bounding box in world space."""
 
     thing: Thing
     support: SupportSurface
@@ -154,7 +155,7 @@ class PlacedThing:
 
     @property
     def world_from_asset(self) -> NDArray[np.float64]:
-        """Scale, yaw and position as one matrix, (4, 4)."""
+        """The transform (4, 4) by scale, yaw and position."""
         return pose(self.scale, self.yaw_rad, self.position_m)
 
     @cached_property
@@ -170,7 +171,7 @@ class PlacedThing:
 
 
 class Room:
-    """An environment that supports objects and that they must not intersect."""
+    """An environment prepared for placement."""
 
     def __init__(self, geometry: AssetGeometry):
         assert isinstance(geometry.asset, EnvironmentAsset)
@@ -183,9 +184,9 @@ class Room:
 
     @cached_property
     def trusts_winding(self) -> bool:
-        """Whether front faces of triangles face free space, judged from the room's own support surfaces.
+        """Whether at least 90 % of rays from above the support surfaces hit front faces of triangles.
 
-        Downloaded scenes often have random winding; back faces then carry no information.
+        Downloaded scenes often have random winding; hits of back faces then carry no information.
         """
         shown, backs = 0, 0
         for surface in self.asset.support_surfaces:
@@ -200,7 +201,7 @@ class Room:
         return shown > 0 and backs < 0.1 * shown
 
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
-        """Triangles (by index) whose bounds intersect a box (2, 3) in the column above a surface."""
+        """Indices of the triangles above a surface whose bounds intersect the box ``bounds_m`` (2, 3)."""
         low, high = self._face_bounds
         if surface.name not in self._near_surface:
             u, v, o = (np.array(x) for x in (surface.edge_u_m, surface.edge_v_m, surface.origin_m))
@@ -212,7 +213,7 @@ class Room:
         return near[((low[near] <= bounds_m[1]) & (high[near] >= bounds_m[0])).all(axis=1)]
 
     def cuts(self, body: Any, bounds_m: Floats, surface: SupportSurface) -> bool:
-        """Whether a placed FCL body intersects the room's surfaces."""
+        """Whether an FCL collision object with these bounds (2, 3) intersects the room above a surface."""
         near = self.triangles_in(bounds_m, surface)
         if len(near) == 0:
             return False
@@ -220,7 +221,7 @@ class Room:
 
 
 def fibonacci_sphere(count: int) -> Floats:
-    """``count`` directions evenly distributed over the sphere, (count, 3); deterministic."""
+    """Unit directions (count, 3), evenly distributed over the sphere."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     angle = math.pi * (1 + math.sqrt(5)) * k

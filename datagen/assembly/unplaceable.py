@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects that no configuration of a recipe can contain: reported before work starts, not dropped
-silently.
-"""
+"""Finds objects that no configuration of a recipe can contain, to report them before work starts."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from datagen.library import Library
 
 @dataclass(frozen=True)
 class Unplaceable:
-    """An object that is never placed; ``why`` ends with the remedy."""
+    """An object that is never placed, and the reason, which ends with the remedy."""
 
     asset: str
     why: str
@@ -33,7 +31,7 @@ class Unplaceable:
 
 
 def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
-    """Available objects whose size is implausible for their category, as text, in the order of ids."""
+    """A sentence for each available object whose size is implausible for its category, by id."""
     found: dict[str, str] = {}
     for split in splits_in_use(recipe):
         for package in pools_of_split(recipe, library, split).objects:
@@ -45,9 +43,9 @@ def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
 
 
 def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
-    """Available objects that fit in none of the recipe's rooms, in the order of ids.
+    """Available objects that are unstable or fit in none of the recipe's rooms, by id.
 
-    An object counts as placeable if the rooms of any split that offers it have a surface for it.
+    An object is placeable if, in any split that contains it, a room has a surface for it.
     """
     if recipe.objects.count[1] == 0:
         return []
@@ -76,15 +74,15 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
 
 
 def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
-    """Reason why no room has a surface for it; "" if one has."""
+    """Reason why no room has a surface for the object, with the remedy; '' if one has."""
     if any(surfaces_for(asset, room) for room in rooms):
         return ""
     if not asset.supports:
-        return "it stands on nothing (supports is empty), as what hangs or is built in"
+        return "supports is empty, as for an object that hangs or is built in; add the surfaces it stands on"
     surfaces = [s for room in rooms for s in room.support_surfaces if s.kind in asset.supports]
     kinds = ", ".join(asset.supports)
     if not surfaces:
-        return f"it stands on {kinds}, which no room has; widen its supports, or mark such surfaces"
+        return f"it stands on {kinds}, which no room has; add to its supports, or mark such surfaces"
     size = (np.array(asset.maximum_m) - np.array(asset.minimum_m)) * asset.scale_range[0]
     tallest = max(s.clearance_m for s in surfaces)
     if size[2] > tallest:
@@ -93,6 +91,6 @@ def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
         (sorted(float(np.linalg.norm(e)) for e in (s.edge_u_m, s.edge_v_m)) for s in surfaces), key=math.prod
     )
     return (
-        f"its foot is {size[0]:.2f} x {size[1]:.2f} m, the largest surface {largest[1]:.2f} x "
+        f"its footprint is {size[0]:.2f} x {size[1]:.2f} m, the largest surface {largest[1]:.2f} x "
         f"{largest[0]:.2f} m; check its unit or scale"
     )

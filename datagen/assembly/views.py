@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Placement of cameras, as a person would photograph a room.
 
-Candidates are drawn in free space, aimed at objects, and ray-traced at low resolution against the actual
-triangles. Candidates that are too close, show too little, are too dark or overlap too little with other views
-are rejected and counted. The views are then chosen one by one from the rest: among the views that overlap
-enough with the chosen views, the most different in position and direction is chosen next. Letters: C
-candidates, H x W pixels of the low-resolution image, P points.
+Candidates are drawn in free space, aimed at objects or across the room, and ray-traced at low resolution.
+Those that are too close, show too little, are too dark or overlap too little with other views are rejected
+and counted. Views are then chosen in turn: of the candidates that overlap enough with the views chosen so
+far, the most different in position and direction, or, for views of rooms, the one with the most overlap.
+Letters: C candidates, H x W pixels of the low-resolution image, P points.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from datagen.foundation.random import Draws
 MAX_NEAR_PIXELS = 0.02  # largest share of the image nearer than min_distance_m
 MAX_OPEN_PIXELS = 0.4  # largest share of the image without surface, or directly on a light
 MIN_THING_PIXELS = 0.04  # minimum share of the image covered by objects (not walls and floor)
-# largest share of one object in the visible surface: otherwise a corner of the room, the side of a cupboard
+# largest share of three planes in the pixels with a surface: otherwise a bare corner, the side of a cupboard
 MAX_THREE_PLANES_PIXELS = 0.92
 MAX_PLANE_PIXELS = 0.72  # largest share of the image covered by a single plane, such as a bare wall
 _MIN_INSTANCE_PIXELS = 0.0015  # smallest share of the image for an instance to count as visible
@@ -40,16 +40,16 @@ _LUMINANCE_GRID = (18, 10)
 _LUMINANCE_SAMPLES = 4
 _MAX_PITCH_RAD = math.radians(38.0)
 _ROLL_RAD = math.radians(1.2)  # handheld cameras are not exactly level
-_SHELL_SPAN = 0.7  # a part of at least this length relative to the room is wall, floor or ceiling
+_SHELL_SPAN = 0.7  # a part at least this long relative to the room is wall, floor or ceiling
 _OVERLAP_POINTS = 400
-_NUM_COMPARED = 12  # number of eligible candidates among which the most different one is chosen
-_MIN_NOVELTY = 0.04
+_NUM_COMPARED = 12  # number of eligible candidates of which the most different one is chosen
+_MIN_NOVELTY = 0.04  # least difference (:func:`_difference_matrix`) of two chosen views
 _NUM_HEADINGS = 24
 _FARTHEST_M = 8.0
-_WINDOW_DEPTH_M = 1.0  # windows this near count as walls, so that few views show only a window
-_DEPTH_POWER = 3  # preference for the direction of greatest depth over one towards a wall
+_WINDOW_DEPTH_M = 1.0  # depth that a window counts as, so that few views show only a window
+_DEPTH_POWER = 3  # a heading is drawn with a probability proportional to its mean depth to this power
 _ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
-# overlap above this does not count, since views would be alike; then the most different one scores best
+# more overlap does not raise the score of a view, so that the views differ
 _ENOUGH_OVERLAP = 0.42
 _NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6
 _ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if there are enough
@@ -59,7 +59,9 @@ _ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if th
 class Candidate:
     """A camera that passed the single-view checks, with its view at low resolution.
 
-    ``distance_m`` (H, W) along the ray, inf where nothing is hit; ``points`` (P, 3) of visible surface.
+    ``distance_m`` (H, W) is along the ray, inf for misses; ``points`` (P, 3) are on visible surfaces;
+    ``luminance`` is the mean of the view in W/(m² sr); ``is_room``: the view shows two walls, or a wall and
+    ceiling.
     """
 
     camera: Camera
@@ -72,7 +74,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Subject:
-    """Targets of cameras: centres of placed objects, and points on the furniture of the room."""
+    """Targets of cameras: centres (K, 3) of objects, and the faces of each piece of furniture.
+
+    ``thing_instances`` is the mask of the scene's instances that are objects or furniture.
+    """
 
     scene: WorldScene
     thing_centers: Floats
@@ -81,7 +86,7 @@ class Subject:
 
     @classmethod
     def of(cls, scene: WorldScene) -> Subject:
-        """Find the objects of a scene; shells (walls, floor, ceiling) are recognised by their size."""
+        """Find objects and furniture of a scene; walls, floors and ceilings are recognised by their size."""
         order = np.argsort(scene.instance_of_face, kind="stable")
         instances, starts = np.unique(scene.instance_of_face[order], return_index=True)
         corners = scene.rays.corners[order]
@@ -98,7 +103,7 @@ class Subject:
         return cls(scene, centers, furniture, is_thing)
 
     def draw(self, draws: Draws) -> Floats:
-        """A target point (3,)."""
+        """A random target (3,): the centre of an object or a triangle of furniture, else of any triangle."""
         pick, u = draws.unit(), draws.units(3)
         if len(self.thing_centers) and (pick < 0.65 or not self.furniture_faces):
             return self.thing_centers[int(u[0] * len(self.thing_centers))]
@@ -125,7 +130,7 @@ class ViewFinder:
     num_drawn: int = field(default=0, init=False)
 
     def find(self, count: int) -> list[Camera]:
-        """Find ``count`` cameras. Raises :class:`InputError` with all counts if there are too few."""
+        """Find ``count`` cameras. Raises :class:`Shortfall` with the counts of rejections if it cannot."""
         self.space.check()
         subject = Subject.of(self.scene)
         limit = count * self.recipe.max_attempts
@@ -137,7 +142,7 @@ class ViewFinder:
         while True:
             pool += self._extend(subject, wanted, limit)
             overlap = overlap_matrix(pool, self.scene.rays, overlap)
-            lit = self._lit(pool)
+            lit = self._bright_enough(pool)
             among = overlap[np.ix_(lit, lit)]
             least = self.recipe.min_overlap
             bright = [pool[k] for k in lit]
@@ -160,9 +165,9 @@ class ViewFinder:
         reasons = {k: v for k, v in sorted(self.rejections.items()) if k.startswith("camera.") and v}
         worst = max(reasons, key=lambda k: (reasons[k], k), default="")
         advice = {
-            "camera.inside_solid": "the camera region lies inside geometry: mend its camera_regions",
-            "camera.outside": "the camera region lies outside the room: mend its camera_regions",
-            "camera.no_floor": "its cameras stand over nothing: give it camera_regions",
+            "camera.inside_solid": "move the room's camera_regions out of solid geometry",
+            "camera.outside": "move the room's camera_regions into the room",
+            "camera.no_floor": "add camera_regions to the room: there is no floor below its cameras",
             "camera.too_close": "lower cameras.min_distance_m or enlarge the camera region",
             "camera.too_near": "lower cameras.min_distance_m, raise max_near_share or place fewer objects",
             "camera.faces_outside": "keep the camera region away from open sides",
@@ -171,7 +176,7 @@ class ViewFinder:
             "camera.too_plain": "place more objects or keep the camera region away from bare walls",
             "camera.too_dark": "lower cameras.min_luminance or add lights",
             "camera.too_little_overlap": "lower cameras.min_overlap or widen cameras.fov_x_deg",
-            "camera.too_similar": "ask for fewer views or enlarge the camera region",
+            "camera.too_similar": "lower views or enlarge the camera region",
         }.get(worst, "raise cameras.max_attempts")
         listed = ", ".join(f"{k.removeprefix('camera.')} {v}" for k, v in reasons.items())
         raise shortfall(
@@ -183,12 +188,12 @@ class ViewFinder:
         )
 
     def _extend(self, subject: Subject, wanted: int, limit: int) -> list[Candidate]:
-        """Draw candidates in batches until ``wanted`` pass or the limit is reached."""
+        """Draw candidates in batches until ``wanted`` pass the checks or ``limit`` have been drawn."""
         fresh: list[Candidate] = []
         while len(fresh) < wanted and self.num_drawn < limit:
             size = min(_BATCH, limit - self.num_drawn)
             for number in range(self.num_drawn, self.num_drawn + size):
-                outcome = self._look(subject, Draws(*self.key, "camera", number))
+                outcome = self._draw_candidate(subject, Draws(*self.key, "camera", number))
                 if isinstance(outcome, Candidate):
                     fresh.append(outcome)
                 else:
@@ -197,8 +202,8 @@ class ViewFinder:
         self._measure(fresh)
         return fresh
 
-    def _look(self, subject: Subject, draws: Draws) -> Candidate | str:
-        """One candidate, or the reason for its rejection."""
+    def _draw_candidate(self, subject: Subject, draws: Draws) -> Candidate | str:
+        """Draw one candidate; returns it, or the reason for its rejection."""
         position = self.space.draw(draws)
         if position is None:
             return "no_floor"
@@ -238,6 +243,7 @@ class ViewFinder:
         return Candidate(camera, preview, hits.distance_m.reshape(shape), points, is_room=is_room)
 
     def _shows_enough(self, faces: NDArray[np.int64], num_pixels: int, subject: Subject) -> bool:
+        """Whether pixels that hit ``faces`` show enough instances and enough of objects and furniture."""
         pixels = np.bincount(self.scene.instance_of_face[faces], minlength=self.scene.num_instances)
         num_seen = int((pixels >= max(2.0, _MIN_INSTANCE_PIXELS * num_pixels)).sum())
         if num_seen < self.recipe.min_content:
@@ -247,9 +253,7 @@ class ViewFinder:
         return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
 
     def _planes(self, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Pixels of every visible plane, largest first; planes are distinguished roughly, by normal and
-        offset.
-        """
+        """Number of pixels of every visible plane, largest first; coplanarity is tested roughly."""
         normals = self.scene.rays.normals[faces]
         offsets = (normals * self.scene.rays.corners[faces, 0]).sum(axis=1)
         planes = np.round(np.column_stack([normals, offsets]) * 10).astype(np.int64) + 1000
@@ -257,7 +261,7 @@ class ViewFinder:
         return np.sort(np.unique(keys, return_counts=True)[1])[::-1]
 
     def _aim(self, position: Floats, target: Floats, draws: Draws) -> Camera:
-        """A level camera at ``position`` with the target somewhere in the middle of its image."""
+        """A camera at ``position`` with the target near the middle of its image."""
         width, height = self.resolution
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         offset = target - position
@@ -265,15 +269,15 @@ class ViewFinder:
         pitch = math.atan2(offset[2], math.hypot(offset[0], offset[1]))
         pitch += draws.uniform(-0.22, 0.22) * fov * height / width
         pitch = min(max(pitch, -_MAX_PITCH_RAD), _MAX_PITCH_RAD)
-        return self._held(position, fov, azimuth, pitch, draws)
+        return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _aim_across(self, position: Floats, draws: Draws) -> Camera:
-        """A camera that looks across the longest extent of the room, a little down."""
+        """A camera with a random heading, preferably of large depth, pitched a little down."""
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         headings = draws.unit() * 2 * math.pi + np.arange(_NUM_HEADINGS) * 2 * math.pi / _NUM_HEADINGS
         level = np.stack([np.cos(headings), np.sin(headings), np.zeros(_NUM_HEADINGS)], axis=1)
         reach = np.minimum(self.scene.rays.cast(position, level).distance_m, _FARTHEST_M)
-        # surface behind a window is not part of the room's depth
+        # surfaces behind a window do not count as depth of the room
         for opening in self.space.environment.openings:
             origins = np.broadcast_to(position, level.shape)
             reach[Rectangle.of(opening).is_crossed(origins, level, reach)] = _WINDOW_DEPTH_M
@@ -281,10 +285,10 @@ class ViewFinder:
         depth = (window * reach).sum(axis=1) / window.sum(axis=1)
         azimuth = float(headings[draws.weighted(range(_NUM_HEADINGS), (depth**_DEPTH_POWER).tolist())])
         pitch = _ROOM_PITCH_RAD + min(max(draws.normal(), -2.0), 2.0) * _ROOM_PITCH_SPREAD_RAD
-        return self._held(position, fov, azimuth, pitch, draws)
+        return self._hand_held(position, fov, azimuth, pitch, draws)
 
-    def _held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
-        """A hand-held camera, level within a few degrees."""
+    def _hand_held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
+        """A camera with these angles (radians), rolled at random by up to 3 degrees as if held by hand."""
         width, height = self.resolution
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD
@@ -298,7 +302,7 @@ class ViewFinder:
         return Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
 
     def _measure(self, candidates: list[Candidate]) -> None:
-        """Mean luminance of each candidate's view."""
+        """Set the mean luminance of each candidate."""
         if not candidates:
             return
         columns, rows = _LUMINANCE_GRID
@@ -312,8 +316,8 @@ class ViewFinder:
         for candidate, value in zip(candidates, luminance.mean(axis=1).tolist(), strict=True):
             candidate.luminance = value
 
-    def _lit(self, pool: list[Candidate]) -> list[int]:
-        """Indices of the candidates that are not too dark compared with the median one."""
+    def _bright_enough(self, pool: list[Candidate]) -> list[int]:
+        """Indices of the candidates with at least ``min_luminance`` times the median luminance."""
         if not pool:
             return []
         luminance = np.array([c.luminance for c in pool])
@@ -322,9 +326,9 @@ class ViewFinder:
 
 
 def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None = None) -> Floats:
-    """Share of the points of view i that are visible in view j, by traced rays, (C, C); the diagonal is 0.
+    """Share (C, C) of the points of view i (row) that are visible in view j (column); 0 on the diagonal.
 
-    ``known`` (K, K) is reused for the first K views.
+    ``known`` (K, K) is the matrix of the first K views, if already computed.
     """
     count = len(pool)
     start = 0 if known is None else len(known)
@@ -345,12 +349,11 @@ def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None =
 def choose_views(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float, draws: Draws
 ) -> tuple[list[int], int]:
-    """Indices of up to ``count`` chosen views, and the number of views in the pool that overlap too little
-    with the chosen views.
+    """Indices of up to ``count`` chosen views, and how many others overlap too little if these are fewer.
 
-    ``overlap`` is the pool's :func:`overlap_matrix`. Every chosen view shares at least ``min_overlap`` of its
-    points with a view chosen before it (the first view with the second). Views that nearly repeat a chosen
-    view are skipped.
+    ``overlap`` is the pool's :func:`overlap_matrix`. At least ``min_overlap`` of the points of every chosen
+    view are visible in a view chosen before it (of the first view, in the second). Near repetitions are
+    skipped.
     """
     if count == 1:
         return ([0] if pool else []), 0
@@ -380,11 +383,11 @@ def choose_views(
 def choose_overlapping(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float
 ) -> tuple[list[int], int]:
-    """Like :func:`choose_views`, for views of a room: the view with the largest overlap with the chosen views
-    is chosen next.
+    """Like :func:`choose_views`, but the view with the largest overlap with the chosen views is chosen next.
 
-    The score of a view is its mean overlap with the chosen views in both directions, plus a small bonus for
-    being different. Views without walls are used once :data:`_ROOM_SHARE` of the views with walls are chosen.
+    The score of a view is its mean overlap with the chosen views in both directions, up to
+    :data:`_ENOUGH_OVERLAP`, plus a bonus for difference. Views that show the room (``is_room``) come first
+    while they are fewer than :data:`_ROOM_SHARE` of the chosen views.
     """
     if count == 1 or len(pool) < 2:
         return choose_views(pool, overlap, count, min_overlap, Draws("one"))
@@ -410,8 +413,7 @@ def choose_overlapping(
 
 
 def _difference_matrix(pool: list[Candidate]) -> Floats:
-    """Pairwise distances of views, (C, C): metres over the pool's extent plus the angle over half a
-    revolution."""
+    """Differences (C, C) of views: distance relative to the extent of all positions, plus angle over pi."""
     positions = np.array([c.camera.position_m for c in pool])
     forwards = np.array([c.camera.forward for c in pool])
     extent = max(float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0))), 1e-6)

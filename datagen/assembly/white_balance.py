@@ -2,9 +2,8 @@
 """White balance of lamps in rooms with panoramas.
 
 A panorama is a photograph and already balanced; lamps get the colour that a camera with automatic white
-balance would give them. Such a camera treats the mean light of the room, walls included, as blackbody light
-and shifts it most of the way to white, so that lamps by night are slightly warm, and orange where daylight
-prevails.
+balance would record. Such a camera estimates the mean light of the room as blackbody light and shifts it most
+of the way to white, so lamps appear slightly warm at night and orange in rooms with much daylight.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from datagen.assembly.geometry import Floats
 from datagen.foundation.color import color_of_temperature
 
-ADAPTATION = 0.7  # share of the way to white, in reciprocal temperature: cameras keep lamps warm
+ADAPTATION = 0.7  # share of the shift to white, in reciprocal temperature: cameras keep lamps warm
 _WHITE_MIRED = 1e6 / 6500
 # warmest light that is corrected, at the end of a camera's range
 _MIREDS = np.linspace(_WHITE_MIRED, 1e6 / 2000, 64)
@@ -27,7 +26,7 @@ NO_TINT: Tint = (1.0, 1.0, 1.0)
 def tint_of_lamps(irradiance: Floats) -> Tint:
     """Factors on lamps' red, green and blue for mean ``irradiance`` (3,); 1 in white or bluish light.
 
-    The luminance of the blackbody light is preserved.
+    They preserve the luminance of the blackbody light.
     """
     red, _, blue = irradiance.tolist()
     if red <= 0 or blue <= 0:

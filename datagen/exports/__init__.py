@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Datasets in the layouts of other tools: one module per format, each a function from rooms to files."""
+"""Writes datasets in the layouts of other tools: one module per format."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` and so on.
+"""Writes 3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` etc.
 
 Lengths are in millimetres; camera axes are as in this project: x right, y down, z forward. BOP's poses are
-rigid: each scale of an object is a separate model. ``boxes3d.json`` holds every object's box in the world, in
-metres, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels, ``bbox_obj`` the whole
-silhouette.
+rigid, so each scale of an object is a separate model. ``boxes3d.json`` contains every object's box in the
+world, in metres, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels, ``bbox_obj`` the
+whole silhouette.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from datagen.foundation.meshes.mesh import Mesh, joined
 from datagen.foundation.meshes.ply import decode_ply, encode_ply
 
 ModelKey = tuple[str, tuple[float, float, float]]
-"""Asset and scale along its axes."""
+"""Id of an asset, and its scale along each axis."""
 
 
 def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
-    """Rigid world_from_object (4, 4), and the object's scale along its own axes.
+    """Rigid ``world_from_object`` (4, 4), and the scale along each of the object's axes.
 
     Raises :class:`InputError` for a sheared or mirrored object.
     """
@@ -36,7 +36,8 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
     pose = matrix.copy()
     pose[:3, :3] /= scale
     if not np.allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-6) or np.linalg.det(pose) < 0:
-        raise input_error(placed.name, "world_from_asset", "sheared or mirrored", "rotation, scale and place")
+        expected = "a rotation, scale and translation"
+        raise input_error(placed.name, "world_from_asset", "sheared or mirrored", expected)
     return pose, tuple(round(float(s), 6) for s in scale)  # type: ignore[return-value]
 
 
@@ -55,7 +56,7 @@ class BopFiles:
         return placed.asset, pose_and_scale(placed)[1]
 
     def mesh(self, key: ModelKey) -> Mesh:
-        """A model in metres at its scale, in the asset's frame."""
+        """The mesh of a model in metres at its scale, in the asset's frame."""
         asset_id, scale = key
         if asset_id not in self.meshes:
             package = self.library.package(asset_id)
@@ -69,7 +70,7 @@ class BopFiles:
         return self.meshes[asset_id].transformed(np.diag([*scale, 1.0]))
 
     def add(self, room: Room) -> None:
-        """Write a scene: images, depth, masks, poses and boxes."""
+        """Write a room as a scene: images, depth, masks, poses and boxes."""
         number = self.num_scenes.get(room.split, 0)
         self.num_scenes[room.split] = number + 1
         folder = f"{room.split}/{number:06d}"
@@ -111,7 +112,7 @@ class BopFiles:
         objects: dict[str, tuple[NDArray[np.float64], tuple[float, float, float], ModelKey]],
         corners: dict[str, NDArray[np.float64]],
     ) -> tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]:
-        """Write a view's images; returns its entries in the three tables."""
+        """Write a view's images; returns its entries in the tables of cameras, poses and boxes."""
         camera = view.camera
         buffers = view.read("beauty", "depth_z_m", "instance_id")
         depth_mm = buffers["depth_z_m"][..., 0].astype(np.float64) * 1e3
@@ -148,7 +149,7 @@ class BopFiles:
             )
         rotation, place = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
         lens = [camera.fx_px, 0.0, camera.cx_px, 0.0, camera.fy_px, camera.cy_px, 0.0, 0.0, 1.0]
-        lens[2], lens[5] = lens[2] - 0.5, lens[5] - 0.5  # BOP counts from the centre of the first pixel
+        lens[2], lens[5] = lens[2] - 0.5, lens[5] - 0.5  # BOP's origin is the centre of the first pixel
         entry = {"cam_K": lens, "depth_scale": unit_mm}
         entry |= {"cam_R_w2c": rotation.ravel().tolist(), "cam_t_w2c": (1e3 * place).tolist()}
         return entry, poses, infos

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
+"""Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
 Masks are run-length encoded in COCO's compressed form: lengths of runs down the columns, beginning with
-background, each as the difference from the second-last length, in groups of five bits.
+background, each as the difference from the length two before it, in groups of five bits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from datagen.formats.asset import ObjectAsset
 
 
 class CocoFiles:
-    """Collects annotations over the rooms of an export; :meth:`finish` writes them."""
+    """Writes images and collects the annotations of all rooms; :meth:`finish` writes the annotations."""
 
     def __init__(self, export: Export):
         self.export = export
@@ -27,7 +27,7 @@ class CocoFiles:
         self.ids = {name: number for number, name in enumerate(sorted(names), start=1)}
 
     def category(self, asset_id: str) -> str:
-        """An object's category from the library or, if it is not there, its asset's id."""
+        """An object's category from the library or, if the library lacks it, its asset's id."""
         library = self.export.library
         if library is not None and asset_id in library:
             asset = library.package(asset_id).asset
@@ -36,7 +36,7 @@ class CocoFiles:
         return asset_id
 
     def add(self, room: Room) -> None:
-        """Add images and annotations of a room's views."""
+        """Write the images of a room's views and add their annotations."""
         images = self.images.setdefault(room.split, [])
         annotations = self.annotations.setdefault(room.split, [])
         for view in room.views:
@@ -52,7 +52,7 @@ class CocoFiles:
                 annotations.append({"id": len(annotations) + 1, "image_id": image_id, **entry})
 
     def annotations_of(self, room: Room, view: RoomView, ids: NDArray) -> list[dict[str, Any]]:
-        """One entry for each object with at least one pixel, in the order of ids."""
+        """Annotations of the objects with at least one pixel in ``ids`` (H, W), in the order of ids."""
         objects, found = room.objects(), []
         for number in np.unique(ids[ids > 0]):
             name = view.record.instances[str(number)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommand ``datagen export``, which defers heavy imports."""
+"""The subcommand ``datagen export``; heavy modules are imported in it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from datagen.exports.rooms import Export
 
 FORMATS = {
-    "hypersim": "folders like Hypersim's: HDF5 for each frame and quantity (extra `export`)",
-    "nerfstudio": "a folder a room with transforms.json, pictures, depth and points",
+    "hypersim": "folders like Hypersim's: an HDF5 file per frame and quantity (extra `export`)",
+    "nerfstudio": "a folder per room with transforms.json, images, depth and points",
     "coco": "boxes and masks of objects",
     "bop": "3D boxes, poses and meshes of objects (needs the library)",
-    "flow": "optical flow between views that overlap, with masks of what is visible",
+    "flow": "optical flow between views that overlap, with masks of visible points",
 }
 
 
@@ -32,15 +32,15 @@ def export(
     folder: Annotated[Path, typer.Argument(help="Dataset folder.")],
     out: Annotated[Path, typer.Option(help="Folder to write.")],
     split: Annotated[
-        Literal["train", "validation", "test"] | None, typer.Option(help="Only this split; all if left out.")
+        Literal["train", "validation", "test"] | None, typer.Option(help="Only this split; default: all.")
     ] = None,
     configuration: Annotated[
-        list[str] | None, typer.Option(help="Id of a configuration, repeatable; all if left out.")
+        list[str] | None, typer.Option(help="Id of a configuration, repeatable; default: all.")
     ] = None,
     library: Annotated[
-        list[str] | None, typer.Option(help="Library folder, repeatable; the dataset's own if left out.")
+        list[str] | None, typer.Option(help="Library folder, repeatable; default: those of the dataset.")
     ] = None,
-    neighbours: Annotated[int, typer.Option(min=1, help="Flow: number of target views for each view.")] = 2,
+    neighbours: Annotated[int, typer.Option(min=1, help="Flow: number of target views per view.")] = 2,
     min_overlap: Annotated[
         float, typer.Option(min=0, max=1, help="Flow: minimum share of a view that is visible in the other.")
     ] = 0.2,
@@ -73,7 +73,7 @@ def export(
 
 
 class _RoomByRoom:
-    """Formats without files over all rooms."""
+    """Writer of a format that has no files for all rooms together."""
 
     def __init__(self, job: Export, function: Any):
         self.job, self.function = job, function
@@ -82,7 +82,7 @@ class _RoomByRoom:
         self.function(self.job, room)
 
     def finish(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
 
 _WRITERS = {
@@ -92,7 +92,7 @@ _WRITERS = {
     "bop": "BopFiles",
     "flow": "export_flow",
 }
-"""By format, what its module writes with: a class with ``add`` and ``finish``, or a function of a room."""
+"""The writer in each format's module: a class with ``add`` and ``finish``, or a function of a room."""
 
 
 def _writer(layout: str, job: Export) -> Any:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Exact optical flow between views of a room, from depth and cameras: Middlebury ``.flo`` and masks.
+"""Writes exact optical flow between views, from depth and cameras: Middlebury ``.flo`` files and masks.
 
-flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel of ``a`` with a surface in
-front of ``b``; 1e10 elsewhere, the format's value for unknown. A mask marks points visible in ``b``: the
-pixel there shows the same instance, and the point lies in the plane of its surface.
+flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
+point is in front of camera b; elsewhere 1e10, the format's value for unknown. The mask contains points
+visible in b: the pixel there shows the same instance, and the point is in the plane of its surface.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from datagen.foundation.images import encode_png
 
 UNKNOWN = 1e10
 _COARSE = 8
-# of the distance: half floats store normals to 1e-3, and pixels are 1e-3 to 3e-3 wide
+# relative to distance: half floats store normals to 1e-3, and pixels are 1e-3 to 3e-3 wide
 _PLANE_TOLERANCE = 4e-3
 _NAMES = ("depth_z_m", "normal_world", "instance_id")
 
@@ -31,9 +31,7 @@ def flow_between(
     buffers_b: dict[str, NDArray],
     step: int = 1,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Flow (h, w, 2) in pixels of every ``step``-th pixel of ``a``, and the mask (h, w) of points visible in
-    ``b``.
-    """
+    """Flow (h, w, 2) of every ``step``-th pixel of view a, and mask (h, w) of points visible in view b."""
     depth = buffers_a["depth_z_m"][::step, ::step, 0].astype(np.float64)
     pixels = camera_a.pixel_centers()[::step, ::step]
     points = camera_a.unproject(pixels, depth)
@@ -49,19 +47,19 @@ def flow_between(
     distance = np.linalg.norm(points - camera_b.position_m, axis=-1)
     is_in_plane = np.abs(((points - seen) * normal).sum(-1)) < _PLANE_TOLERANCE * distance
     same = buffers_b["instance_id"][row, column, 0] == buffers_a["instance_id"][::step, ::step, 0]
-    near = np.linalg.norm(points - seen, axis=-1) < 0.05 * distance  # far along the plane is another surface
+    near = np.linalg.norm(points - seen, axis=-1) < 0.05 * distance  # not another surface in the same plane
     is_seen = inside & (seen_depth > 0) & is_in_plane & same & near
     return flow.astype(np.float32), is_seen
 
 
 def encode_flo(flow: NDArray[np.float32]) -> bytes:
-    """Middlebury's format: "PIEH", width, height, then u and v of each pixel in rows."""
+    """Flow (H, W, 2) in Middlebury's format: "PIEH", width, height, then u and v by row."""
     height, width = flow.shape[:2]
     return b"PIEH" + struct.pack("<ii", width, height) + flow.astype("<f4").tobytes()
 
 
 def decode_flo(data: bytes) -> NDArray[np.float32]:
-    """Flow (H, W, 2) of a ``.flo`` file."""
+    """Flow (H, W, 2) of a ``.flo`` file. Raises :class:`ValueError` for other data."""
     if data[:4] != b"PIEH":
         raise ValueError("not a .flo file")
     width, height = struct.unpack_from("<ii", data, 4)
@@ -69,9 +67,7 @@ def decode_flo(data: bytes) -> NDArray[np.float32]:
 
 
 def export_flow(export: Export, room: Room) -> None:
-    """Write each view's flow to the ``neighbours`` views that overlap it most, if the overlap is at least
-    ``min_overlap``.
-    """
+    """Write each view's flow to the ``neighbours`` views in which most of it is visible."""
     name, views = room.configuration.id, room.views
     read = [view.read(*_NAMES) for view in views]
     cameras = [view.camera for view in views]

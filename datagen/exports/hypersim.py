@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Folders in the layout of Apple's Hypersim: an HDF5 file with one array, ``dataset``, per frame and
-quantity.
+"""Writes folders in the layout of Apple's Hypersim: HDF5 files with one array, ``dataset``, each.
 
-A room is a scene, and its views with the same lens are one camera trajectory (``cam_00``). As in Hypersim,
-cameras look along -z with y up, ``depth_meters`` is the distance from the camera's centre, and positions are
-in asset units, here metres. Hypersim has no specular albedo and roughness; they are stored beside
-``diffuse_reflectance``.
+A room is a scene, and its views with the same intrinsics are one camera trajectory (``cam_00``). As in
+Hypersim, cameras look along -z with y up, ``depth_meters`` is the distance from the camera's centre, and
+positions are in asset units, here metres. Hypersim lacks specular albedo and roughness; they are added next
+to ``diffuse_reflectance``.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ _BUFFERS = (
 
 
 def encode_hdf5(array: NDArray) -> bytes:
-    """An HDF5 file with one array, compressed, as ``dataset``. Raises :class:`InputError` without h5py."""
+    """An HDF5 file with the compressed array ``dataset``. Raises :class:`InputError` without h5py."""
     try:
         import h5py
     except ImportError:
         remedy = "pip install 'scene-materials[export]'"
-        raise input_error("hypersim", got="no h5py", expected="it installed", remedy=remedy) from None
+        raise input_error("hypersim", got="no h5py", expected="the package h5py", remedy=remedy) from None
     stream = io.BytesIO()
     with h5py.File(stream, "w", track_order=False) as file:
         file.create_dataset("dataset", data=array, compression="gzip", compression_opts=4, track_times=False)
@@ -41,9 +40,7 @@ def encode_hdf5(array: NDArray) -> bytes:
 
 
 def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
-    """Matrix (3, 3) from (u, v, 1), u to the right and v upwards in [-1, 1], to a ray of the camera, -z
-    forward.
-    """
+    """Matrix (3, 3) from (u, v, 1), with u to the right and v up in [-1, 1], to a camera ray, -z forward."""
     half_width, half_height = camera.width_px / 2, camera.height_px / 2
     x = [half_width / camera.fx_px, 0.0, (half_width - camera.cx_px) / camera.fx_px]
     y = [0.0, half_height / camera.fy_px, (camera.cy_px - half_height) / camera.fy_px]
@@ -51,7 +48,7 @@ def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
 
 
 def projection(camera: Camera) -> NDArray[np.float64]:
-    """(4, 4) OpenGL projection of points in the camera's frame, -z forward."""
+    """OpenGL's projection matrix (4, 4) for points in the camera's frame, -z forward."""
     width, height, depth = camera.width_px, camera.height_px, _FAR_M - _NEAR_M
     return np.array(
         [
@@ -64,14 +61,14 @@ def projection(camera: Camera) -> NDArray[np.float64]:
 
 
 class HypersimFiles:
-    """Writes scenes; :meth:`finish` writes the table of lenses."""
+    """Writes scenes; :meth:`finish` writes the table of intrinsics."""
 
     def __init__(self, export: Export):
         self.export = export
         self.lenses: list[tuple[str, str, Camera]] = []
 
     def add(self, room: Room) -> None:
-        """Write a scene: its frames by trajectory, its cameras, its unit."""
+        """Write a room as a scene: frames by trajectory, cameras, unit of length."""
         name = room.configuration.id
         trajectories: dict[tuple[float, ...], list[RoomView]] = {}
         for view in room.views:
@@ -125,7 +122,7 @@ class HypersimFiles:
         self.export.write_picture(preview, buffers["beauty"], view.record.exposure)
 
     def finish(self) -> None:
-        """Write ``metadata_camera_parameters.csv``: the lens of each trajectory."""
+        """Write ``metadata_camera_parameters.csv`` with the intrinsics of each trajectory."""
         fields = ["scene_name", "camera_name", "settings_output_img_width", "settings_output_img_height"]
         fields += [f"M_cam_from_uv_{r}{c}" for r in range(3) for c in range(3)]
         fields += [f"M_proj_{r}{c}" for r in range(4) for c in range(4)]
@@ -137,6 +134,6 @@ class HypersimFiles:
 
 
 def _with_minus_one(ids: NDArray) -> NDArray[np.int32]:
-    """Ids with -1 for none, as in Hypersim."""
+    """Ids (H, W) with -1 instead of 0 for none, as in Hypersim."""
     values = ids[..., 0].astype(np.int64)
     return np.where(values == 0, -1, values).astype(np.int32)

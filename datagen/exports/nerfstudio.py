@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""One folder per room with ``transforms.json``, as read by nerfstudio, instant-ngp and Gaussian splatting.
+"""Writes a folder per room with ``transforms.json``, for nerfstudio, instant-ngp and Gaussian splatting.
 
-Cameras look along -z with y up (OpenGL); the world stays Z up and in metres. All images of a room share one
-exposure; otherwise a radiance field would reproduce the changes. Depth is along the axis, 16-bit PNG in units
-of ``depth_unit_scale_factor`` metres; ``points.ply`` holds coloured surface points to initialise splats.
+Cameras look along -z with y up (OpenGL); the world has Z up and is in metres. All images of a room have one
+exposure, since a radiance field would reproduce changes of it. Depth is along the optical axis, as 16-bit PNG
+in units of ``depth_unit_scale_factor`` metres; ``points.ply`` contains coloured surface points to initialise
+splats.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _POINTS = 200_000
 
 
 def export_nerfstudio(export: Export, room: Room) -> None:
-    """Write ``<configuration>/transforms.json`` with images, depth, masks and points."""
+    """Write ``<configuration>/transforms.json`` with images, depth and points."""
     name = room.configuration.id
     farthest = max(float(view.read("depth_z_m")["depth_z_m"].max()) for view in room.views)
     unit_m = max(1e-3, farthest / 65535)

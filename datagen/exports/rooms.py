@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common parts of the exports: reading a dataset's rooms and views, and writing the files of one folder.
+"""Common parts of the exports: reading rooms and views of a dataset, and writing files of an export.
 
 A room is a configuration with its shard. Buffers are read view by view, on demand.
 """
@@ -33,7 +33,7 @@ MARKER = "export.json"
 
 @dataclass(frozen=True)
 class RoomView:
-    """One view of a room."""
+    """A view of a room."""
 
     place: ViewPlace
     record: ViewRecord
@@ -43,7 +43,7 @@ class RoomView:
         return self.record.camera.camera()
 
     def read(self, *names: str) -> dict[str, NDArray]:
-        """Buffers as stored, (H, W, C)."""
+        """Stored buffers (H, W, C), by name."""
         return decode_view(read_member(self.place, self.place.exr), names, num_threads=1)
 
 
@@ -68,7 +68,7 @@ class Room:
 
     @cached_property
     def exposure(self) -> float:
-        """Exposure shared by all views of the room: the median of the views' exposures."""
+        """One exposure for all views of the room: the median of the views' exposures."""
         return float(np.median([view.record.exposure for view in self.views]))
 
     def objects(self) -> dict[str, PlacedAsset]:
@@ -91,14 +91,14 @@ class Export:
         yield from self.rooms
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file of the export, whole or not at all."""
+        """Write a file of the export; it appears whole or not at all."""
         path = self.out / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_bytes_atomically(path, data)
         self.num_files += 1
 
     def write_json(self, name: str, value: Any) -> None:
-        """Write JSON with one line per top-level key, since such files are often long."""
+        """Write JSON with one line per top-level key, which keeps long files readable."""
         if isinstance(value, dict):
             lines = (f"{json.dumps(key)}: {json.dumps(item)}" for key, item in value.items())
             text = "{\n" + ",\n".join(lines) + "\n}\n"
@@ -107,11 +107,11 @@ class Export:
         self.write(name, text.encode())
 
     def write_picture(self, name: str, beauty: NDArray, exposure: float) -> None:
-        """Write an 8-bit PNG: the linear image times ``exposure``, clipped, in sRGB."""
+        """Write an 8-bit sRGB PNG of linear radiance (H, W, 3) times ``exposure``."""
         self.write(name, encode_png(picture(beauty, exposure)))
 
     def need_library(self, format_name: str) -> Library:
-        """The library; raises :class:`InputError` if there is none."""
+        """The library. Raises :class:`InputError` if there is none."""
         if self.library is None:
             remedy = "name the folders of its assets with --library"
             raise input_error(format_name, got="no library", expected="the objects' meshes", remedy=remedy)
@@ -119,15 +119,13 @@ class Export:
 
 
 def picture(beauty: NDArray, exposure: float) -> NDArray[np.uint8]:
-    """An 8-bit sRGB image (H, W, 3) of linear radiance at an exposure."""
+    """An 8-bit sRGB image (H, W, 3) of linear radiance times ``exposure``."""
     shown = srgb_from_linear(np.clip(beauty.astype(np.float32) * exposure, 0.0, 1.0))
     return (255.0 * shown + 0.5).astype(np.uint8)
 
 
 def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[Room]:
-    """Rooms of a dataset folder. Raises :class:`InputError` for unknown configurations and if there are no
-    rooms.
-    """
+    """Rooms of a dataset by split and ids ``only``. Raises :class:`InputError` for unknown ids or none."""
     opened = Dataset(dataset)
     known = {shard.configuration: shard for shard in opened.index.shards}
     for name in only:
@@ -144,14 +142,14 @@ def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[
 
 
 def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
-    """Make ``out`` a folder of this export; an export of the same format may be overwritten.
+    """Make ``out`` a folder of this export; an earlier one of the same format may be overwritten.
 
     Raises :class:`InputError` for a folder with other contents.
     """
     marker = out / MARKER
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_ours(marker, format_name)):
         expected = f"a new or empty folder, or an earlier export to {format_name}"
-        raise input_error(out, "--out", "something else", expected, "choose another --out")
+        raise input_error(out, "--out", "other contents", expected, "choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     note = {"format": "scene-materials/export", "layout": format_name, "dataset": dataset.name, **command}
     write_bytes_atomically(marker, (json.dumps(note, indent=2) + "\n").encode())

@@ -22,11 +22,11 @@ def collect(
     on_removed: Callable[[Path], object] = lambda path: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> DatasetIndex:
-    """Write ``index.json`` from the finished units, and return it.
+    """Write ``index.json`` from the manifests of finished units, and return the index.
 
-    Remains of killed attempts are removed and passed to ``on_removed``; ``progress(done, total)`` counts
-    units. ``deep`` hashes every shard again and raises :class:`InputError` naming the shards that differ.
-    Unfinished units are listed in ``missing``; the index is complete if there are none.
+    Unfinished units are listed in ``missing``; ``progress(done, total)`` counts units. Remains of killed
+    attempts are removed, and ``on_removed`` is called with each path. With ``deep``, all shards are hashed
+    again. Raises :class:`InputError` with all shards that are outside the folder or differ from their hash.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
@@ -65,7 +65,7 @@ def collect(
         )
     progress(len(plan.units), len(plan.units))
     raise_problems(problems)
-    # The library's path on the machine that made the dataset stays private.
+    # only folder names: paths of the machine that made the dataset are private
     library = tuple(Path(path).name for path in recipe.library)
     index = DatasetIndex(
         recipe=recipe.model_copy(update={"library": library}),
@@ -90,7 +90,7 @@ def collect(
 def _first_record(shard: Path) -> ViewRecord:
     for record in ShardReader(shard).records():
         return record
-    raise input_error(shard, "", "no views", "at least one", f"remove {shard.name} and run again")
+    raise input_error(shard, "", "no views", "at least one view", f"remove {shard.name} and run again")
 
 
 def _check_hash(folder: DatasetFolder, manifest: UnitManifest) -> list[Problem]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommands of ``datagen farm``, which defer heavy imports."""
+"""The subcommands of ``datagen farm``; heavy modules are imported when a command runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from datagen.foundation.command_line import group_with, with_options
 FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
 
 farm = typer.Typer(
-    help="One plan on a cluster: submit, watch, retry, cancel.",
+    help="Run a plan on a cluster: submit, status, retry, cancel.",
     cls=group_with({"collect": "datagen run FOLDER --only index"}),
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -26,13 +26,13 @@ farm = typer.Typer(
 def submit(
     folder: FolderArgument,
     options: SlurmOptions,
-    engine: Annotated[str, typer.Option(help="slurm, pbs, or shell: only a list of commands.")] = "slurm",
+    engine: Annotated[str, typer.Option(help="slurm, pbs, or shell (a list of commands).")] = "slurm",
     space_check: Annotated[
-        bool, typer.Option(help="Refuse to submit if the disk is too small for the estimate.")
+        bool, typer.Option(help="Submit only if the disk has space for the estimated need.")
     ] = True,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only write the job scripts.")] = False,
 ) -> None:
-    """Write readable job scripts for the unfinished units, and submit them.
+    """Write job scripts for the unfinished units, and submit them.
 
     Example: datagen farm submit paper --engine slurm --cpus 8 --setup "source .venv/bin/activate"
     """
@@ -44,16 +44,16 @@ def submit(
     if submission.job_ids:
         typer.echo(f"{submission.num_units} units submitted as jobs {', '.join(submission.job_ids)}")
     else:
-        why = "only written" if submission.num_units else "all are done"
-        typer.echo(f"{submission.num_units} units to do, nothing submitted: {why}")
+        why = "the scripts are only written" if submission.num_units else "all units are done"
+        typer.echo(f"{submission.num_units} units left, none submitted: {why}")
 
 
 @farm.command("status")
 def farm_status(
     folder: FolderArgument,
-    cost: Annotated[float, typer.Option(min=0, help="Price of an hour of a unit's resources.")] = 0.0,
+    cost: Annotated[float, typer.Option(min=0, help="Price of one unit's resources per hour.")] = 0.0,
 ) -> None:
-    """Show units done, running, failed and waiting, rate, time left, cost, and the logs of failures.
+    """Show the number of units by state, rate, time left, cost, and the logs of failures.
 
     Example: datagen farm status paper --cost 0.12
     """
@@ -64,7 +64,7 @@ def farm_status(
 
 @farm.command()
 def retry(folder: FolderArgument) -> None:
-    """Clear recorded failures, so that the next submit or run tries these units again.
+    """Clear recorded failures, so that the next submit or run includes these units again.
 
     Example: datagen farm retry paper && datagen farm submit paper
     """

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Interface of a queue for ``datagen farm``: write scripts, submit them, find and stop jobs.
+"""Interface of a queue for ``datagen farm``: write scripts, submit them, find and cancel jobs.
 
 An engine is a module with a class that implements :class:`Engine`, and a line in ``submission.ENGINES``. Even
-if a queue runs a job twice, requeues or forgets it, the output protocol of ``work_unit`` gives each result
-exactly once.
+if a queue repeats, requeues or loses a job, ``work_unit`` commits each result exactly once.
 """
 
 from __future__ import annotations
@@ -29,9 +28,7 @@ class Script:
 
 
 class Engine(Protocol):
-    """A queue. ``program`` is the command that submits; "" if nothing is submitted and the scripts are for
-    the user.
-    """
+    """A queue. ``program`` is the command that submits, or '' if the user runs the scripts."""
 
     program: str
 
@@ -39,36 +36,37 @@ class Engine(Protocol):
         """Raise :class:`InputError` for options that the queue's scripts cannot express."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
-        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index (ascending), and again after
-        exit code 75.
+        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index, again after exit code 75.
+
+        ``indices`` ascend.
         """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        """The script that collects, verifies and reports after the units have ended."""
+        """The script that collects, verifies and reports after all units; None if the engine has none."""
 
     def send(self, script: Path, after: Sequence[str]) -> str:
-        """Submit a script that starts after the jobs ``after`` have ended; returns its job's id."""
+        """Submit a script, to start when the jobs with the ids ``after`` have ended; returns its job's id."""
 
     def jobs(self, root: Path) -> list[str]:
         """Ids of this folder's jobs in the queue, pending or running."""
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
-        """Cancel these jobs."""
+        """Cancel the jobs with these ids."""
 
 
 def job_name(root: Path) -> str:
-    """Name shared by all jobs of a dataset folder, under which the queue's commands find the jobs."""
+    """Name of all jobs of a dataset folder, by which the queue's commands find them."""
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 
 def with_setup(options: SlurmOptions, root: Path) -> str:
-    """The first lines of every job: the user's setup, and ``$folder``."""
+    """First shell lines of every job: the user's setup, and the variable ``$folder``."""
     setup = f"{options.setup.rstrip()}\n" if options.setup.strip() else ""
     return f"set -u\n{setup}folder={shlex.quote(str(root.resolve()))}"
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """Shell commands of every collecting job; they exit with the code of the last failed step."""
+    """Shell commands of the collecting job; they exit with the code of the last failed step."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?
@@ -79,9 +77,9 @@ exit "$code"
 
 
 def ask(where: Path, expected: str, *command: str) -> str:
-    """Standard output of a queue's command. If it fails, raises :class:`InputError` with its error output."""
+    """Run a queue's command and return its output. Raises :class:`InputError` with its error output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        what = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
-        raise input_error(where, command[0], what, expected, "correct the options, or check the queue")
+        got = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
+        raise input_error(where, command[0], got, expected, "correct the options, or check the queue")
     return done.stdout

@@ -5,16 +5,16 @@
     dataset.json                  inputs of the folder (recipe, library, versions)
     configurations/<id>.json      one configuration each
     rooms/<id>.zip                environment packages made for this dataset (parametric rooms)
-    plan.json                     the immutable list of units; written last, so its presence means "planned"
-    work/<id>-<key>/rendered/     finished views before statistics (EXR + JSON)
-    work/<id>-<key>/complete/     finished views with statistics
+    plan.json                     the immutable list of units, written when planning is complete
+    work/<id>-<key>/rendered/     rendered views without statistics (EXR and JSON)
+    work/<id>-<key>/complete/     rendered views with statistics
     shards/<id>-<sha>.tar         committed shards
     units/<key>.json              manifests: a unit is done if and only if its manifest exists
     sheets/<id>.png               contact sheets
     failed/<id>.json, logs/       units that failed, and the output of their processes
-    index.json                    the index, written by collecting the manifests
+    index.json                    the index, collected from the manifests
 
-No other state exists: any process with access to this folder can continue the work.
+No other state exists, so any process with access to this folder can continue the work.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from datagen.foundation.errors import InputError, Problem, Problems, input_error
 from datagen.foundation.paths import inside
 
 _NEITHER_LINKS_NOR_PIPES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-"""Flags for opening files without following links or waiting for pipes; Windows has neither."""
+"""Flags that open a file without following links or waiting for pipes; Windows has neither."""
 
 
 class FolderRecord(StrictModel):
-    """``dataset.json``: inputs of the folder, which never mixes recipes, libraries or versions."""
+    """``dataset.json``: hashes and versions of the folder's inputs, which never change."""
 
     format: Literal["scene-materials/folder"] = "scene-materials/folder"
     version: Literal[1] = 1
@@ -59,7 +59,7 @@ class FolderRecord(StrictModel):
 
 
 class PlannedUnit(StrictModel):
-    """A unit of work: one configuration. ``key`` hashes everything that affects its bytes."""
+    """``plan.json``: a unit of work. ``key`` hashes everything that affects its bytes."""
 
     index: Annotated[int, Field(ge=0)]
     id: Slug
@@ -71,7 +71,7 @@ class PlannedUnit(StrictModel):
 
 
 class Plan(StrictModel):
-    """``plan.json``, the list of units."""
+    """``plan.json``: the list of units."""
 
     format: Literal["scene-materials/plan"] = "scene-materials/plan"
     version: Literal[1] = 1
@@ -89,7 +89,7 @@ class ViewTiming(StrictModel):
 
 
 class UnitManifest(StrictModel):
-    """``units/<key>.json``: marks a unit as done, and names its shard."""
+    """``units/<key>.json``: marks a unit as done, and identifies its shard."""
 
     format: Literal["scene-materials/unit"] = "scene-materials/unit"
     version: Literal[1] = 1
@@ -107,7 +107,7 @@ class UnitManifest(StrictModel):
 
 
 class FailureRecord(StrictModel):
-    """``failed/<id>.json``: a unit that failed too often."""
+    """``failed/<id>.json``: a unit whose every attempt failed."""
 
     id: Slug
     index: int
@@ -119,7 +119,7 @@ class FailureRecord(StrictModel):
 
 @dataclass(frozen=True)
 class _Inside:
-    """A path of :class:`DatasetFolder`, named relative to its root."""
+    """Descriptor of a :class:`DatasetFolder`'s path, by its name relative to the root."""
 
     name: str
 
@@ -147,7 +147,7 @@ class DatasetFolder:
         return self.rooms_path / f"{asset_id}.zip"
 
     def library_paths(self) -> list[Path]:
-        """Folders of the library with which the dataset was started, and of its generated rooms."""
+        """Folders of the dataset's library, and of its generated rooms."""
         return [*map(Path, self.read_record().library_paths), *rooms_of(self.root)]
 
     def configuration_path(self, unit_id: str) -> Path:
@@ -169,7 +169,7 @@ class DatasetFolder:
         """The plan; raises :class:`InputError` if the folder has none."""
         if not self.plan_path.is_file():
             raise input_error(
-                self.plan_path, "", "no plan here", "a planned dataset folder", "run `datagen plan` first"
+                self.plan_path, "", "no plan here", "a dataset folder with a plan", "run `datagen plan` first"
             )
         return read_json(Plan, inside(self.root, self.plan_path))
 
@@ -177,9 +177,9 @@ class DatasetFolder:
         return read_json(Configuration, inside(self.root, self.configuration_path(unit.id)))
 
     def read_manifest(self, unit: PlannedUnit) -> UnitManifest | None:
-        """The unit's manifest, or None while it is not done.
+        """The unit's manifest, or None while it is not done. Raises :class:`InputError` for a damaged one.
 
-        The file is opened, not merely looked up: network file systems cache negative look-ups.
+        The file is opened, since network file systems cache negative look-ups.
         """
         path = self.manifest_path(unit)
         try:
@@ -187,16 +187,14 @@ class DatasetFolder:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise input_error(path, "", str(error), "a marker", "remove this file") from None
+            raise input_error(path, "", str(error), "a manifest", "remove this file") from None
         manifest = read_json(UnitManifest, path)
         if manifest.key != unit.key:
-            raise input_error(
-                path, "key", manifest.key, unit.key, "remove this file; the unit will be made again"
-            )
+            raise input_error(path, "key", manifest.key, unit.key, "remove this file and run the unit again")
         return manifest
 
     def read_failure(self, unit_id: str) -> FailureRecord:
-        """Record of a failed unit."""
+        """The record of a failed unit. Raises :class:`InputError` if there is none."""
         return read_json(FailureRecord, inside(self.root, self.failed_path / f"{unit_id}.json"))
 
     def is_done(self, unit: PlannedUnit) -> bool:
@@ -214,18 +212,16 @@ class DatasetFolder:
         return stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
 
     def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
-        """Raise :class:`InputError` if the folder was started from another ``recipe`` or ``record``, or is
-        not a dataset folder.
-        """
+        """Raise :class:`InputError` unless the folder is empty or of this ``recipe`` and ``record``."""
         if not self.record_path.exists():
             if any(not path.name.startswith(".") for path in self.root.iterdir()):
                 expected = "a new or empty folder, or a dataset folder"
                 raise input_error(self.root, "--out", "a folder with other files", expected, "choose another")
             return
         existing = self.read_record()
-        remedy = "choose another --out, or go on with what it was started with"
+        remedy = "choose another --out, or continue with the recipe, library and versions of its start"
         if not self.plan_path.exists():
-            remedy = "choose another --out, or remove this folder: nothing was rendered in it"
+            remedy = "choose another --out, or remove this folder, in which nothing is rendered yet"
         problems = Problems(self.root)
         if existing.recipe_sha256 != record.recipe_sha256:
             earlier = self.read_recipe().model_dump(mode="json")
@@ -234,7 +230,7 @@ class DatasetFolder:
                 for field, then, now in differences(earlier, recipe.model_dump(mode="json"))
             ]
         if existing.library_sha256 != record.library_sha256:
-            expected = f"what it held at the start ({', '.join(existing.library_paths)})"
+            expected = f"those at its start ({', '.join(existing.library_paths)})"
             problems.add("library", "other assets", expected, remedy)
         for name in sorted({*existing.versions, *record.versions}):
             then_, now_ = existing.versions.get(name, "none"), record.versions.get(name, "none")
@@ -244,7 +240,7 @@ class DatasetFolder:
 
 
 def unit_key(configuration: Configuration, recipe: Recipe, variant: str, versions: dict[str, str]) -> str:
-    """SHA-256 over everything that affects a unit's bytes."""
+    """SHA-256 of everything that affects a unit's bytes."""
     parts = {
         "configuration": configuration.model_dump(mode="json"),
         "render": recipe.render.model_dump(mode="json"),
@@ -257,13 +253,13 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
 
 
 def rooms_of(path: Path) -> list[Path]:
-    """The folder of rooms generated for a dataset folder; empty if it has none."""
+    """The folder of a dataset's generated rooms, in a list; empty if it has none."""
     rooms = DatasetFolder(path).rooms_path
     return [rooms] if rooms.is_dir() else []
 
 
 def library_of(path: Path) -> list[Path] | None:
-    """Library folders from which a dataset folder was made, or None if they do not exist any more."""
+    """Library folders of a dataset folder, with its rooms; None if it is not one or a folder is missing."""
     try:
         paths = DatasetFolder(path).library_paths()
     except InputError:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Resource requests of job scripts, checked before a script is written.
 
-A script is read twice: by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. User input must
-therefore have a known form, or be free of characters that end a line, a quotation or a comment.
+A script is parsed by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. User input must
+therefore match a pattern, or contain no character that ends a line, a quotation or a comment.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from datagen.foundation.command_line import declared_options
 from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 
 _WHERE = "farm submit"
-_UNSPEAKABLE = {"Cc", "Cs", "Zl", "Zp"}  # control characters, halves of surrogates, line and paragraph ends
+_UNSAFE_CATEGORIES = {"Cc", "Cs", "Zl", "Zp"}  # control characters, surrogates, line and paragraph separators
 _NAMES = re.compile(r"[\w.@+][\w.@+-]*(,[\w.@+][\w.@+-]*)*")
 _MAIL_TYPES = re.compile(r"[A-Za-z_0-9]+(,[A-Za-z_0-9]+)*")
 
-# Syntax of sbatch: minutes, or hours and days with colons and a dash; megabytes, or with a unit.
+# Syntax of sbatch, with an example of each
 _FORMS: dict[str, tuple[re.Pattern[str], str]] = {
     "time_limit": (re.compile(r"\d+|\d+:\d\d(:\d\d)?|\d+-\d+(:\d\d){0,2}", re.ASCII), "04:00:00 or 1-12"),
     "memory": (re.compile(r"\d+[KMGT]?", re.ASCII), "8G or 8000M"),
@@ -37,25 +37,23 @@ _FORMS: dict[str, tuple[re.Pattern[str], str]] = {
     "mail_type": (_MAIL_TYPES, "END, FAIL, ..."),
 }
 _FORM_OF = {"collect_time": "time_limit", "collect_memory": "memory", "collect_partition": "partition"}
-_OURS = {
+_RESERVED = {
     "job-name", "array", "output", "error", "input", "requeue", "no-requeue", "signal", "open-mode",
     "dependency", "chdir", "wrap", "parsable", "test-only", "wait", "hold", "ignore-pbs", "help", "version",
     "time", "mem", "cpus-per-task", "gres", "partition", "account", "qos", "constraint", "exclude",
     "mail-user", "mail-type",
 }  # fmt: skip
-"""Options of sbatch that the scripts set themselves, or that have their own option here."""
+"""Options of sbatch that the scripts set, or that have a field of :class:`SlurmOptions`."""
 
 
 @dataclass(frozen=True)
 class SlurmOptions:
-    """Resource requests of the job scripts. ``time_limit`` and ``memory`` are in Slurm's syntax.
+    """Resource requests of the job scripts, with times and memory in Slurm's syntax.
 
-    ``throttle``: maximum number of units at a time, 0 for no limit. ``notice_s`` before the time limit the
-    unit is told to finish its view, then requeued. ``setup`` is shell code that makes ``datagen`` callable on
-    a node (``source .venv/bin/activate``). ``max_array`` is the cluster's MaxArraySize: longer plans become
-    several array jobs. ``sbatch_options`` and ``collect_options`` are further options of sbatch, NAME or
-    NAME=VALUE, for the units and for the collecting job. The collecting job has its own size, and inherits
-    account, qos, exclude, mail and, unless it sets one, the partition. Raises :class:`InputError` with all
+    ``notice_s`` seconds before the time limit a unit is signalled to finish its view, then requeued.
+    ``setup`` is shell code that makes ``datagen`` callable on a node. Plans longer than ``max_array`` (the
+    cluster's MaxArraySize) become several array jobs. The collecting job has its own resources; it shares
+    account, qos, exclude, mail and, by default, partition with the units. Raises :class:`InputError` with all
     faults.
     """
 
@@ -63,14 +61,14 @@ class SlurmOptions:
     memory: Annotated[str, typer.Option(help="Memory of a unit.")] = "8G"
     cpus: Annotated[int, typer.Option(min=1, help="Processors of a unit.")] = 4
     gpus: Annotated[int, typer.Option(min=0, help="GPUs of a unit.")] = 0
-    throttle: Annotated[int, typer.Option(min=0, help="Units at a time; 0 = no limit.")] = 0
+    throttle: Annotated[int, typer.Option(min=0, help="Units running at a time; 0 = no limit.")] = 0
     notice_s: Annotated[
         int, typer.Option("--notice", min=1, help="Seconds of notice before the time limit.")
     ] = 120
-    attempts: Annotated[int, typer.Option(min=1, help="Tries per unit before it counts as failed.")] = 3
+    attempts: Annotated[int, typer.Option(min=1, help="Attempts per unit before it counts as failed.")] = 3
     setup: Annotated[str, typer.Option(help="Shell code that makes `datagen` callable on a node.")] = ""
     partition: Annotated[str, typer.Option(help="Slurm partition, or PBS queue.")] = ""
-    account: Annotated[str, typer.Option(help="Account.")] = ""
+    account: Annotated[str, typer.Option(help="Account to charge.")] = ""
     max_array: Annotated[int, typer.Option(min=2, help="The cluster's longest array (MaxArraySize).")] = 1001
     qos: Annotated[str, typer.Option(help="Slurm quality of service.")] = ""
     constraint: Annotated[str, typer.Option(help="Required features of the units' nodes.")] = ""
@@ -89,7 +87,7 @@ class SlurmOptions:
     ] = ""
     collect_options: Annotated[
         tuple[str, ...],
-        typer.Option("--collect-option", help="As --sbatch-option, for the job that collects."),
+        typer.Option("--collect-option", help="Like --sbatch-option, for the job that collects."),
     ] = ()
 
     def __post_init__(self) -> None:
@@ -118,7 +116,7 @@ class SlurmOptions:
 
 
 def seconds_of(time_limit: str) -> int:
-    """Seconds of a time in Slurm's syntax: minutes, M:S, H:M:S, D-H, D-H:M or D-H:M:S."""
+    """Seconds of a time limit in Slurm's syntax: minutes, M:S, H:M:S, D-H, D-H:M or D-H:M:S."""
     days, dash, rest = time_limit.rpartition("-")
     parts = [int(part) for part in rest.split(":")]
     if dash:
@@ -131,29 +129,29 @@ def seconds_of(time_limit: str) -> int:
 
 
 def option_name(field: str) -> str:
-    """The command's option for a field."""
+    """The command-line option of a field of :class:`SlurmOptions`."""
     return declared_options(SlurmOptions)[field][0]
 
 
 def _wrong_setup(setup: str) -> list[Problem]:
-    """Fault of setup code: incomplete commands would swallow the lines after it."""
+    """Fault of setup code, if any: an incomplete command would absorb the lines after it."""
     if not setup.strip():
         return []
-    remedy = "give whole commands of bash, as in: source .venv/bin/activate"
-    bad = next((c for c in setup if c not in "\n\t" and unicodedata.category(c) in _UNSPEAKABLE), None)
+    remedy = "write complete bash commands, such as: source .venv/bin/activate"
+    bad = next((c for c in setup if c not in "\n\t" and unicodedata.category(c) in _UNSAFE_CATEGORIES), None)
     if bad is not None:
         return [Problem(_WHERE, "--setup", f"{bad!r} in {setup!r}", "lines of text", remedy)]
     checked = subprocess.run(["bash", "-n"], input=setup, text=True, capture_output=True)
-    what = " ".join(checked.stderr.split())  # also if bash only warns, as for an unterminated here-document
+    fault = " ".join(checked.stderr.split())  # also if bash only warns, as for an unterminated here-document
     if (len(setup) - len(setup.rstrip("\\"))) % 2:
-        what = "a backslash at its end, which joins it with what follows"
-    if checked.returncode != 0 or what:
-        return [Problem(_WHERE, "--setup", what or repr(setup), "whole commands", remedy)]
+        fault = "a backslash at its end, which joins it with the next line"
+    if checked.returncode != 0 or fault:
+        return [Problem(_WHERE, "--setup", fault or repr(setup), "complete commands", remedy)]
     return []
 
 
 def split_option(text: str) -> tuple[str, str | None]:
-    """Name and value of ``NAME``, ``NAME=VALUE`` or the same with dashes before it."""
+    """Name and value (None without one) of NAME or NAME=VALUE, with or without leading dashes."""
     name, separator, value = text.removeprefix("--").partition("=")
     return name, value if separator else None
 
@@ -162,8 +160,8 @@ def _wrong_option(option: str, text: str) -> list[Problem]:
     name, value = split_option(text)
     expected = "NAME or NAME=VALUE as sbatch's long options"
     if not re.fullmatch(r"[a-z][a-z0-9-]*", name):
-        return [Problem(_WHERE, option, repr(text), expected, "write it so")]
-    if name in _OURS:
+        return [Problem(_WHERE, option, repr(text), expected, "correct it")]
+    if name in _RESERVED:
         return [Problem(_WHERE, option, repr(text), "an option that the scripts do not set", "leave it out")]
     if value is not None and not can_be_directive(value):
         return [Problem(_WHERE, option, repr(text), f"{expected}, without quotes or \\", "correct it")]
@@ -171,27 +169,25 @@ def _wrong_option(option: str, text: str) -> list[Problem]:
 
 
 def is_one_line(text: str) -> bool:
-    """Whether a text is a single line that a file can hold, as needed for a comment or for one command per
-    line.
-    """
-    return not any(unicodedata.category(character) in _UNSPEAKABLE for character in text)
+    """Whether a text is one line of valid UTF-8 without control characters."""
+    return not any(unicodedata.category(character) in _UNSAFE_CATEGORIES for character in text)
 
 
 def can_be_directive(text: str) -> bool:
-    """Whether Slurm's reader of directives returns a double-quoted text unchanged.
+    """Whether Slurm reads a double-quoted text in a directive unchanged.
 
-    Slurm treats a backslash as an escape, and in file names a backslash ends the replacement of ``%a``.
+    Slurm treats a backslash as an escape, and in file names a backslash disables the replacement of ``%a``.
     """
     return is_one_line(text) and '"' not in text and "\\" not in text
 
 
 def check_folder(root: Path, engine: str) -> None:
-    """Raise :class:`InputError` for a folder whose path cannot be written in a script of this engine."""
+    """Raise :class:`InputError` for a folder whose path this engine's scripts cannot contain."""
     path = str(root.resolve())
     remedy = "rename the folder, or reach it by another path"
     if not is_one_line(path):
         expected = "a path without line ends and control characters, in UTF-8"
         raise InputError(Problem(_WHERE, "folder", ascii(path), expected, remedy))
     if engine == "slurm" and not can_be_directive(path):
-        expected = "a path without double quotes and backslashes, which Slurm's directives do not hold"
+        expected = "a path without double quotes and backslashes, which Slurm's directives cannot contain"
         raise InputError(Problem(_WHERE, "folder", path, expected, remedy))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Remains of killed attempts in a dataset folder: unreferenced files that take up space.
+"""Finds and removes the files that killed attempts left in a dataset folder.
 
-A crash between a shard's rename and its marker leaves a tar that no marker names; an earlier crash leaves
-part of a tar. A second process on the same unit may continue to write views after the first has committed it.
+A crash between a shard's rename and its marker leaves a tar file that no marker names; an earlier crash
+leaves a partial one. A second process on a unit may write views after the first has committed the unit.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ _PARTIAL_MARKER = re.compile(r"\.+(?P<key>[0-9a-f]{64})\.json\.[0-9a-f]{12}\.par
 
 
 def find_leftovers(root: Path) -> list[Path]:
-    """Unneeded files and folders of planned units, sorted; units in progress are left out.
+    """Unneeded files and folders of planned units that are not in progress, sorted.
 
-    Only names of the project's own scheme are considered. Raises :class:`InputError` if there is no plan.
+    Other names than those of this project are ignored. Raises :class:`InputError` if there is no plan.
     """
     folder = DatasetFolder(root)
     units = folder.read_plan().units
@@ -52,7 +52,7 @@ def find_leftovers(root: Path) -> list[Path]:
 
 
 def remove_leftovers(root: Path) -> list[Path]:
-    """Remove all leftovers (see :func:`find_leftovers`); returns the removed paths."""
+    """Remove the files and folders of :func:`find_leftovers`; returns the removed paths."""
     removed = []
     for path in find_leftovers(root):
         if path.is_dir() and not path.is_symlink():
@@ -74,16 +74,16 @@ def _names(folder: Path) -> list[str]:
 
 
 def _is_needed(folder: DatasetFolder, unit: PlannedUnit, name: str, now: float) -> bool:
-    """Whether a file is the unit's shard, or may become it: the marker is written after the shard."""
+    """Whether a file is the unit's shard, or may become it while an attempt is running."""
     if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S:
         return True
     try:
         manifest = folder.read_manifest(unit)
     except InputError:
-        return True  # a damaged marker does not identify its shard; the unit is made again
+        return True  # a damaged marker does not identify its shard
     return manifest is not None and Path(manifest.shard).name == name
 
 
 def _is_over(folder: DatasetFolder, unit: PlannedUnit, now: float) -> bool:
-    """Whether the unit is done and no process works on it any more."""
+    """Whether the unit is done and no process is working on it."""
     return folder.is_done(unit) and age_of_attempt(folder.work_path(unit), now) >= RUNNING_AGE_S

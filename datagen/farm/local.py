@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Runs units on this machine, in worker processes whose crashes affect nothing else.
+"""Runs units on this machine, in worker processes that may crash without affecting each other.
 
-The parent hands out unit indices over pipes and never imports mitsuba. If a worker dies, only its unit is
-lost; the unit is tried again in a new process, then recorded as failed with its log and the command that
-reproduces the failure. Workers are replaced after a number of units or when their memory has grown.
+The parent sends unit indices over pipes and never imports mitsuba. If a worker dies, its unit is tried again
+in a new process and, after all attempts, recorded as failed with its log and the command that reproduces the
+failure. Workers are replaced after a number of units or when their memory has grown.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from datagen.farm.worker import STOP_SIGNALS, available_cpus, check_writable, pl
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from mitsuba_plugins.variant import check_variant
 
-GRACE_S = 20.0
+GRACE_S = 20.0  # time that workers have to stop before they are killed
 
 
 @dataclass(frozen=True)
 class LocalOptions:
-    """Options of a local run. ``max_growth_mb`` limits memory growth after a worker's first unit."""
+    """Options of a local run; ``max_growth_mb`` limits growth of memory after a worker's first unit."""
 
     workers: int = 1
     attempts: int = 3
@@ -43,15 +43,14 @@ class LocalOptions:
 
 @dataclass
 class RunSummary:
-    """Outcome of a run: ids of units by outcome, and the records of failed units."""
+    """Outcome of a run: ids of finished units, number of units done before, and records of failed units."""
 
     done: list[str] = field(default_factory=list)
     already_done: int = 0
     failures: list[FailureRecord] = field(default_factory=list)
     interrupted: bool = False
     disk_full: str = ""
-    """Message about a full disk that stopped the run, or ""; it counts as no attempt, and no unit is recorded
-    as failed."""
+    """Message about the full disk that stopped the run, or ''; the units affected do not count as failed."""
 
     @property
     def set_aside(self) -> list[str]:
@@ -60,11 +59,13 @@ class RunSummary:
 
 
 Event = tuple[str, str, str, int, int]
-"""(kind, unit id, stage, done, total); kind is "progress", "done", "retry" or "set_aside"."""
+"""(kind, unit id, stage, done, total), with kind "progress" or "done", or (kind, unit id, reason, attempts,
+maximum number of attempts), with kind "retry" or "set_aside".
+"""
 
 
 class _Worker:
-    """The parent's handle of one worker process."""
+    """The parent's handle of a worker process."""
 
     def __init__(self, root: Path, threads: int, stages: tuple[str, ...]):
         context = get_context("spawn")
@@ -81,19 +82,19 @@ class _Worker:
 
     def give(self, unit: PlannedUnit, log: Path) -> None:
         self.unit, self.log = unit, log
-        with suppress(OSError):  # it may have died before it got work; the parent's sentinel notices
+        with suppress(OSError):  # the process may have died, which the sentinel reports
             self.connection.send((unit.index, str(log)))
 
     def is_spent(self, memory_mb: float, options: LocalOptions) -> bool:
-        """Whether the worker has run its number of units or has grown too much."""
+        """Whether the worker has run its maximum number of units or its memory has grown too much."""
         if self.num_units == 1:
             self.first_memory_mb = memory_mb
         grown = memory_mb - self.first_memory_mb
         return self.num_units >= options.max_units_per_worker or grown > options.max_growth_mb
 
     def dismiss(self) -> None:
-        """Let an idle worker end."""
-        with suppress(OSError):  # it may already have ended
+        """Send an idle worker the message to end, and wait for it."""
+        with suppress(OSError):  # the process may already have ended
             self.connection.send(None)
         self.process.join(GRACE_S)
         self.kill()
@@ -108,11 +109,11 @@ class _Worker:
 def run_local(
     root: Path, options: LocalOptions, on_event: Callable[[Event], None] = lambda event: None
 ) -> RunSummary:
-    """Run every unfinished unit of the plan, with ``options.workers`` processes.
+    """Run every unfinished unit of the plan, or of ``options.only``, and return the outcome.
 
     SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop; a full disk stops the
     run as soon as it is noticed. Units that failed ``attempts`` times are in ``set_aside`` and under
-    ``failed/``.
+    ``failed/``. Raises :class:`InputError` without a plan, or if the folder is not writable.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
@@ -131,7 +132,7 @@ def run_local(
 
 @dataclass
 class _LocalRun:
-    """A run's queue, its workers and its outcome so far."""
+    """A run's queue of units, its workers and its outcome so far."""
 
     folder: DatasetFolder
     options: LocalOptions
@@ -176,7 +177,7 @@ class _LocalRun:
                 worker.give(unit, self.folder.logs_path / f"{unit.id}.{self.attempts[unit.id]}.log")
 
     def _handle(self, worker: _Worker) -> None:
-        """Handle a worker's message, or its death."""
+        """Handle a worker's message, or the end of its process."""
         unit = worker.unit
         try:
             message = worker.connection.recv() if worker.connection.poll() else None
@@ -217,7 +218,7 @@ class _LocalRun:
             worker.dismiss()
 
     def _fail(self, unit: PlannedUnit, reason: str, log: Path | None) -> None:
-        """Queue the unit again, or record it as failed once its attempts are used up."""
+        """Queue the unit again or, after its last attempt, record it as failed."""
         root, used = self.folder.root, self.attempts[unit.id]
         if used < self.options.attempts:
             self.todo.append(unit)
@@ -232,7 +233,7 @@ class _LocalRun:
             command=f"datagen run {shlex.quote(str(root.resolve()))} --unit {unit.index} --attempts 0",
         )
         self.summary.failures.append(record)
-        # A full disk prevents units and their records alike; the caller has them in the summary.
+        # a full disk may also prevent the record, which the summary contains
         with suppress(OSError):
             self.folder.failed_path.mkdir(exist_ok=True)
             write_bytes_atomically(self.folder.failed_path / f"{unit.id}.json", canonical_json(record))
@@ -240,7 +241,7 @@ class _LocalRun:
 
 
 def _ready(workers: list[_Worker]) -> list[_Worker]:
-    """Workers with a message or an end to report, waiting at most a second, so that signals are noticed."""
+    """Workers with a message or whose process has ended; waits at most 1 s, so that signals are noticed."""
     handles: dict[object, _Worker] = {}
     for worker in workers:
         handles[worker.connection] = worker
@@ -263,7 +264,7 @@ def _end_of(exit_code: int) -> str:
 
 
 def _stop_all(workers: list[_Worker]) -> None:
-    """Ask every worker to stop after its view, wait for the grace time, then kill."""
+    """Signal every worker to stop after its view, and wait for their outcomes, at most ``GRACE_S``."""
     for worker in workers:
         if worker.process.is_alive():
             worker.process.terminate()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``datagen recipe new``: four questions, one recipe, and its schema beside it for editors."""
+"""``datagen recipe new``: writes a recipe from four answers, and its schema for editors."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ recipe = typer.Typer(
 SCHEMA_FILE = "recipe.schema.json"
 _TEXT = """\
 # yaml-language-server: $schema={schema}
-# {images} images. Every key that a recipe knows: datagen run {file} --out DATASET --dry-run
+# {images} images. To list all keys of a recipe: datagen run {file} --out DATASET --dry-run
 format: scene-materials/recipe
 version: 1
 name: {name}
 seed: {seed}
-configurations: {configurations}  # rooms, each furnished, dressed and lit anew
-views: {views}  # cameras in each
+configurations: {configurations}  # rooms, each with its own objects, materials and lights
+views: {views}  # cameras per configuration
 resolution: [{width}, {height}]
 library: [bundled]  # folders of assets, relative to this file
 render: {{quality: {quality}}}  # draft, standard or reference
@@ -39,7 +39,7 @@ def _recipe() -> None:
 
 @recipe.command()
 def new(
-    file: Annotated[Path, typer.Argument(help="Recipe to write (YAML); its name names the dataset.")],
+    file: Annotated[Path, typer.Argument(help="Recipe to write (YAML), named after the dataset.")],
     configurations: Annotated[int | None, typer.Option(min=1, help="Number of rooms.")] = None,
     views: Annotated[int | None, typer.Option(min=1, help="Views per configuration.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,
@@ -58,14 +58,14 @@ def new(
         resolution = typer.prompt("Width x height in pixels", default="320x192")
     if quality is None:
         quality = typer.prompt("Quality: draft, standard or reference", default="draft")
-    typer.echo(f"{write_recipe(file, configurations, views, resolution, quality, seed)}")
+    typer.echo(write_recipe(file, configurations, views, resolution, quality, seed))
     typer.echo(f"next: datagen run {file} --out {file.stem}")
 
 
 def write_recipe(
     file: Path, configurations: int, views: int, resolution: str, quality: str, seed: int = 0
 ) -> Path:
-    """Write a recipe, with the schema beside it. Raises :class:`InputError` for impossible answers."""
+    """Write a recipe and, in its folder, the schema. Raises :class:`InputError` for impossible answers."""
     import yaml
 
     from datagen.formats.base import parse_model, write_bytes_atomically
@@ -73,12 +73,12 @@ def write_recipe(
     from datagen.formats.schemas import json_schemas
 
     if file.suffix.lower() not in (".yaml", ".yml"):
-        raise input_error(file, "", file.suffix or "no suffix", ".yaml", "name it so")
+        raise input_error(file, "", file.suffix or "no suffix", ".yaml", "change the suffix")
     if file.exists():
-        raise input_error(file, "", "a file that is there", "a new one", "choose another name, or remove it")
+        raise input_error(file, "", "an existing file", "a new one", "choose another name, or remove it")
     size = re.fullmatch(r"\s*(\d{1,6})\s*[x×, ]\s*(\d{1,6})\s*", resolution)
     if size is None:
-        raise input_error("--resolution", "", resolution, "WIDTHxHEIGHT, such as 320x192", "write it so")
+        raise input_error("--resolution", "", resolution, "WIDTHxHEIGHT, such as 320x192", "correct it")
     text = _TEXT.format(
         schema=SCHEMA_FILE,
         images=f"{configurations * views:,}",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Runs a plan on PBS (OpenPBS, PBS Professional): array jobs whose members look up their unit in a list.
+"""Runs a plan on PBS (OpenPBS, PBS Professional) by array jobs.
 
-PBS arrays have no gaps and at least two members, so that the script lists the units of its members. PBS gives
-no notice before a time limit; the script does. Unfinished units then submit themselves again.
+PBS arrays have consecutive members and at least two of them, so the script lists the unit of each member. PBS
+sends no signal before a time limit, so the script does. Unfinished units then submit themselves again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "c
 
 
 class PbsEngine:
-    """The engine for PBS, by ``qsub``, ``qselect`` and ``qdel``; ``--partition`` names the queue."""
+    """The engine for PBS, by ``qsub``, ``qselect`` and ``qdel``; ``--partition`` is the queue's name."""
 
     program = "qsub"
 
@@ -86,7 +86,7 @@ def _directives(root: Path, options: SlurmOptions, select: str, time_limit: str,
         *([f"-q {queue}"] if queue else []),
         *([f"-A {options.account}"] if options.account else []),
         *([f"-M {options.mail_user}", "-m ae"] if options.mail_user else ["-m n"]),
-        # The script redirects its log itself: a directive cannot contain every folder's name.
+        # The script redirects its output, since a directive cannot contain every path.
         "-j oe",
         "-o /dev/null",
         "-r y",
@@ -102,7 +102,7 @@ def _unit_script(root: Path, options: SlurmOptions, indices: Sequence[int], numb
         head += f"\n#PBS -J 0-{len(indices) - 1}{throttle}"
     wait_s = seconds_of(options.time_limit) - options.notice_s
     return f"""#!/bin/bash
-# Units of {root.resolve().name}: a member a unit.
+# Units of {root.resolve().name}, one per member of the array.
 # Written by `datagen farm submit --engine pbs`; safe to submit again.
 {head}
 {with_setup(options, root)}
@@ -110,8 +110,8 @@ units=({" ".join(map(str, indices))})
 unit="${{DATAGEN_UNIT:-${{units[${{PBS_ARRAY_INDEX:-0}}]}}}}"
 exec >> "$folder/logs/pbs-unit-$unit.log" 2>&1
 
-# {options.notice_s} s before the time limit the unit is told to finish its view;
-# it then ends with {EXIT_INTERRUPTED}.
+# {options.notice_s} s before the time limit, a signal lets the unit finish its view
+# and end with {EXIT_INTERRUPTED}.
 datagen run "$folder" --unit "$unit" --attempts {options.attempts} &
 worker=$!
 trap 'kill -USR1 "$worker" 2>/dev/null' USR1 TERM
@@ -125,7 +125,7 @@ while kill -0 "$worker" 2>/dev/null; do
 done
 kill "$timer" 2>/dev/null
 if [ "$code" = {EXIT_INTERRUPTED} ]; then
-    # One job for this unit alone: an array cannot take a member back.
+    # A job for this unit only: a member of an array cannot be requeued.
     grep -v '^#PBS -J' "$folder/jobs/units-{number}.pbs" | qsub -v "DATAGEN_UNIT=$unit"
 fi
 exit "$code"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From a recipe to a planned dataset folder: all configurations on disk, then the list of units."""
+"""Plans a dataset folder from a recipe: writes all configurations, then the list of units."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from mitsuba_plugins.variant import check_variant, resolve_variant
 
 
 def check_start(recipe: Recipe, library: Library) -> None:
-    """Raise :class:`InputError` for faults of recipe, library or LLVM that would make every process fail."""
+    """Raise :class:`InputError` for faults of recipe, library or LLVM that make every unit fail."""
     check_recipe(recipe, library)
     check_variant(recipe.render.variant)
 
 
 def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
-    """Create the folder, or check that it was started from the same recipe, library and versions."""
+    """Create a dataset folder; raises :class:`InputError` if it has another recipe, library or version."""
     folder = DatasetFolder(root)
     record = FolderRecord(
         recipe_sha256=sha256_hex(canonical_json(recipe)),
@@ -77,10 +77,10 @@ def create_plan(
     report: Callable[[int, int], None] = lambda done, total: None,
     tell: Callable[[str], None] = lambda note: None,
 ) -> Plan:
-    """Assemble the missing configurations and write the plan; an existing plan is only read.
+    """Assemble the missing configurations and write the plan; if there is a plan, read it.
 
-    ``report(done, total)`` is called for each finished configuration, ``tell`` with each of
-    :func:`notes_before` after the checks. Raises :class:`InputError`.
+    ``report(done, total)`` is called for each assembled configuration, ``tell`` with each of
+    :func:`notes_before`. Raises :class:`InputError` for faults of recipe, library or folder.
     """
     if not DatasetFolder(root).plan_path.exists():
         check_start(recipe, library)  # before any file is written
@@ -109,7 +109,7 @@ def create_plan(
 
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """Remarks before planning: valid content of recipe and library that the user should know of."""
+    """Sentences about valid content of recipe and library that may surprise the user."""
     return [
         *map(str, unplaceable(recipe, library)),
         *implausible_sizes(recipe, library),
@@ -118,7 +118,7 @@ def notes_before(recipe: Recipe, library: Library) -> list[str]:
 
 
 def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:
-    """The configurations of a plan, in its order."""
+    """Yield the configurations of a plan, in its order."""
     folder = DatasetFolder(root)
     for unit in plan.units:
         yield read_json(Configuration, folder.configuration_path(unit.id))
@@ -133,11 +133,11 @@ def _is_assembled(folder: DatasetFolder, recipe: Recipe, library: Library, index
         room = configuration.environment.asset
         return configuration.index == index and (room in library or folder.room_path(room).exists())
     except InputError:
-        return False  # damaged: assembled again
+        return False  # damaged, so assembled again
 
 
 def write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
-    """Write the plan from the configurations on disk, which completes planning."""
+    """Write ``plan.json`` from the configurations on disk, and return the plan."""
     versions = pixel_versions(has_light=recipe.statistics.light)
     variant = resolve_variant(recipe.render.variant)
     units = []

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Runs a plan on Slurm, or on any queue that can call one command per unit.
+"""Runs a plan on Slurm, or on any queue that can run one command per unit.
 
-Slurm does not guarantee exactly one run: a killed node's job is requeued while its old process may still be
-running. The output protocol of ``work_unit`` does. Nothing is ever identified by a job id, since a restarted
-controller reuses them.
+Slurm may run a job twice: the job of a lost node is requeued while its old process may still run;
+``work_unit`` commits one result. Nothing is identified by a job id, since a restarted controller may reuse
+ids.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from datagen.foundation.errors import input_error
 
 
 def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> str:
-    """``#SBATCH`` lines; None marks an option without a value.
+    """``#SBATCH`` lines; the value None means an option without value, '' an absent option.
 
-    Values are double-quoted, which keeps them unchanged (otherwise a ``#`` would begin a comment).
+    Values are double-quoted if necessary (otherwise ``#`` would begin a comment).
     """
     lines = []
     for name, value in [*directives.items(), *map(split_option, options)]:
@@ -39,7 +39,7 @@ def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> 
 
 
 def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | None]:
-    """Directives shared by both kinds of job."""
+    """Directives of both units and collecting job."""
     return {
         "job-name": job_name(root),
         "account": options.account,
@@ -52,7 +52,7 @@ def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | Non
 
 
 def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[int]) -> str:
-    """The array job's script. Task i runs unit ``offset + i``, since array indices are limited."""
+    """The array job's script; task i runs unit ``offset + i``, since Slurm limits array indices."""
     check_folder(root, "slurm")
     throttle = f"%{options.throttle}" if options.throttle else ""
     directives: dict[str, str | None] = {
@@ -69,13 +69,13 @@ def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[i
         "signal": f"B:USR1@{options.notice_s}",
     }
     return f"""#!/bin/bash
-# Units of {root.resolve().name}: a task a unit. Written by `datagen farm submit`; safe to submit again.
+# Units of {root.resolve().name}, one per task. Written by `datagen farm submit`; safe to submit again.
 {_directives(directives, options.sbatch_options)}
 {with_setup(options, root)}
 unit=$(({offset} + SLURM_ARRAY_TASK_ID))
 task="${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}"
 
-# Slurm tells the script {options.notice_s} s before the time limit; the unit finishes its view and
+# Slurm signals the script {options.notice_s} s before the time limit; the unit finishes its view and
 # ends with {EXIT_INTERRUPTED}.
 datagen run "$folder" --unit "$unit" --attempts {options.attempts} &
 worker=$!
@@ -87,7 +87,7 @@ while kill -0 "$worker" 2>/dev/null; do
     code=$?
 done
 if [ "$code" = {EXIT_INTERRUPTED} ]; then
-    # Not $SLURM_JOB_ID: the last task's is the array's, and all tasks would start again.
+    # Not $SLURM_JOB_ID: that of the last task is the array's, and all tasks would start again.
     scontrol requeue "$task"
 fi
 exit "$code"
@@ -95,10 +95,7 @@ exit "$code"
 
 
 def collect_script(root: Path, options: SlurmOptions) -> str:
-    """The dependent job's script: status, index, verification, report.
-
-    The job requests no GPU; it exits with the code of the last failed step.
-    """
+    """The collecting job's script (see :func:`collect_commands`), which requests no GPU."""
     check_folder(root, "slurm")
     directives: dict[str, str | None] = {
         **_shared_directives(root, options),
@@ -116,7 +113,7 @@ def collect_script(root: Path, options: SlurmOptions) -> str:
 
 
 def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
-    """One command per line, for any other queue (GNU parallel, xargs, SGE, HTCondor, ...)."""
+    """Commands that run the units ``indices``, one per line, for any other queue (GNU parallel, SGE, ...)."""
     check_folder(root, "shell")
     folder = shlex.quote(str(root.resolve()))
     lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]
@@ -124,7 +121,7 @@ def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
 
 
 def _escaped(path: Path) -> str:
-    """A path, escaped for Slurm's file name patterns."""
+    """A path escaped for Slurm's file name patterns."""
     return str(path).replace("%", "%%")
 
 
@@ -148,7 +145,7 @@ class SlurmEngine:
         return Script("collect.sbatch", collect_script(root, options))
 
     def send(self, script: Path, after: Sequence[str]) -> str:
-        # afterok would wait for ever after one failed task.
+        # with afterok, the job would wait forever after a failed task
         wait = [f"--dependency=afterany:{':'.join(after)}"] if after else []
         answer = ask(script, "an accepted job", "sbatch", "--parsable", *wait, str(script.resolve()))
         return answer.strip().split(";")[0]
@@ -165,7 +162,7 @@ class SlurmEngine:
 
 
 class ShellEngine:
-    """A list of commands for any other queue; nothing is submitted."""
+    """The engine that writes a list of commands and submits nothing."""
 
     program = ""
 
@@ -185,4 +182,4 @@ class ShellEngine:
         return []
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
-        """Nothing to do: there are no jobs."""
+        """Do nothing, since there are no jobs."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Free disk space compared with the need of the remaining units, estimated before work starts."""
+"""Estimates the disk space that the remaining units need, and compares it with the free space."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS
 from datagen.foundation.errors import input_error
 
 VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2
-"""Upper bound in bytes per pixel: uncompressed and complete view side by side."""
+"""Upper bound of bytes per pixel of a view in progress: 16 float32 channels before and after statistics."""
 _PACKED_SHARE = 0.37
-"""Size of a packed view relative to all buffers' bytes, measured with the bundled library (`datagen run
-smoke.yaml`)."""
+"""Size of a packed view relative to its buffers, measured by `datagen run smoke.yaml`."""
 
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Bytes needed by the shards of ``num_units`` unfinished units, and by units in progress."""
+    """Bytes of the shards of ``num_units`` unfinished units, and of the files of units in progress."""
 
     num_units: int
     shard_bytes: float
@@ -31,7 +30,7 @@ class SpaceNeed:
 
 
 def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
-    """Space needed by the remaining units, from the existing shards or from the size of the views."""
+    """Space for the remaining units, ``workers`` at a time, from existing shards or the size of views."""
     plan, recipe = folder.read_plan(), folder.read_recipe()
     pixels = recipe.resolution[0] * recipe.resolution[1]
     manifests = [folder.read_manifest(unit) for unit in plan.units if folder.is_done(unit)]
@@ -50,18 +49,16 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
 
 
 def check_space(folder: DatasetFolder, workers: int) -> None:
-    """Raise :class:`InputError` if the remaining units are likely to need more than the free disk space."""
+    """Raise :class:`InputError` if the remaining units need more than the free disk space, by estimate."""
     need = needed_space(folder, workers)
     free = shutil.disk_usage(folder.root).free
     if need.total_bytes > free:
-        remedy = (
-            "free some, ask for less, plan it elsewhere (--out), or go on as far as it goes: --no-space-check"
-        )
+        remedy = "free space, reduce the recipe, choose another --out, or try it with --no-space-check"
         raise input_error(
             folder.root,
             "free disk",
             f"{free / 1e6:,.0f} MB",
             f"about {need.total_bytes / 1e6:,.0f} MB for {need.num_units} units "
-            f"({need.working_bytes / 1e6:,.0f} MB of it only while they are made)",
+            f"({need.working_bytes / 1e6:,.0f} MB of it temporarily)",
             remedy,
         )

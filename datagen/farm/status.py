@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""State of a plan's units, read from the folder alone: manifests are authoritative, logs are not."""
+"""State of a plan's units, from the files of its folder: manifests are authoritative, logs are not."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.paths import inside
 
 RUNNING_AGE_S = 600.0
-"""A unit with a younger heartbeat counts as running."""
+"""A unit whose heartbeat is younger than this, in seconds, counts as running."""
 
 
 @dataclass(frozen=True)
 class FarmStatus:
     """Counts and rates of a plan.
 
-    ``core_seconds`` sums the time of finished units; ``array_spec`` lists the unfinished units in the syntax
-    of Slurm's ``--array``.
+    ``core_seconds`` is the total running time of finished units; ``array_spec`` lists the unfinished units in
+    the syntax of Slurm's ``--array``.
     """
 
     total: int
@@ -63,10 +63,9 @@ def _names(folder: Path) -> set[str]:
 
 
 def read_status(root: Path) -> FarmStatus:
-    """State of a planned folder.
+    """Read the state of a planned folder. Raises :class:`InputError` if there is no plan.
 
-    Markers, shards, work and failures are listed once each, and each manifest is read once. Raises
-    :class:`InputError` if there is no plan.
+    Markers, shards, work and failures are listed once each, and each manifest is read once.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
@@ -82,7 +81,7 @@ def read_status(root: Path) -> FarmStatus:
             try:
                 manifest = folder.read_manifest(unit)
             except InputError:
-                manifest = None  # a damaged marker is invalid: the unit is made again
+                manifest = None  # damaged, so the unit is run again
         if manifest is None or manifest.shard not in shards:
             undone.append(unit)
             continue
@@ -110,7 +109,7 @@ def read_status(root: Path) -> FarmStatus:
 
 
 def file_system_now(folder: DatasetFolder) -> float:
-    """The file system's own clock, from a file written just now: the clocks of hosts differ."""
+    """Time of the file system's clock, from a file touched now, since clocks of hosts differ."""
     probe = folder.root / f".clock.{os.getpid()}"
     try:
         probe.touch()
@@ -123,9 +122,9 @@ def file_system_now(folder: DatasetFolder) -> float:
 
 
 def age_of_attempt(work: Path, now: float) -> float:
-    """Seconds since the last heartbeat of an attempt at the unit; infinite if there was none."""
+    """Seconds since the last heartbeat of an attempt at a unit; infinite if there is none."""
     try:
-        return abs(now - (work / "running").stat().st_mtime)  # the clock may have been set back meanwhile
+        return abs(now - (work / "running").stat().st_mtime)  # abs: the clock may have been set back
     except OSError:
         return float("inf")
 
@@ -138,12 +137,12 @@ def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureR
             try:
                 records.append(folder.read_failure(unit.id))
             except InputError:
-                continue  # may be half written
+                continue  # may be incomplete
     return records
 
 
 def _rate_per_hour(times: list[float], now: float) -> float | None:
-    """Units finished per hour over the last hour, or since the first one if that is shorter."""
+    """Units finished per hour, in the last hour or since its first finished unit; None for fewer than two."""
     recent = [t for t in times if now - t <= 3600]
     if len(recent) < 2:
         return None
@@ -164,7 +163,7 @@ def forget_failures(root: Path) -> list[str]:
 
 
 def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
-    """The last lines of a log of the folder, read from its end; empty without a log."""
+    """The last ``count`` lines of a log in the folder; empty if ``log`` is ''."""
     if not log:
         return []
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Submits the rest of a plan to a queue, by any engine."""
+"""Submits the unfinished units of a plan to a queue."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.errors import input_error
 
 ENGINES: dict[str, Engine] = {"slurm": SlurmEngine(), "pbs": PbsEngine(), "shell": ShellEngine()}
-"""Queues by their name in ``--engine``."""
+"""Engines by their name in ``--engine``."""
 
 
 @dataclass(frozen=True)
 class Submission:
-    """Result of :func:`submit`: the scripts, and the job ids (empty for a dry run)."""
+    """Result of :func:`submit`: scripts, job ids (empty if not submitted) and number of unfinished units."""
 
     scripts: tuple[Path, ...]
     job_ids: tuple[str, ...]
@@ -31,7 +31,7 @@ class Submission:
 
 
 def engine_of(name: str) -> Engine:
-    """The engine of that name. Raises :class:`InputError` with the known names."""
+    """The engine with this name. Raises :class:`InputError` with the known names."""
     if name not in ENGINES:
         raise input_error("farm", "engine", name, ", ".join(ENGINES), "choose one of them")
     return ENGINES[name]
@@ -46,8 +46,8 @@ def submit(
 ) -> Submission:
     """Write job scripts for the unfinished units, and submit them unless ``dry_run``.
 
-    Raises :class:`InputError`, also if the disk lacks space for the shards and for the views of ``throttle``
-    units in progress (of one unit if the queue decides how many run).
+    Raises :class:`InputError` for faults of options, folder or queue, and if the disk lacks space for the
+    shards and the views of ``throttle`` units in progress (1 if it is 0).
     """
     folder, queue = DatasetFolder(root), engine_of(engine)
     indices = [unit.index for unit in folder.read_plan().units if not folder.is_done(unit)]
@@ -66,7 +66,7 @@ def submit(
     if dry_run or not units or not queue.program:
         return Submission(tuple(written), (), len(indices))
     if shutil.which(queue.program) is None:
-        remedy = "run this on a cluster's login node, or use --dry-run or --engine shell"
+        remedy = "run the command on a cluster's login node, or use --dry-run or --engine shell"
         raise input_error("farm submit", queue.program, "not found", f"{engine}'s commands on PATH", remedy)
     already = queue.jobs(root)
     if already:
@@ -79,7 +79,7 @@ def submit(
 
 
 def cancel(root: Path, engine: str = "slurm") -> list[str]:
-    """Cancel every job of this folder; finished units are kept. Returns the ids."""
+    """Cancel every job of this folder and return the ids; finished units are kept."""
     DatasetFolder(root).read_plan()
     queue = engine_of(engine)
     ids = queue.jobs(root)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""One unit of work, from its configuration to its committed shard; can be interrupted and resumed at any
-point.
+"""Runs a unit, from its configuration to its committed shard, interruptible and resumable at any point.
 
 Stages communicate through files only: ``render`` writes finished views, ``stats`` writes views with
 statistics, ``pack`` writes the shard and its manifest. Every file appears whole or not at all, and the
-manifest last by ``os.link``: of two processes on the same unit, the first to finish commits it and the second
-changes nothing.
+manifest last by ``os.link``: of two processes on a unit, the first to finish commits it, the second has no
+effect.
 """
 
 from __future__ import annotations
@@ -56,14 +55,14 @@ if TYPE_CHECKING:
 
 
 class Interrupted(Exception):
-    """The unit was asked to stop; all finished views are on disk."""
+    """A signal stopped the unit; all finished views are on disk."""
 
 
 @dataclass
 class UnitRun:
-    """State of one attempt at a unit. ``report(stage, done, total)`` is called as work proceeds.
+    """State of an attempt at a unit. ``report(stage, done, total)`` is called after each view.
 
-    ``should_stop`` is called between views; True raises :class:`Interrupted`.
+    ``should_stop`` is called between views; if it returns True, :class:`Interrupted` is raised.
     """
 
     folder: DatasetFolder
@@ -90,7 +89,7 @@ class UnitRun:
 
     @property
     def heartbeat_path(self) -> Path:
-        """File touched while an attempt works; read by `status` only."""
+        """File touched while an attempt is running, read by :mod:`datagen.farm.status`."""
         return self.work / "running"
 
     def progress(self, stage: str, done: int, total: int) -> None:
@@ -99,26 +98,26 @@ class UnitRun:
         self.report(stage, done, total)
 
     def check_stop(self) -> None:
-        """Raise :class:`Interrupted` if the unit was asked to stop."""
+        """Raise :class:`Interrupted` if ``should_stop`` returns True."""
         if self.should_stop():
             raise Interrupted(self.unit.id)
 
     # ------------------------------------------------------------------ views on disk
 
     def read_record(self, folder: Path, view: str) -> ViewRecord | None:
-        """Record of a finished view, or None if it is missing or does not match its EXR."""
+        """The record of a finished view, or None if it is missing or does not match its EXR file."""
         try:
             record = read_json(ViewRecord, folder / f"{view}.json")
             if sha256_file(folder / f"{view}.exr") == record.exr_sha256:
                 return record
         except (InputError, OSError):
-            pass  # an unfinished or damaged view is made again
+            pass  # a view that is unfinished or damaged is rendered again
         return None
 
     def publish(
         self, folder: Path, record: ViewRecord, buffers: dict[str, NDArray], compression: str
     ) -> None:
-        """Write a view's EXR, then the JSON that marks it as complete."""
+        """Write a view's EXR file, then the JSON file that marks it as complete."""
         data = encode_view(buffers, compression)
         write_bytes_atomically(folder / f"{record.name}.exr", data)
         record = record.model_copy(update={"exr_sha256": sha256_hex(data), "buffers": tuple(sorted(buffers))})
@@ -126,7 +125,7 @@ class UnitRun:
 
 
 def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) -> bool:
-    """Run the ``stages`` of a unit; returns False if it was already committed.
+    """Run ``stages`` of a unit; returns False if it is already committed.
 
     Raises :class:`Interrupted`, :class:`InputError`, or any error of the renderer; finished views are kept.
     """
@@ -144,14 +143,14 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
         raise
     finally:
         run.heartbeat_path.unlink(missing_ok=True)
-        # Also after another process's commit: this one may have written files since it cleaned up.
+        # also if another process has committed the unit: this one may have written files since
         if run.folder.is_done(run.unit):
             shutil.rmtree(run.work, ignore_errors=True)
     return True
 
 
 def _check_planned(run: UnitRun, configuration: Configuration) -> None:
-    """Refuse files that changed since the plan, and software versions that would give other pixels."""
+    """Raise :class:`InputError` for files that changed since the plan, or other software versions."""
     where = run.folder.configuration_path(run.unit.id)
     versions = pixel_versions(has_light=run.recipe.statistics.light)
     if run.versions != versions:
@@ -163,7 +162,7 @@ def _check_planned(run: UnitRun, configuration: Configuration) -> None:
     key = unit_key(configuration, run.recipe, run.variant, run.versions)
     if key != run.unit.key:
         got = "not what was planned: this file or recipe.yaml has changed"
-        raise input_error(where, "", got, f"the unit of key {run.unit.key[:12]}", "restore them")
+        raise input_error(where, "", got, f"the unit with the key {run.unit.key[:12]}", "restore both files")
 
 
 def _render(run: UnitRun, configuration: Configuration) -> None:
@@ -208,7 +207,7 @@ def _render(run: UnitRun, configuration: Configuration) -> None:
 
 
 def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
-    """Gather the multi-view statistics of all views and publish the complete views."""
+    """Compute the multi-view statistics of all views and publish the complete views."""
     start = time.perf_counter()
     names = [camera.name for camera in configuration.cameras]
     run.complete_path.mkdir(parents=True, exist_ok=True)
@@ -253,8 +252,9 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
 
 
 def light_of_views(run: UnitRun, configuration: Configuration, views: Sequence[StatisticsView]) -> ViewLight:
-    """The light recorded by the views, from the inputs of a reconstruction of the room: images, cameras and
-    mesh.
+    """The light recorded by a configuration's views, from their images and cameras and the room's mesh.
+
+    Raises :class:`InputError` if the views show too little surface.
     """
     from datagen.light.view_light import ViewLight
 
@@ -274,18 +274,18 @@ def light_of_views(run: UnitRun, configuration: Configuration, views: Sequence[S
         return ViewLight(seen, traced, geometry.emitter_mask())
     except ValueError as error:
         where = run.folder.configuration_path(run.unit.id)
-        expected = "views of extended surface, for statistics.light"
+        expected = "views that show enough surface for statistics.light"
         remedy = "choose other cameras, or leave statistics.light out"
         raise input_error(where, "cameras", str(error), expected, remedy) from None
 
 
 def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:
     remedy = f"run `datagen run {run.folder.root} --only {stage}` first"
-    return input_error(path, "", "not there yet", "every view of the configuration", remedy)
+    return input_error(path, "", "missing", "every view of the configuration", remedy)
 
 
 def _pack(run: UnitRun, configuration: Configuration) -> None:
-    """Tar the complete views, commit the shard, write the manifest."""
+    """Write the complete views into a shard, commit it, and write the manifest."""
     start = time.perf_counter()
     run.heartbeat_path.touch()
     names = [camera.name for camera in configuration.cameras]
@@ -306,7 +306,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         digest = sha256_file(partial)
         shard = run.folder.shards_path / f"{configuration.id}-{digest[:16]}.tar"
         num_bytes = partial.stat().st_size
-        run.heartbeat_path.touch()  # before the marker exists, only the name identifies the shard's unit
+        run.heartbeat_path.touch()  # keeps the shard, which no marker names yet, from being removed
         publish(partial, shard)
     except BaseException as error:
         partial.unlink(missing_ok=True)
@@ -318,7 +318,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         try:
             timings.append(read_json(ViewTiming, run.rendered_path / f"{name}.timing"))
         except InputError:
-            timings.append(ViewTiming(view=name, seconds={}))  # lost when an earlier attempt was killed
+            timings.append(ViewTiming(view=name, seconds={}))  # not written by an attempt that was killed
     run.seconds["pack"] = round(time.perf_counter() - start, 3)
     manifest = UnitManifest(
         key=run.unit.key,
@@ -337,7 +337,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
 
 
 def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
-    """Publish the manifest under its name, unless another attempt was first."""
+    """Publish a unit's manifest, unless another attempt has published a valid one."""
     path = run.folder.manifest_path(run.unit)
     partial = path.with_name(f".{path.name}.{run.attempt}.partial")
     write_bytes_atomically(partial, canonical_json(manifest))
@@ -348,8 +348,8 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
             winner = run.folder.read_manifest(run.unit)
         except InputError:
             winner = None
-        lies = winner is not None and winner.shard == manifest.shard and winner.sha256 != manifest.sha256
-        if winner is None or lies or not run.folder.is_done(run.unit):  # damaged, or without its shard
+        is_wrong = winner is not None and winner.shard == manifest.shard and winner.sha256 != manifest.sha256
+        if winner is None or is_wrong or not run.folder.is_done(run.unit):  # damaged, or without its shard
             publish(partial, path)
         elif winner.shard != manifest.shard:
             (run.folder.root / manifest.shard).unlink(missing_ok=True)

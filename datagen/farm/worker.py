@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A worker process: runs units that its parent sends over a pipe, or one unit in this process.
+"""Runs units that a parent process sends over a pipe, or one unit in this process.
 
-A signal to stop ends a unit after its current view; finished views are kept.
+A signal to stop takes effect after the current view; finished views are kept.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from datagen.library import Library
 from mitsuba_plugins.variant import check_variant, select_variant
 
 EXIT_INTERRUPTED = 75
-"""Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""
+"""Exit code (EX_TEMPFAIL) of a unit that a signal stopped and that is to be run again."""
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1") if hasattr(signal, name)
 )  # missing on Windows
 
 
 def available_cpus() -> int:
-    """Number of processors that this process may use; a queue may grant fewer than the machine has."""
+    """Number of processors that this process may use, of which a queue may grant fewer than exist."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -46,21 +46,21 @@ def check_writable(root: Path) -> None:
 
 
 def planned_unit(plan: Plan, root: Path, index: int) -> PlannedUnit:
-    """The unit with an index; raises :class:`InputError` if the plan has none."""
+    """The unit with this index. Raises :class:`InputError` if the plan has none."""
     if not 0 <= index < len(plan.units):
         raise input_error(root, "unit", index, f"0 to {len(plan.units) - 1}", "correct the index")
     return plan.units[index]
 
 
 def worker_main(connection: Connection, root: str, threads: int, stages: tuple[str, ...]) -> None:
-    """Loop of a worker process: receive an index, run the unit, send the outcome."""
+    """Main function of a worker process: receive an index, run the unit, send the outcome, repeat."""
     stop = {"asked": False}
     parent = os.getppid()
 
     def ask_to_stop(signum: int, frame: object) -> None:
         stop["asked"] = True
 
-    for number in STOP_SIGNALS:  # Ctrl-C and queues signal the whole group; the parent decides
+    for number in STOP_SIGNALS:  # Ctrl-C and queues signal all processes; only the parent reacts
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, ask_to_stop)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -78,7 +78,7 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
         try:
             with _redirected_output(Path(log)):
                 outcome = _run_one(
-                    context, index, stages, connection, lambda: stop["asked"] or _orphan(parent)
+                    context, index, stages, connection, lambda: stop["asked"] or os.getppid() != parent
                 )
         except OSError as error:  # no space for a log
             outcome = "failed", f"{type(error).__name__}: {error}"
@@ -92,16 +92,12 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
 
 
 def _full(error: OSError, root: Path) -> str:
-    """Message about a full disk, for which no further attempts are made."""
+    """Message about a full disk."""
     return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
 
 
-def _orphan(parent: int) -> bool:
-    return os.getppid() != parent
-
-
 class _redirected_output:
-    """Redirects the process's stdout and stderr, including native code's output, to the end of a log file."""
+    """Context that appends the process's stdout and stderr, also of native code, to a log file."""
 
     def __init__(self, log: Path):
         self.log = log
@@ -125,10 +121,7 @@ class _redirected_output:
 
 
 class _WorkerContext:
-    """Recipe, library and options for running units, loaded once per process.
-
-    ``threads`` None keeps Dr.Jit's choice.
-    """
+    """Plan, recipe and library, read once per process; ``threads`` None keeps Dr.Jit's default."""
 
     def __init__(self, folder: DatasetFolder, threads: int | None):
         self.folder = folder
@@ -199,9 +192,9 @@ def run_unit_here(
     stages: tuple[str, ...] = ("render", "stats", "pack"),
     report: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> int:
-    """Run one unit in this process; the command that job scripts and reproductions call.
+    """Run one unit in this process, as job scripts and reproductions of failures do.
 
-    Returns an exit code: 0 done, 75 interrupted by SIGTERM, SIGINT or SIGUSR1 (run again), 1 failed.
+    Returns an exit code: 0 done, 75 stopped by SIGTERM, SIGINT or SIGUSR1 (run it again), 1 failed.
     """
     stop = {"asked": False}
 

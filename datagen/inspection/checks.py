@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Faults of a view, as pure functions of its buffers (name to (H, W, C) array).
+"""Checks of a view's buffers (name to (H, W, C) array), as pure functions that return faults.
 
-Each function returns the faults that it finds and never raises on bad pixels. The limits are set to pass
-every sound dataset and to find pixels that would spoil training.
+The functions never raise on invalid pixels. Their limits pass every sound dataset and reject pixels that
+would impair training.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
 from datagen.inspection.findings import Fault, Severity
 
-RANGE_TOLERANCE = 2e-3  # half floats near 1 are 5e-4 apart, and averages round
-UNIT_TOLERANCE = 5e-3  # three half components, each rounded by up to 2.5e-4, after one renormalisation
+RANGE_TOLERANCE = 2e-3  # half floats near 1 differ by 5e-4, and averages are rounded
+UNIT_TOLERANCE = 5e-3  # three half floats, each rounded by up to 2.5e-4
 MAX_SHARE_OF_BAD_NORMALS = 1e-3  # opposite sides of a thin sheet may cancel within a pixel
 FIREFLY_FACTOR, FIREFLY_MAX_SIZE = 20.0, 4
 MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES = 4, 2e-4
@@ -39,7 +39,7 @@ def _first(mask: NDArray) -> str:
 
 
 def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: str) -> list[Fault]:
-    """Find buffers that are missing or differ from the camera's size."""
+    """Find expected buffers that are missing, and buffers whose shape does not fit the camera."""
     faults = [Fault("buffer", where, f"no {name}", "this buffer") for name in expected if name not in view]
     for name, array in view.items():
         shape = (camera.height_px, camera.width_px, BUFFERS[name].num_channels)
@@ -49,7 +49,7 @@ def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: st
 
 
 def check_finite(view: View, where: str) -> list[Fault]:
-    """Find NaN and Inf in any buffer."""
+    """Find NaN and infinity in any floating-point buffer."""
     faults = []
     for name, array in view.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
@@ -60,7 +60,7 @@ def check_finite(view: View, where: str) -> list[Fault]:
 
 
 def check_range(view: View, where: str) -> list[Fault]:
-    """Find values outside the registered range; NaN is covered by another check."""
+    """Find finite values outside the range of their buffer in ``BUFFERS``."""
     faults = []
     for name, array in view.items():
         buffer = BUFFERS[name]
@@ -72,13 +72,13 @@ def check_range(view: View, where: str) -> list[Fault]:
         if bad.any():
             low, high = float(array[bad].min()), float(array[bad].max())
             pixels = bad.any(axis=-1)
-            got = f"{int(pixels.sum())} pixels of {name} hold {low:.4g} to {high:.4g}, {_first(pixels)}"
+            got = f"{int(pixels.sum())} pixels of {name} are {low:.4g} to {high:.4g}, {_first(pixels)}"
             faults.append(Fault("range", where, got, f"[{buffer.minimum:g}, {buffer.maximum:g}]"))
     return faults
 
 
 def check_normals(view: View, where: str) -> list[Fault]:
-    """Find normals of surface pixels that do not have unit length."""
+    """Find surface pixels whose normal does not have unit length."""
     surface = view["surface_mask"][..., 0] > 0
     normal = view["normal_world"].astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -92,25 +92,24 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Isolated bright pixels (H, W): over 20 times the median of their 5x5 neighbourhood.
+    """Mask (H, W) of isolated pixels over 20 times the medians of their 5x5 neighbourhood and of the frame.
 
-    That median is raised to at least the frame's median. A firefly has at most 4 pixels, away from pixels
-    without a reflecting surface.
+    A firefly has at most 4 pixels, none within 2 pixels of one without a reflecting surface.
     """
     import cv2
 
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     surroundings = cv2.medianBlur(np.ascontiguousarray(light), 5)
     is_bright = light > FIREFLY_FACTOR * np.maximum(surroundings, max(float(np.median(light)), 1e-6))
-    crowd = cv2.boxFilter(is_bright.astype(np.float32), -1, (5, 5), normalize=False)
-    if "surface_mask" in view:  # lamps and windows are legitimately bright, and so are the pixels beside them
+    num_near = cv2.boxFilter(is_bright.astype(np.float32), -1, (5, 5), normalize=False)
+    if "surface_mask" in view:  # lamps, windows and adjacent pixels are bright without a fault
         other = (np.nan_to_num(view["surface_mask"][..., 0]) < SOLID_COVERAGE).astype(np.uint8)
         is_bright &= cv2.dilate(other, np.ones((5, 5), np.uint8)) == 0
-    return is_bright & (crowd <= FIREFLY_MAX_SIZE + 0.5)
+    return is_bright & (num_near <= FIREFLY_MAX_SIZE + 0.5)
 
 
 def _shows_highlights(view: View) -> NDArray[np.bool_]:
-    """Pixels (H, W) of metal or gloss; none without their buffers."""
+    """Mask (H, W) of metal and glossy pixels; all False without the buffers of S and R."""
     if not {"specular_albedo", "roughness"} <= view.keys():
         return np.zeros(view["beauty"].shape[:2], bool)
     is_metal = view["specular_albedo"].max(axis=-1) > METAL_SPECULAR
@@ -118,10 +117,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 
 
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Find fireflies; a small number is a warning, since a small highlight can look like one.
-
-    A small number on metal and gloss alone is no fault: highlights of lamps and the sun.
-    """
+    """Find fireflies; few are a warning, or no fault if all are highlights on metal and gloss."""
     mask = firefly_mask(view)
     count = int(mask.sum())
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
@@ -130,17 +126,15 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
     peak = float(luminance(view["beauty"][mask].astype(np.float32)).max())
     noun = "firefly" if count == 1 else "fireflies"
     got = f"{count} {noun} of luminance up to {peak:.4g}, {_first(mask)}"
-    expected = f"none; up to {limit:.0f} pass as highlights"
+    expected = f"none; up to {limit:.0f} may be highlights"
     return [Fault("firefly", where, got, expected, "error" if count > limit else "warning")]
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Find black, flat and overexposed frames; ``exposure`` is the median exposure of the configuration's
-    views.
-    """
+    """Find a black, flat or overexposed frame; ``exposure`` is the configuration's median exposure."""
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     bright, middle = np.percentile(light, [95, 50])
-    expected = "a picture of something"
+    expected = "a visible scene"
     if bright < BLACK_LUMINANCE or bright * exposure < BLACK_EXPOSED:
         got = f"black: 95 % of the luminance is below {bright:.3g}, {bright * exposure:.3g} when exposed"
         return [Fault("exposure", where, got, expected)]
@@ -148,19 +142,19 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
         return [Fault("exposure", where, f"flat: luminance is {middle:.4g} everywhere", expected)]
     clipped = float((view["beauty"].max(axis=-1) >= _HALF_MAX).mean())
     if clipped > MAX_SHARE_CLIPPED:
-        got = f"burnt: {clipped:.1%} of the pixels are at the largest half float"
+        got = f"burnt: {clipped:.1%} of the pixels have the largest half float"
         return [Fault("exposure", where, got, f"at most {MAX_SHARE_CLIPPED:.0%}")]
     if middle * exposure > BURNT_EXPOSED:
-        got = f"burnt: half of the frame is over {middle * exposure:.3g} when exposed like the other views"
+        got = f"burnt: half of the frame is above {middle * exposure:.3g} at the exposure of the other views"
         return [Fault("exposure", where, got, f"at most {BURNT_EXPOSED:g}")]
     return []
 
 
 def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> list[Fault]:
-    """Find statistics out of order, counts of 0 on surfaces, counts above ``most_views``, and a differing
-    background.
+    """Find statistics out of order, wrong counts, and pixels with count 0 that differ from their own colour.
 
-    ``has_own``: a view's own pixel is a candidate, so that no surface may have the count 0.
+    Counts must be 0 on background, at most ``most_views``, and, if ``has_own`` (a view's own pixel is in the
+    statistics), above 0 on surfaces.
     """
     low, middle, high = (view[f"color_{n}"].astype(np.float32) for n in ("min", "median", "max"))
     count = view["observation_count"][..., 0]
@@ -187,7 +181,7 @@ def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> 
 
 
 def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
-    """(Pixels, minimum, maximum roughness) by material id, over pixels entirely covered by one surface."""
+    """Number of pixels, minimum and maximum of R by material id, over pixels covered by one surface."""
     ids = view["material_id"][..., 0]
     rough = view["roughness"][..., 0].astype(np.float32)
     is_solid = (view["surface_mask"][..., 0] >= SOLID_COVERAGE) & np.isfinite(rough) & (ids > 0)
@@ -201,7 +195,7 @@ def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
 def merge_ranges(
     first: dict[int, tuple[int, float, float]], second: dict[int, tuple[int, float, float]]
 ) -> dict[int, tuple[int, float, float]]:
-    """The ranges over the pixels of both views."""
+    """The ranges over the pixels of two views."""
     merged = dict(first)
     for material, (count, low, high) in second.items():
         old = merged.get(material, (0, np.inf, -np.inf))
@@ -215,10 +209,10 @@ def check_roughness(
     textured: Mapping[str, float],
     where: str,
 ) -> list[Fault]:
-    """Find materials whose roughness is constant although their texture varies.
+    """Find materials whose roughness is constant in the views although their texture varies.
 
-    ``names`` maps ids (as text) to material names, ``textured`` names to the range of their texture's values.
-    Materials with few pixels, or with a nearly constant texture, are ignored.
+    ``names`` maps ids (as text) to material names, ``textured`` names to the range (maximum - minimum) of
+    their texture. Materials with few pixels, or with a nearly constant texture, are ignored.
     """
     faults = []
     for material, (count, low, high) in sorted(ranges.items()):

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommands ``doctor``, ``library``, ``verify`` and ``report`` of ``datagen``, which defer heavy
-imports.
-"""
+"""The subcommands ``doctor``, ``library``, ``verify`` and ``report``; heavy modules are imported in them."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from datagen.foundation.progress import Bars
 
 
 def doctor() -> None:
-    """List installed and used components; the exit code is 0 if rendering can work.
+    """List installed components and their faults; the exit code is 0 if rendering is possible.
 
     Example: datagen doctor
     """
@@ -31,9 +29,9 @@ def doctor() -> None:
 def library(
     paths: Annotated[
         list[str] | None,
-        typer.Argument(help='Library folders; "bundled" (the default) is the project\'s own.'),
+        typer.Argument(help='Library folders; "bundled" (the default) is that of the project.'),
     ] = None,
-    check: Annotated[bool, typer.Option("--check", help="Read every mesh and texture as well.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Check every asset, mesh and texture.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """List the assets of libraries with class, size and licence; --check finds their faults.
@@ -47,7 +45,7 @@ def library(
 
 LibraryOption = Annotated[
     list[str] | None,
-    typer.Option("--library", help="Library folder, repeatable; the dataset's own if left out."),
+    typer.Option("--library", help="Library folder, repeatable; default: those of the dataset."),
 ]
 WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes to use.")]
 
@@ -62,16 +60,16 @@ def verify(
     path: Annotated[Path, typer.Argument(help="Dataset folder, or one shard.")],
     library: LibraryOption = None,
     workers: WorkersOption = 1,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Treat warnings as errors.")] = False,
     recheck: Annotated[
-        int, typer.Option(min=0, help="Render N random views again by plain path tracing, and compare.")
+        int, typer.Option(min=0, help="Number of random views to compare with plain path tracing.")
     ] = 0,
     recheck_samples: Annotated[
         int, typer.Option(min=4, help="Paths per pixel of each view, a multiple of 4.")
     ] = 256,
 ) -> None:
-    """Check a dataset for semantic faults; exit code 1 if there are any.
+    """Check the content of a dataset for faults; the exit code is 1 if there are any.
 
     Example: datagen verify smoke --workers 2 --recheck 3
     """
@@ -84,15 +82,15 @@ def verify(
 
 @dataclass(frozen=True)
 class ReportWords:
-    """Options for the report's contents."""
+    """Options for the contents of the report."""
 
-    pixels: Annotated[str, typer.Option(help="Views whose pixels are written: a number, or all.")] = "400"
-    sources: Annotated[bool, typer.Option(help="Also the source views of each pixel's statistics.")] = True
+    pixels: Annotated[str, typer.Option(help="Number of views with pixels for the viewer, or all.")] = "400"
+    sources: Annotated[bool, typer.Option(help="Write the source views of pixels' statistics.")] = True
     check: Annotated[bool, typer.Option("--verify/--no-verify", help="Verify the dataset first.")] = True
-    cost: Annotated[float, typer.Option(min=0, help="Price of an hour of a unit's resources.")] = 0.0
+    cost: Annotated[float, typer.Option(min=0, help="Price of one unit's resources per hour.")] = 0.0
     predictions: Annotated[
         tuple[Path, ...],
-        typer.Option(help="Folder of predicted maps to show against the truth, repeatable."),
+        typer.Option(help="Folder of predicted maps to compare with the ground truth, repeatable."),
     ] = ()
     label: Annotated[
         tuple[str, ...], typer.Option(help="Name for the predictions, repeatable, in their order.")
@@ -104,16 +102,16 @@ def report(
     folder: Annotated[Path, typer.Argument(help="Dataset folder.")],
     words: ReportWords,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the page; report/ inside the dataset if left out.")
+        Path | None, typer.Option(help="Folder for the page; default: report/ in the dataset.")
     ] = None,
     sheets_only: Annotated[
-        bool, typer.Option("--sheets-only", help="Write the missing contact sheets, and no page.")
+        bool, typer.Option("--sheets-only", help="Write only the missing contact sheets.")
     ] = False,
     workers: WorkersOption = 1,
     library: LibraryOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:
-    """Write a page that shows the contents of a dataset, with a viewer; it opens from disk in any browser.
+    """Write a page with figures of a dataset and a viewer of its pixels; it opens from disk in any browser.
 
     Example: datagen report smoke --workers 2
     """
@@ -131,7 +129,7 @@ def report(
 
 
 def write_sheets(folder: Path) -> None:
-    """Write the missing contact sheets, and print their paths."""
+    """Write the missing contact sheets of a dataset, and print their number."""
     from datagen.inspection.contact_sheet import write_dataset_sheets
 
     with Bars("configurations") as bars:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Contact sheets: one picture per configuration that shows its views.
 
-Rows are views, columns are buffers. Radiance is exposed per view as by a photographer, so that few pixels
-clip, and sRGB-encoded; the exposure is written under the view's name. Albedos are sRGB-encoded without
-exposure; normals are mapped from [-1, 1]; roughness, depth and count use cividis, a colour map perceived
-alike with and without colour blindness, with a scale beneath. Pixels without a value (background, emitters)
-are hatched.
+Rows are views, columns are buffers. Radiance is exposed by view so that few pixels clip, and sRGB-encoded;
+the exposure is written below the view's name. Albedos are sRGB-encoded without exposure; normals are mapped
+from [-1, 1]; roughness, depth and count use cividis, a colour map suitable for colour-blind readers, with a
+scale at the bottom. Pixels without a value (background, emitters) are hatched.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ _NEEDS_SURFACE = (*MATERIAL_MAPS, "normal_world")
 
 @dataclass(frozen=True)
 class Scales:
-    """Exposure and colour scales of a sheet; ``exposure`` is the default of its views."""
+    """Exposure, and the depth and count at the end of their colour scales."""
 
     exposure: float
     farthest_m: float
@@ -60,14 +59,14 @@ class Scales:
 
 
 def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
-    """Indices of at most ``max_rows`` views, evenly spaced, the first included."""
+    """Indices of at most ``max_rows`` of ``num_views`` views, evenly spaced, the first included."""
     if num_views <= max_rows:
         return list(range(num_views))
     return sorted({round(i * (num_views - 1) / (max_rows - 1)) for i in range(max_rows)})
 
 
 def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
-    """Exposure (:func:`photographic_exposure` of surfaces), 98th percentile of depth, maximum count."""
+    """Scales of views (buffers by name): exposure of surfaces, 98th percentile of depth, largest count."""
     colors, depths, counts = [np.zeros((0, 3))], [np.zeros(0)], [1.0]
     for view in views:
         if "beauty" in view:
@@ -85,12 +84,12 @@ def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
 
 
 def exposure_of(view: Mapping[str, NDArray]) -> float:
-    """The exposure for display of a view."""
+    """The factor with which a view's radiance is displayed."""
     return choose_scales([view]).exposure
 
 
 def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDArray[np.uint8]:
-    """Buffer ``name`` of a view as an (H, W, 3) picture."""
+    """Buffer ``name`` of a view as a picture (H, W, 3), hatched where it has no value."""
     array = view[name].astype(np.float64)
     is_valid = np.isfinite(array).all(axis=-1)
     array = np.where(np.isfinite(array), array, 0)
@@ -126,10 +125,11 @@ def _color_map() -> Callable[[NDArray], NDArray]:
 def make_contact_sheet(
     views: Sequence[Mapping[str, NDArray]], names: Sequence[str], title: str, scales: Scales | None = None
 ) -> Image.Image:
-    """Draw ``views`` (buffers by name, one row each, labelled by ``names``) under ``title``.
+    """Draw ``views`` (buffers by name), one row each with its name from ``names``, under ``title``.
 
-    Every view needs ``beauty``; columns are left out if no view has their buffer. Raises :class:`InputError`
-    if there is nothing to draw.
+    Every view needs ``beauty``; columns are absent if no view has their buffer. Without ``scales``, they are
+    chosen, and each view has its exposure. Raises :class:`InputError` if there are no views or one lacks
+    ``beauty``.
     """
     from PIL import Image, ImageDraw
 
@@ -173,7 +173,7 @@ def make_contact_sheet(
 
 
 def _cell_size(view: Mapping[str, NDArray]) -> tuple[int, int]:
-    """Size of a view in the sheet: small images are enlarged by whole factors only."""
+    """Width and height of a view in the sheet; small images are enlarged by whole factors only."""
     height, width = view["beauty"].shape[:2]
     if width < _CELL_WIDTH_PX:
         factor = max(1, round(_CELL_WIDTH_PX / width))
@@ -193,7 +193,7 @@ def _cell(picture: NDArray[np.uint8]) -> Image.Image:
 def _draw_foot(
     sheet: Image.Image, draw: ImageDraw.ImageDraw, place: tuple[int, int, int], name: str, scales: Scales
 ) -> None:
-    """Legend of a column: a scale from 0 to its largest value, or a line of text."""
+    """Draw the legend of a column at ``place`` (x, y, width): a colour scale with its ends, or a text."""
     from PIL import Image
 
     x, y, width = place
@@ -230,7 +230,7 @@ def _text_width(text: str, size: int) -> int:
 
 
 def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
-    """Contact sheet of a shard; only views on the sheet are decoded. Raises :class:`InputError`."""
+    """Contact sheet of a shard. Raises :class:`InputError` for a shard that is damaged or without views."""
     reader = ShardReader(shard)
     records = list(reader.records())
     chosen = [records[index] for index in choose_rows(len(records), max_rows)]
@@ -252,10 +252,10 @@ def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
 def write_dataset_sheets(
     folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> list[Path]:
-    """Write ``sheets/<configuration>.png`` for each finished configuration of a dataset folder.
+    """Write ``sheets/<configuration>.png`` for each finished configuration without a current one.
 
-    Sheets newer than their shard are kept. ``progress(done, total)`` counts configurations. Returns the paths
-    of the new sheets. Raises :class:`InputError` if the folder has no index or no plan.
+    ``progress(done, total)`` counts configurations. Returns the paths of the new sheets. Raises
+    :class:`InputError` if the folder has neither index nor plan.
     """
     sheets = folder / "sheets"
     written = []
@@ -275,7 +275,7 @@ def write_dataset_sheets(
 
 
 def _finished_shards(folder: Path) -> list[tuple[str, Path]]:
-    """(configuration, shard) of each finished unit, from the plan if there is one, else from the index."""
+    """Configuration and shard of each finished unit, from the plan if there is one, else from the index."""
     if not (folder / "plan.json").is_file():
         if not (folder / INDEX_FILE).is_file():
             remedy = "name a dataset folder, or run `datagen run` first"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check of the installation: a table, and an exit code for scripts."""
+"""Checks the installation: prints a table, and gives an exit code for scripts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REQUIRED = (
     "mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "pyoidn", "embreex", "python-fcl", "pydantic", "typer",
     "rich", "PyYAML", "Pillow", "opencv-contrib-python-headless", "matplotlib", "xatlas", "numba", "psutil",
 )  # fmt: skip
-"""Required packages: Dr.Jit, which comes with Mitsuba, and the dependencies of all."""
+"""Distributions that the project requires, and Dr.Jit, which Mitsuba requires."""
 OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
@@ -30,17 +30,17 @@ OPTIONAL = {
     "gltf": ("glTF with meshopt or Basis Universal", ("meshopt", "opengl-basisu")),
     "usd": ("assets in USD", ("usd-core",)),
     "export": ("exports to Hypersim's layout", ("h5py",)),
-    "blender": ("the exporter, FBX and USD, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
-    "notebook": ("the notebook of the tutorials", ("ipykernel", "nbclient")),
+    "blender": ("the exporter, FBX and USD, and UVs where xatlas fails (Python 3.11)", ("bpy",)),
+    "notebook": ("the notebook in the tutorials", ("ipykernel", "nbclient")),
 }
-"""Extras: purpose, and the packages that indicate their presence."""
+"""Extras of the project: purpose, and the distributions that an extra installs."""
 PROGRAMS = {
     "COLMAP": ("colmap", "cameras and meshes of your own photographs", "colmap"),
-    "Slurm": ("sbatch", "`datagen farm submit` on a cluster, whose machines bring it", "slurm-client"),
-    "PBS": ("qsub", "`datagen farm submit --engine pbs` on a cluster, whose machines bring it", ""),
-    "Blender": ("blender", "the add-on in a window; 4.5 or later", ""),
+    "Slurm": ("sbatch", "`datagen farm submit` on a cluster, where it is installed", "slurm-client"),
+    "PBS": ("qsub", "`datagen farm submit --engine pbs` on a cluster, where it is installed", ""),
+    "Blender": ("blender", "the add-on in Blender's window (4.5 or later)", ""),
 }
-"""Optional programs: the command, its purpose, and Debian's package."""
+"""Optional programs: command, purpose, and Debian's package."""
 MIN_BLENDER = (4, 5)
 CHECKPOINTS = ("small.safetensors", "no-rp.safetensors")
 _AGAIN = "install the project again: pip install --force-reinstall scene-materials, or -e . in a checkout"
@@ -63,7 +63,7 @@ assert np.asarray(pyoidn.denoise(noisy, hdr=True)).std() < noisy.std()
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report."""
+    """A row of the report: a component, what was found, and the remedy if that is not fine."""
 
     name: str
     value: str
@@ -73,7 +73,7 @@ class Finding:
 
 
 def _probe(name: str, code: str, remedy: str) -> Finding:
-    """Run ``code`` in a separate process, so that an abort of native code does not end the check."""
+    """Run ``code`` in a separate process, which keeps an abort of native code from ending the check."""
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     if result.returncode == 0:
         return Finding(
@@ -85,7 +85,7 @@ def _probe(name: str, code: str, remedy: str) -> Finding:
 
 
 def examine(folder: Path | None = None) -> list[Finding]:
-    """All findings. ``folder`` is the intended place of datasets, for the free disk space (default: here)."""
+    """All findings; the free disk space is that of ``folder``, by default the current one."""
     findings = [
         Finding("Python", sys.version.split()[0], sys.version_info >= (3, 10), True, "install Python 3.11")
     ]
@@ -95,23 +95,23 @@ def examine(folder: Path | None = None) -> list[Finding]:
         remedy = f"for {purpose}: pip install 'scene-materials[{extra}]'"
         findings += [_package(name, False, remedy) for name in names]
     findings.append(checkpoint_finding())
-    findings += [program_finding(title, *told) for title, told in PROGRAMS.items()]
+    findings += [program_finding(title, *details) for title, details in PROGRAMS.items()]
     try:
         variant = resolve_variant()
         findings.append(Finding("variant", variant, True, True))
     except InputError as error:
         variant = ""
-        findings.append(Finding("variant", *_found(error)))
+        findings.append(Finding("variant", *_failed(error)))
     try:
         llvm = choose_llvm()
         findings.append(Finding("LLVM", f"{llvm.major} ({llvm.path})", True, variant == CPU_VARIANT))
     except InputError as error:
-        found, is_fine, _, remedy = _found(error)
+        found, is_fine, _, remedy = _failed(error)
         findings.append(Finding("LLVM", found, is_fine, variant == CPU_VARIANT, remedy))
     findings.append(_gpu())
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
     if all(f.is_fine for f in findings if f.is_required):
-        findings.append(_probe("rendering", _RENDER_PROBE, f"see the message; {REMEDY}"))
+        findings.append(_probe("rendering", _RENDER_PROBE, f"read the message; {REMEDY}"))
         findings.append(_probe("denoiser", _DENOISER_PROBE, _AGAIN))
     free_gb = shutil.disk_usage(folder or Path.cwd()).free / 1e9
     findings.append(
@@ -120,20 +120,20 @@ def examine(folder: Path | None = None) -> list[Finding]:
             f"{free_gb:.1f} GB",
             free_gb >= MIN_FREE_GB,
             True,
-            f"free {MIN_FREE_GB} GB, or --out elsewhere",
+            f"free {MIN_FREE_GB} GB, or choose another disk by --out",
         )
     )
     return findings
 
 
-def _found(error: InputError) -> tuple[str, bool, bool, str]:
-    """A failed check as (found and expected value, False, True, remedy)."""
+def _failed(error: InputError) -> tuple[str, bool, bool, str]:
+    """Value, is_fine, is_required and remedy of the finding of a failed check."""
     (problem,) = error.problems
     return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
 
 
 def bundled_finding() -> Finding:
-    """Whether the bundled library, recipes and suites are installed."""
+    """Check whether the bundled library, recipes and suites are installed."""
     try:
         num = len(find_packages(bundled_library()))
         names = bundled_names("recipes")
@@ -145,7 +145,7 @@ def bundled_finding() -> Finding:
 
 
 def checkpoint_finding() -> Finding:
-    """Whether the default networks of `materials infer` are installed; nothing is imported."""
+    """Check whether the default networks of `materials infer` are installed, without importing them."""
     package = importlib.util.find_spec("model")
     folders = [Path(p) / "checkpoints" for p in (package.submodule_search_locations or ())] if package else []
     lacking = [name for name in CHECKPOINTS if not any((folder / name).is_file() for folder in folders)]
@@ -154,14 +154,14 @@ def checkpoint_finding() -> Finding:
 
 
 def program_finding(title: str, command: str, purpose: str, debian: str) -> Finding:
-    """Finding about a program on the path."""
+    """Check whether a program is on the path and recent enough."""
     path = shutil.which(command)
     if path is None:
         how = _installing(title, debian)
         return Finding(title, f"no {command}", False, False, f"for {purpose}: {how}")
     if title == "Blender":
-        said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=60, check=False)
-        found = re.search(r"Blender (\d+)\.(\d+)", said.stdout)
+        done = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=60, check=False)
+        found = re.search(r"Blender (\d+)\.(\d+)", done.stdout)
         if found and (int(found[1]), int(found[2])) < MIN_BLENDER:
             remedy = f"for {purpose}: {_installing(title, debian)}"
             return Finding(title, f"{found[0]} ({path})", False, False, remedy)
@@ -169,7 +169,7 @@ def program_finding(title: str, command: str, purpose: str, debian: str) -> Find
 
 
 def _installing(title: str, debian: str) -> str:
-    """The command that installs a program on this system, or its source."""
+    """The command that installs a program on this system, or a web site that offers it."""
     commands = {
         "darwin": {"COLMAP": "brew install colmap", "Blender": "brew install --cask blender"},
         "win32": {"Blender": "winget install BlenderFoundation.Blender"},

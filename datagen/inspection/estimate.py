@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Predicts time, disk and memory of a recipe from a few timed samples, before large work starts.
+"""Predicts time, disk and memory of a recipe from two timed samples.
 
-Two small plans of the same recipe, with few and with twice as many views, run through the real stages in a
-temporary folder. The cost per view, the fixed cost per configuration, and costs that grow with the number of
-views (statistics and memory) are extrapolated linearly from the two.
+Two plans of one configuration with the recipe's settings, with up to 4 and up to 8 views, run through all
+stages in a temporary folder. Costs per view and per configuration, and those that grow with the number of
+views (statistics and memory), are extrapolated linearly.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from datagen.library import Library
 
 @dataclass(frozen=True)
 class Estimate:
-    """Prediction for a whole recipe on this machine. Seconds are summed over all processors."""
+    """Prediction for a whole recipe on this machine, with one worker that uses all processors."""
 
     num_configurations: int
     num_views: int
@@ -57,7 +57,7 @@ class _Sample:
 
 
 def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) -> _Sample:
-    # A sample of one configuration cannot be split; its cost does not depend on its split.
+    # one configuration cannot be distributed over several splits; its split does not affect its cost
     small = recipe.model_copy(update={"configurations": 1, "views": num_views, "splits": SplitRecipe()})
     start = time.perf_counter()
     plan = create_plan(small, library, root)
@@ -68,26 +68,23 @@ def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) ->
     folder = DatasetFolder(root)
     if summary.set_aside:
         failure = folder.read_failure(summary.set_aside[0])
-        raise input_error("estimate", "sample", failure.reason, "a unit that renders", "see the message")
+        raise input_error("estimate", "sample", failure.reason, "a unit without errors", "read the message")
     manifest = folder.read_manifest(plan.units[0])
     assert manifest is not None
     return _Sample(num_views, plan_s, manifest)
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, x: float) -> float:
-    """Value at ``x`` of the line through two points, never below the larger measured one's share."""
+    """Value at ``x`` of the line through two points, whose slope is raised to at least 0."""
     slope = max(0.0, (y2 - y1) / (x2 - x1)) if x2 != x1 else 0.0
-    return max(y2, y2 + slope * (x - x2)) if x >= x2 else y1 + slope * (x - x1)
+    return y2 + slope * (x - x2) if x >= x2 else y1 + slope * (x - x1)
 
 
 def estimate(
     recipe: Recipe, library: Library, report: Callable[[int, int], None] = lambda done, total: None
 ) -> Estimate:
-    """Time two samples of ``recipe`` and predict the whole. ``report(done, total)`` reports on the
-    samples.
-    """
+    """Time two samples of ``recipe`` and predict the whole; ``report(done, total)`` counts samples."""
     begin = time.perf_counter()
-    # The first run in a new process compiles kernels; only the cost of later units counts.
     few = min(4, recipe.views)
     many = min(8, recipe.views)
     samples = []
@@ -145,18 +142,18 @@ def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: b
     print(f"{result.num_configurations} configurations, {result.num_views} views")
     print(
         f"time    {_duration(result.total_seconds)} on this machine, {result.seconds_per_view:.2f} s a view, "
-        f"{_duration(result.seconds_per_configuration)} a configuration ({hours:.1f} machine hours to share "
-        "out on a farm)"
+        f"{_duration(result.seconds_per_configuration)} a configuration ({hours:.1f} machine hours, which a "
+        "farm divides)"
     )
     print(
         f"disk    {result.total_bytes / 1e9:.2f} GB, {result.bytes_per_view / 1e6:.2f} MB a view, and "
-        f"{workers * result.working_bytes / 1e9:.2f} GB while {workers} units are in progress; "
+        f"{workers * result.working_bytes / 1e9:.2f} GB for {workers} units in progress; "
         f"{free_bytes / 1e9:.1f} GB are free"
     )
     print(f"memory  {result.peak_memory_mb / 1024:.2f} GB a worker, {workers} workers")
     print(f"(from samples that took {_duration(result.sample_seconds)})")
     if needed > free_bytes:
-        print("the disk has not enough room: free some, or lower configurations, views or resolution")
+        print("the disk is too small: free space, or lower configurations, views or resolution")
     return needed <= free_bytes
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of faults found by verification, and the report that collects them."""
+"""Kinds of faults found by verification, and the report that collects faults."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from typing import Any, Literal
 Severity = Literal["error", "warning"]
 
 CHECKS = {
-    "index": "the index is there, complete, and lists what is on disk",
-    "hash": "shards and images have the hashes that vouch for them",
-    "member": "every view has its image and record, readable, nothing else",
-    "buffer": "every buffer is there, in the camera's size",
+    "index": "the index exists, is complete, and lists the files on disk",
+    "hash": "shards and images have the recorded hashes",
+    "member": "every view has a readable image and record; other members do not exist",
+    "buffer": "every buffer exists and has the camera's size",
     "finite": "no NaN, no Inf",
     "range": "albedos, roughness, radiance and depth are in range",
     "normal": "normals are unit vectors on surfaces",
-    "firefly": "no isolated pixels far brighter than what is around them",
+    "firefly": "no isolated pixels far brighter than their neighbours",
     "exposure": "no black, flat or burnt frames",
     "roughness": "roughness varies where its material has a texture",
-    "statistics": "min <= median <= max, and counts fit the pixels",
+    "statistics": "min <= median <= max, and counts are possible",
     "reprojection": "depth and cameras of different views agree",
-    "split": "no asset of the test split appears in training, if asked for",
-    "recheck": "recorded errors and brightness hold against plain paths, if asked for",
+    "split": "splits share no assets, if the recipe sets splits.disjoint",
+    "recheck": "recorded errors and brightness agree with plain paths (--recheck)",
 }
-"""Checks with their assertions, in the order of the report."""
+"""Checks and what they assert, in the order of the report."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: ``check`` is a key of :data:`CHECKS`, ``where`` a file or view."""
+    """A fault: ``check`` is a key of :data:`CHECKS`, ``where`` names a file or view."""
 
     check: str
     where: str
@@ -45,7 +45,7 @@ class Fault:
 
 @dataclass
 class Report:
-    """Scope and findings of a verification. ``notes`` name skipped checks with the reasons."""
+    """Scope and findings of a verification; ``notes`` state which checks were skipped, and why."""
 
     path: str
     num_shards: int = 0
@@ -53,16 +53,16 @@ class Report:
     faults: list[Fault] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     applied: Counter[str] = field(default_factory=Counter)
-    """Check to the number of shards or views to which it was applied."""
+    """Number of shards or views to which each check was applied."""
     rechecked: list[dict[str, Any]] = field(default_factory=list)
-    """Figures of the views that were rendered again (:mod:`datagen.inspection.recheck`)."""
+    """Results by view of :mod:`datagen.inspection.recheck`."""
 
     @property
     def num_errors(self) -> int:
         return sum(fault.severity == "error" for fault in self.faults)
 
     def exit_code(self, strict: bool = False) -> int:
-        """The exit code: 0 if sound, 1 with errors (or warnings, if ``strict``)."""
+        """The exit code: 1 if there are errors (or, with ``strict``, warnings), else 0."""
         return int(bool(self.faults) if strict else self.num_errors > 0)
 
     def to_json(self) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Output of ``datagen library``: assets as a table or JSON, and the findings of a check."""
+"""Prints the output of ``datagen library``: assets as a table or JSON, or the faults of a check."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ from datagen.library import check_library, describe_library, find_packages, reso
 
 
 def print_library(names: list[str], check: bool, as_json: bool) -> int:
-    """List the libraries ``names``; with ``check`` read every mesh and texture. Returns the exit code."""
+    """Print the assets of libraries or, with ``check``, their faults; returns the exit code.
+
+    Raises :class:`InputError` for a folder without packages.
+    """
     paths = resolve_library_paths(names, Path.cwd())
     for path in paths:
         if path.is_dir() and not find_packages(path):
-            remedy = "name another folder, or fill it with `datagen import` or the Blender add-on"
-            raise input_error(path, "", "no asset packages in it", "a library folder", remedy)
+            remedy = "name another folder, or add packages by `datagen import` or the Blender add-on"
+            raise input_error(path, "", "no asset packages", "a library folder", remedy)
     if check:
         with Bars("packages", is_transient=True) as bars:
             report = check_library(paths, partial(bars.tell, "check"))

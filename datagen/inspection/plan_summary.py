@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Short summary of a plan's views, before anything is rendered."""
+"""Summarises the coverage of a plan's views, before anything is rendered."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datagen.formats.configuration import MIN_GLOSS_SHARE, MIN_METAL_SHARE, Conf
 
 
 def plan_summary(configurations: Iterable[Configuration]) -> str:
-    """Coverage over all configurations, "" if no configuration states any.
+    """Sentences about the coverage over all configurations; '' if none records its coverage.
 
     A note states whether the views of the training split lack metal or gloss.
     """
@@ -29,8 +29,8 @@ def plan_summary(configurations: Iterable[Configuration]) -> str:
 
     medians = [coverage.median_observations for coverage, *_ in found]
     lines = [
-        f"the median surface pixel is seen by {np.median(medians):g} views "
-        f"(least {min(medians):g}, most {max(medians):g}), {mean('thin_share'):.0%} of them by at most two",
+        f"the median surface pixel is seen by {np.median(medians):g} views ({min(medians):g} to "
+        f"{max(medians):g} by configuration), {mean('thin_share'):.0%} of the pixels by at most two",
         f"{mean('room_share'):.0%} of the views show two walls, or a wall and the ceiling",
         f"{mean('metal_share'):.1%} of the surface pixels have S > 0.3, {mean('gloss_share'):.1%} R < 0.3",
     ]
@@ -41,7 +41,7 @@ def plan_summary(configurations: Iterable[Configuration]) -> str:
 
 
 def lack_for_training(metal_share: float, gloss_share: float) -> str:
-    """Shares of metal and gloss that are too small in training views, and the remedy; "" if both suffice."""
+    """A sentence about shares of metal and gloss that are too small for training; '' if both suffice."""
     shares = (("S > 0.3", metal_share, MIN_METAL_SHARE), ("R < 0.3", gloss_share, MIN_GLOSS_SHARE))
     short = [
         f"{name} in {share:.1%} of them (at least {least:.0%})"
@@ -51,4 +51,4 @@ def lack_for_training(metal_share: float, gloss_share: float) -> str:
     if not short:
         return ""
     remedy = "raise metal and glazed in materials.class_weights"
-    return f"the training views have too few such surface pixels: {', '.join(short)}; {remedy}"
+    return f"the training views have too few surface pixels of metal or gloss: {', '.join(short)}; {remedy}"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Live page of a dataset in progress: ``datagen run --preview`` keeps ``preview.html`` current.
+"""Page of a dataset in progress: ``datagen run --preview`` keeps ``preview.html`` current.
 
-One file that opens from disk: the latest views as pictures, the rate, the time left, and failures. It reloads
-itself every few seconds until the run has ended.
+It is one file that opens from disk: latest views, rate, time left and failures. It reloads every few seconds
+until the run has ended.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ small { overflow-wrap: anywhere; }
 
 
 class Preview:
-    """The page of one run with ``total`` views, of which ``before`` are already done."""
+    """The preview page of a run with ``total`` views, of which ``before`` were done before it."""
 
     def __init__(self, root: Path, total: int, before: int = 0):
         self.root, self.total, self.before = root, total, before
         self.start = time.monotonic()
         self.path = root / PREVIEW_FILE
         self.said: list[str] = []
-        self._pictures: dict[str, str] = {}  # view to data URI, oldest first: files of packed units are gone
+        self._pictures: dict[str, str] = {}  # view to data URI, oldest first: packed units' files are removed
         self._known = {path for path in self._views()}
         self._next = 0.0
 
@@ -55,33 +55,32 @@ class Preview:
         self.said.append(sentence)
 
     def update(self, done: int, is_over: bool = False) -> None:
-        """Rewrite the page if a few seconds have passed since the last time, or if the run is over."""
+        """Rewrite the page if the last time is at least 3 s ago, or if the run is over."""
         now = time.monotonic()
         if now < self._next and not is_over:
             return
-        self._look()
+        self._update_pictures()
         write_bytes_atomically(self.path, self._page(done, now - self.start, is_over).encode())
         self._next = time.monotonic() + _SECONDS
 
     def _views(self) -> list[Path]:
-        """Rendered views of units in progress."""
+        """Paths of the records of rendered views of units in progress."""
         return list((self.root / "work").glob("*/rendered/*.json"))
 
-    def _look(self) -> None:
-        """Make pictures of the newest views that have none yet."""
+    def _update_pictures(self) -> None:
+        """Make pictures of the newest views that are not known yet."""
         found = []
         for path in self._views():
             if path not in self._known:
                 try:
                     found.append((path.stat().st_mtime, path))
                 except FileNotFoundError:
-                    self._known.add(path)  # its unit was packed meanwhile
+                    self._known.add(path)  # the unit has been packed
         for _, path in sorted(found)[-_SHOWN:]:
             try:
                 record = read_json(ViewRecord, path)
                 beauty = decode_view(path.with_suffix(".exr"), ["beauty"], num_threads=1)["beauty"]
-            # its unit was packed meanwhile, or a damaged view will be made again by the run
-            except InputError:
+            except InputError:  # the unit has been packed, or the view is damaged and is rendered again
                 continue
             self._pictures[f"{record.configuration} / {record.name}"] = _picture(beauty, record.exposure)
         self._known |= {path for _, path in found}
@@ -111,7 +110,7 @@ class Preview:
 
 
 def _picture(beauty: np.ndarray, exposure: float) -> str:
-    """A JPEG as a data URI."""
+    """Radiance (H, W, 3) times ``exposure`` as a JPEG in a data URI."""
     from PIL import Image
 
     finite = np.where(np.isfinite(beauty), beauty, 0).astype(np.float32)

@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Renders views of a dataset again by plain path tracing: ``datagen verify --recheck N``.
 
-All accelerations are off: every light path is traced completely, up to 65 segments, with Mitsuba's uniform
-emitter sampling, and without sky guide, cached irradiance, clamp and denoiser. The samples form four
-independent parts. The error is a product of differences from two of them, to which their own noise adds
-nothing in expectation (:mod:`datagen.rendering.error`); the spread among the parts gives the standard errors
-of error and bias.
+All accelerations are off: paths have up to 65 segments, emitters are sampled by Mitsuba with equal
+probability, and there is no sky guide, irradiance cache, clamp or denoiser. The samples form four independent
+images. The error is the mean product of differences from two of these images, to which their noise adds
+nothing in expectation (:mod:`datagen.rendering.error`); their spread gives the standard errors of error and
+bias.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,27 +28,27 @@ from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import PathSums
 
 DEPTH, ROULETTE_DEPTH = 65, 5
-"""Maximum number of segments of a path, and the number from which Russian roulette may end it."""
+"""Maximum number of segments of a path, and the first segment at which Russian roulette may end it."""
 PARTS = 4
 CHUNK = 64
 """Paths per pixel of one launch."""
 SEED = 0x0EC4EC40
 """Seed of the first launch, different from all seeds of datasets."""
 MAX_RATIO = 4.0
-"""A true error above this multiple of the recorded one is a fault of the record."""
+"""A true error above this multiple of the recorded one is a fault."""
 MAX_BIAS = 0.05
 """Maximum relative deviation of the mean luminance."""
 SURE = 3.0
-"""Number of standard errors by which a deviation must exceed its limit."""
+"""Number of standard errors by which a deviation must exceed its limit to be a fault."""
 
 
 @dataclass(frozen=True)
 class Rechecked:
-    """A view compared with plain paths.
+    """Comparison of a view with plain paths.
 
-    ``recorded`` is the estimated relMSE in its record, None if it was not rendered to an error; ``rel_mse``
-    the true relMSE, exposed; ``bias`` its mean luminance over the mean luminance of plain paths, minus 1.
-    ``rel_mse`` and ``bias`` have standard errors, due to the plain paths' noise.
+    ``recorded`` is the estimated relMSE in the view's record (None if it was not rendered to an error
+    target), ``rel_mse`` the true one, ``bias`` the relative deviation of the mean luminance. Their ``_error``
+    is the standard error due to the noise of the plain paths.
     """
 
     configuration: str
@@ -63,11 +62,11 @@ class Rechecked:
 
     @property
     def where(self) -> str:
-        """Name of the view in reports."""
+        """The view's name in reports."""
         return f"{self.configuration}/{self.view}"
 
     def faults(self) -> Iterable[Fault]:
-        """Warnings about deviations above the noise."""
+        """Yield warnings about deviations that exceed their limits by more than the noise."""
         if self.recorded is not None and self.rel_mse - SURE * self.rel_mse_error > MAX_RATIO * self.recorded:
             got = f"relMSE {self.rel_mse:.4f} +- {self.rel_mse_error:.4f}, {self.recorded:.4f} is recorded"
             yield Fault("recheck", self.where, got, f"at most {MAX_RATIO:g} times the record", "warning")
@@ -88,15 +87,15 @@ def recheck(
 ) -> list[Rechecked]:
     """Render ``count`` views again with ``samples`` paths per pixel, a multiple of 4.
 
-    Faults and notes are added to ``report``. The recipe's seed selects the views. Raises :class:`InputError`
-    if there is no dataset; a configuration whose assets have changed is left out with a note.
+    The recipe's seed selects the views. Faults and notes are added to ``report``; a configuration whose
+    assets have changed is skipped with a note. Raises :class:`InputError` if there is no dataset.
     """
     if samples < PARTS or samples % PARTS:
-        expected = f"a multiple of {PARTS}, for as many parts that are compared"
+        expected = f"a multiple of {PARTS}, the number of images that are compared"
         raise input_error("datagen verify", "--recheck-samples", samples, expected, "choose another number")
     if not folder.is_dir():
         raise input_error(
-            folder, "--recheck", "a single shard", "a dataset folder", "name the folder it is in"
+            folder, "--recheck", "a single shard", "a dataset folder", "name the shard's dataset folder"
         )
     dataset = Dataset(folder)
     places = [(k, view) for k, shard in enumerate(dataset.index.shards) for view in range(shard.num_views)]
@@ -121,9 +120,7 @@ def _recheck_shard(
     configuration = ShardReader(path).configuration()
     for asset, digest in configuration.assets.items():
         if asset not in library or library.package(asset).sha256 != digest:
-            report.notes.append(
-                f"{path.name} was not rendered again: {asset} is missing or has changed since"
-            )
+            report.notes.append(f"{path.name} was not rendered again: {asset} is missing or has changed")
             return []
     recipe = RenderRecipe(path_samples=1, auxiliary_samples=1, denoise=False)
     renderer = SceneRenderer(configuration, library, recipe)
@@ -151,7 +148,7 @@ def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> R
 
 
 def compared(view: View, parts: Sequence[NDArray[np.floating]]) -> Rechecked:
-    """A view compared with ``PARTS`` independent images (H, W, 3) of plain paths."""
+    """Compare a view with ``PARTS`` independent images (H, W, 3) by plain paths."""
     image = view.buffers["beauty"].astype(np.float64)
     rel_mse, rel_mse_error = relative_mse_of_parts(image, parts, exposed=True)
     levels = [luminance(part.astype(np.float64)) for part in parts]
@@ -168,11 +165,6 @@ def compared(view: View, parts: Sequence[NDArray[np.floating]]) -> Rechecked:
         float(luminance(image).mean()) / light - 1.0 if light > 0.0 else 0.0,
         float(np.sqrt(noise.sum())) / noise.size / light if light > 0.0 else 0.0,
     )
-
-
-def figures(found: list[Rechecked]) -> list[dict[str, Any]]:
-    """Each view's figures."""
-    return [asdict(view) for view in found]
 
 
 def print_rechecked(found: list[Rechecked], samples: int) -> None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Renders an environment package alone: its own materials, lights and cameras, without assembly.
+"""Renders an environment package with its own materials, lights and cameras, without assembly.
 
 ``python -m datagen.inspection.render_package PACKAGE... --out OUT`` writes ``OUT/<folder>/view_000.exr`` and
-so on, one linear EXR per camera. The Blender add-on's fidelity report runs it in a separate process, since
-Blender and Mitsuba cannot share one.
+so on, one linear EXR file per camera. The Blender add-on's fidelity report runs it in a separate process,
+since Blender and Mitsuba cannot share one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 def render_package(
     package_path: Path, out: Path, samples: int = 64, max_depth: int = 8, denoise: bool = False
 ) -> list[Path]:
-    """Render every camera; returns the EXR files in the order of the cameras."""
+    """Render every camera of a package; returns the EXR files in the order of the cameras."""
     from datagen.formats.package import open_package
     from datagen.formats.recipe import RenderRecipe
     from datagen.formats.standalone import configuration_of
@@ -47,7 +47,7 @@ def _write_rgb(path: Path, pixels: object) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("packages", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Consistency of depth and cameras between views: points of one view are looked up in others.
+"""Checks that depth and cameras of different views agree, by points of one view projected into others.
 
-A point p of view a, with normal n, is projected into view b, where the pixel's own depth gives a point q.
-Either q is on p's surface, or q lies in front (the point is occluded in b, which is allowed), or q lies
-behind, so that b shows something beyond a surface visible in a. For matched points the residual is the
-distance of q from p's tangent plane, |n . (q - p)| / z: on flat surfaces it is zero wherever p falls within
-b's pixel, so that it measures errors of depth and pose, not the size of pixels.
+A point p of view a, with normal n, is projected into view b, where the pixel's depth gives a point q. Either
+q is on p's surface, or q is in front (p is occluded in b, which is allowed), or q is behind, so b shows
+something beyond a surface visible in a. For points on one surface the residual is the distance of q from p's
+tangent plane, |n . (q - p)| / z: on flat surfaces it is zero wherever p falls within b's pixel, so it
+measures errors of depth and pose, not the size of pixels.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ MAX_PARTNERS = 8
 MIN_POINTS = 150
 MATCH_DISTANCE = 0.05  # relative depth within which q may be p's surface
 MIN_COSINE = 0.2  # at grazing angles a pixel spans too much depth to compare
-# Silhouettes, where half a pixel decides: their share of an image falls as its pixels grow in number.
+# limits for pixels at silhouettes, whose share falls with the resolution
 _THROUGH_FLOOR, _THROUGH_PIXELS = 0.04, 8.0
-_RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.75  # normals from maps tilt the plane within the pixel
+_RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.75  # normal maps tilt the plane within a pixel
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """A view's input to the comparison: depth and ``is_surface`` (H, W), world ``normal`` (H, W, 3)."""
+    """A view's ``depth_z_m`` and ``is_surface`` (H, W), and ``normal`` in world space (H, W, 3)."""
 
     name: str
     camera: Camera
@@ -51,8 +51,10 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of a view with another's points; share and residual are NaN with too few comparable
-    points.
+    """Agreement of a view with the points of another; values are NaN with too few comparable points.
+
+    ``seen_through`` is the share of points that are not occluded and have no surface at their depth;
+    ``median_residual`` is relative to depth.
     """
 
     num_points: int
@@ -61,7 +63,7 @@ class Agreement:
 
 
 def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
-    """World points and unit normals, (N, 3) each, of up to 3000 surface pixels."""
+    """World points and unit normals, (N, 3) each, of up to :data:`POINTS_A_VIEW` surface pixels."""
     rng = np.random.default_rng([seed, 0x7265])
     rows, columns = np.nonzero(view.is_surface)
     if len(rows) > POINTS_A_VIEW:
@@ -75,7 +77,7 @@ def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
 
 
 def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
-    """Look up points (N, 3) with normals (N, 3) in view ``other``."""
+    """Agreement of world points (N, 3) with unit normals (N, 3) and the depth of view ``other``."""
     camera = other.camera
     offset = points - camera.position_m
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
@@ -100,7 +102,7 @@ def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
 
 
 def partners_of(index: int, count: int) -> list[int]:
-    """Up to 8 other views, evenly spaced."""
+    """Up to :data:`MAX_PARTNERS` of ``count`` views other than ``index``, evenly spaced."""
     others = [i for i in range(count) if i != index]
     if len(others) <= MAX_PARTNERS:
         return others
@@ -110,7 +112,10 @@ def partners_of(index: int, count: int) -> list[int]:
 
 
 def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Fault], int]:
-    """Faults of views that disagree with most of their partners, and the number of compared views."""
+    """Faults of views that disagree with others, and the number of views that could be compared.
+
+    The worst view is removed with its pairs until all others are within the limits.
+    """
     samples = [sample_points(view, index) for index, view in enumerate(views)]
     pairs = [
         (a, b, compare(*samples[a], views[b])) for a in range(len(views)) for b in partners_of(a, len(views))
@@ -132,7 +137,7 @@ def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Faul
 def _excess(
     pairs: Sequence[tuple[int, int, Agreement]], index: int, view: Geometry
 ) -> tuple[float, str, str]:
-    """By how much a view's worse median over its pairs passes its limit, and the words for it."""
+    """Largest ratio of a view's median over its pairs to its limit, and the texts for its fault."""
     mine = [agreement for a, b, agreement in pairs if index in (a, b)]
     through = float(np.median([agreement.seen_through for agreement in mine]))
     gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]
@@ -146,7 +151,7 @@ def _excess(
     )
     by_gap = (
         gap / limit,
-        f"surfaces lie {gap:.2%} of their depth from where other views have them",
+        f"surfaces lie {gap:.2%} of their depth away from those of other views",
         f"at most {limit:.2%}",
     )
     return max(by_through, by_gap)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Verifies one shard: its members, each view alone, then its views against each other."""
+"""Verifies one shard: its members, each view, then the views against each other."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from datagen.inspection.reprojection import Geometry, check_reprojection
 class ShardJob:
     """A shard to verify.
 
-    ``file`` is its name in the report, ``record`` its entry in the index, ``buffers`` names the buffers that
-    every view must have, ``textured`` maps material names to the range of values of their roughness texture
-    (None: unknown).
+    ``file`` is its name in the report, ``record`` its entry in the index, ``buffers`` the names of the
+    buffers that every view must have, ``textured`` the range of roughness by name of textured material (None:
+    unknown).
     """
 
     path: Path
@@ -39,7 +39,7 @@ class ShardJob:
 
 
 def verify_shard(job: ShardJob) -> Report:
-    """All checks of a single shard; never raises for faults of its content."""
+    """Run all checks of a shard; faults of its content are reported, never raised."""
     where = job.file
     report = Report(where, num_shards=1)
     if not job.path.is_file():
@@ -58,7 +58,7 @@ def verify_shard(job: ShardJob) -> Report:
 
 
 class _ShardVerifier:
-    """Reads the members of one shard once and keeps the data needed for checks across views."""
+    """Reads the members of a shard once, and keeps the data that checks across views need."""
 
     def __init__(self, job: ShardJob, where: str, report: Report):
         self.job, self.where, self.report = job, where, report
@@ -122,10 +122,10 @@ class _ShardVerifier:
             else:
                 self.check_view(record, image, f"{self.where}:{stem}")
         else:
-            self.add("member", where, "a member of unknown kind", "EXR and JSON only")
+            self.add("member", where, "a member of unknown kind", "EXR or JSON")
 
     def check_view(self, record: ViewRecord, image: bytes, where: str) -> None:
-        """All checks that need one view only."""
+        """Run all checks of a single view."""
         report = self.report
         report.num_views += 1
         report.applied["hash"] += 1
@@ -175,11 +175,11 @@ class _ShardVerifier:
             return
         cameras = {camera.name: camera for camera in self.configuration.cameras}
         for name in sorted(cameras.keys() - self.records.keys()):
-            self.add("member", f"{self.where}:{name}", "no such view", "every camera's view")
+            self.add("member", f"{self.where}:{name}", "no such view", "a view of every camera")
         for name, record in self.records.items():
             where = f"{self.where}:{name}"
             if name not in cameras:
-                self.add("member", where, "a view that no camera of the configuration has", "its views only")
+                self.add("member", where, "a view without a camera", "a camera in the configuration")
             elif record.camera != cameras[name]:
                 self.add("member", where, "a camera that differs from the configuration's", "the same camera")
             if record.configuration != self.configuration.id:

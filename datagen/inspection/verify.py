@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reads a dataset and reports faults of its content, shard by shard: ``datagen verify``.
 
-No fault ends the verification: a damaged member is one fault, and everything else is still checked. The
-checks themselves are in ``checks``, ``reprojection`` and ``shard_check``.
+A fault does not end the verification: all other members are still checked. The checks are in ``checks``,
+``reprojection`` and ``shard_check``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -31,7 +31,7 @@ from datagen.foundation.images import read_image
 from datagen.foundation.paths import inside
 from datagen.foundation.progress import Bars
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
-from datagen.inspection.recheck import Rechecked, figures, print_rechecked
+from datagen.inspection.recheck import Rechecked, print_rechecked
 from datagen.inspection.recheck import recheck as recheck_views
 from datagen.inspection.shard_check import ShardJob, verify_shard
 from datagen.library import Library
@@ -47,8 +47,8 @@ def verify_dataset(
 ) -> Report:
     """Verify a dataset folder, or a single shard (``.tar``).
 
-    ``library`` has the materials with roughness textures; without it that check is skipped, with a note.
-    ``progress(done, total)`` counts shards. Raises :class:`InputError` only if ``path`` is neither.
+    Without a ``library`` that contains the dataset's materials, roughness is not checked, and a note says so.
+    ``progress(done, total)`` counts shards. Raises :class:`InputError` if ``path`` is neither.
     """
     report = Report(str(path))
     if path.is_file() and path.suffix == ".tar":
@@ -61,7 +61,7 @@ def verify_dataset(
     else:
         raise input_error(path, "", "neither a folder nor a .tar file", "a dataset", "check the path")
     if library is None:
-        report.notes.append("roughness was not checked: no library at hand says what has textures")
+        report.notes.append("roughness was not checked: the dataset's library was not found")
     else:
         jobs = [replace(job, textured=_textured_materials(job, library, report)) for job in jobs]
     for done, found in enumerate(_run(jobs, workers)):
@@ -80,7 +80,7 @@ def _run(jobs: list[ShardJob], workers: int) -> Iterable[Report]:
 
 
 def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
-    """Shards of the index; without one, every tar in the folder."""
+    """The shards of the index or, if that is unreadable, every tar file in the folder; reports its faults."""
     report.applied["index"] += 1
     on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
     try:
@@ -100,11 +100,11 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
     listed = {folder / record.file for record in index.shards}
     leftovers = _leftovers(folder)
     for stray in sorted({*on_disk, *leftovers} - listed):
-        what = f"{stray.relative_to(folder)} is not listed"
+        got = f"{stray.relative_to(folder)} is not listed"
         if stray in leftovers:
             remedy = "`datagen run --only index` removes it"
-            what = f"{stray.relative_to(folder)} was left by a killed attempt; {remedy}"
-        add(what, "only what the index knows", "warning")
+            got = f"{stray.relative_to(folder)} was left by a killed attempt; {remedy}"
+        add(got, "only files that the index lists", "warning")
     sums = {
         "num_configurations": len(index.shards),
         "num_views": sum(record.num_views for record in index.shards),
@@ -128,7 +128,7 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
 
 
 def _leftovers(folder: Path) -> set[Path]:
-    """Remains of killed attempts; none in a folder without a plan, such as a copy of the shards."""
+    """Files left by killed attempts; none in a folder without a plan, such as a copy of the shards."""
     try:
         return set(find_leftovers(folder))
     except InputError:
@@ -139,7 +139,7 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
     used: dict[str, set[str]] = {}
     for record in index.shards:
         used.setdefault(record.split, set()).update(record.assets)
-    expected = "splits without a common asset, as the recipe asks"
+    expected = "splits without a common asset (splits.disjoint)"
     return [
         Fault("split", where, f"{asset} is in the {one} and in the {other} split", expected)
         for one, other in itertools.combinations(sorted(used), 2)
@@ -147,14 +147,14 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
     ]
 
 
-# ---------------------------------------------------------------------- which materials should vary
+# ---------------------------------------------------------------------- materials with varying roughness
 
 
 def expected_roughness(configuration: Configuration, library: Library) -> dict[str, float]:
-    """Range of roughness that a texture gives each material, by its name in the views' records.
+    """Range of roughness of each material with a roughness texture, by its name in the views' records.
 
-    Materials of constant roughness are left out. The range is from the 1st to the 99th percentile, after
-    the configuration's own offset. Raises :class:`InputError` if the library lacks an asset or an image.
+    The range is the difference of the 99th and 1st percentiles after the configuration's offset. Raises
+    :class:`InputError` if the library lacks an asset or an image.
     """
     ranges: dict[str, float] = {}
     for placed in (configuration.environment, *configuration.objects):
@@ -189,10 +189,10 @@ def _textured_materials(job: ShardJob, library: Library, report: Report) -> dict
     try:
         configuration = ShardReader(job.path).configuration()
     except InputError:
-        return None  # a fault of its own, reported where the shard is read
+        return None  # reported when the shard is read
     for asset_id, digest in configuration.assets.items():
         if asset_id in library and library.package(asset_id).sha256 != digest:
-            report.notes.append(f"roughness of {job.file} was not checked: {asset_id} has changed since")
+            report.notes.append(f"roughness of {job.file} was not checked: {asset_id} has changed")
             return None
     try:
         return expected_roughness(configuration, library)
@@ -215,25 +215,23 @@ def verify_command(
 ) -> int:
     """Verify, print a table (or JSON) and return the exit code.
 
-    Without ``library_paths`` the library from which the dataset was made is used, if it still exists.
-    ``recheck`` views are rendered again by plain path tracing, with ``recheck_samples`` paths per pixel,
-    which needs a library.
+    Without ``library_paths``, the dataset's libraries are used if they still exist. ``recheck`` views are
+    rendered again by plain path tracing, with ``recheck_samples`` paths per pixel. Raises :class:`InputError`
+    if ``path`` is no dataset, or to render again without a library.
     """
     library_paths = library_of(path) if library_paths is None else [*library_paths, *rooms_of(path)]
     if recheck and not library_paths:
-        got = "no library that the dataset was made from"
-        raise input_error(
-            path, "--recheck", got, "its assets, to render views again", "name it with --library"
-        )
+        remedy = "name it with --library"
+        raise input_error(path, "--recheck", "no library", "the assets of the views to render", remedy)
     found: list[Rechecked] = []
     with ExitStack() as stack:
         library = stack.enter_context(Library(library_paths)) if library_paths else None
         bars = stack.enter_context(Bars(is_transient=True, is_quiet=as_json))
         report = verify_dataset(path, library, workers, partial(bars.tell, "verify"))
         if library is not None and recheck:
-            told = partial(bars.tell, "recheck")
-            found = recheck_views(path, library, recheck, recheck_samples, report, told)
-            report.rechecked = figures(found)
+            tell = partial(bars.tell, "recheck")
+            found = recheck_views(path, library, recheck, recheck_samples, report, tell)
+            report.rechecked = [asdict(view) for view in found]
     if as_json:
         print(report.to_json())
     else:
@@ -250,7 +248,7 @@ def print_report(report: Report) -> None:
     from datagen.foundation.console import table_console
 
     console = table_console()
-    table = Table("check", "asserts", "looked at", "errors", "warnings", title=report.path)
+    table = Table("check", "asserts", "checked", "errors", "warnings", title=report.path)
     for check, asserts in CHECKS.items():
         mine = [fault for fault in report.faults if fault.check == check]
         errors = sum(fault.severity == "error" for fault in mine)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Faults of a furnished room, measured on the shapes that will be rendered.
+"""Finds faults of a furnished room, measured on the shapes that will be rendered.
 
 Furniture must rest on a support and not intersect, doors must open, windows stay free, and a person must be
-able to walk from every door to the front of every cupboard. Each box bounds the vertices of a single shape (a
-leg, a board).
+able to walk from every door to the front of every cupboard. Lengths are in metres; each box bounds the
+vertices of a single shape (a leg, a board).
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from datagen.parametric.shapes import Floats
 from datagen.parametric.shell import Shell, swing
 
 CELL_M = 0.05
-BODY_M = 0.24  # radius of free floor for a person to pass
+BODY_M = 0.24  # radius of the free floor that a person needs
 CONTACT_M = 0.004  # an item at most this far from its support rests on it
 OVERLAP_M = 0.0015  # smaller overlaps count as contact
 MIN_WALKABLE_M2 = 1.1
-_THRESHOLD_M = 0.5  # size of the free floor in front of a door
+_THRESHOLD_M = 0.5  # distance from a door at which a person must be able to stand
 _LOW_M, _HIGH_M = 0.05, 1.85  # height range of obstacles for a walking person
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault; ``what`` is one of ``floats``, ``intersects``, ``outside``, ``door``, ``window``, ``walk``."""
+    """A fault; ``what``: ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``."""
 
     what: str
     item: str
@@ -41,7 +41,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Furnished:
-    """A room to be checked: the shell and its furniture."""
+    """A room to check: shell, built-in items, furniture."""
 
     shell: Shell
     built: tuple[Placed, ...]
@@ -49,7 +49,7 @@ class Furnished:
 
 
 def faults_of(room: Furnished) -> list[Fault]:
-    """All faults of a room; empty if there are none."""
+    """All faults of a room; walking is checked only if there are no others."""
     boxes = [item.boxes() for item in room.items]
     bounds = [hull_of(b) for b in boxes]
     found = _outside(room, bounds)
@@ -70,7 +70,7 @@ def _outside(room: Furnished, bounds: list[Floats]) -> list[Fault]:
         if (b[0] < low).any() or (b[1] > high).any():
             depth = max(float((low - b[0]).max()), float((b[1] - high).max()))
             found.append(
-                Fault("outside", item.name, f"reaches {1000 * depth:.0f} mm into a wall, floor or ceiling")
+                Fault("outside", item.name, f"extends {1000 * depth:.0f} mm into a wall, floor or ceiling")
             )
     return found
 
@@ -89,12 +89,11 @@ def _floating(room: Furnished, bounds: list[Floats]) -> list[Fault]:
 def _gap(
     shell: Shell, item: Placed, b: Floats, by_name: dict[str, tuple[Placed, Floats]]
 ) -> tuple[float, str]:
-    """Distance of an item from its support, and the support."""
+    """Distance of an item, with bounds ``b`` (2, 3), from its support (inf if beside it), and its name."""
     if item.item.hold == "ceiling":
         return abs(shell.height - float(b[1, 2])), "the ceiling"
     if item.item.hold == "wall":
-        # the back in the item's own frame, on whichever wall it is
-        near = [
+        near = [  # gaps between the item and each wall
             shell.width / 2 + b[0, 0],
             shell.width / 2 - b[1, 0],
             shell.depth / 2 + b[0, 1],
@@ -103,7 +102,7 @@ def _gap(
         return abs(min(map(float, near))), "the wall"
     if item.stands_on:
         if item.stands_on not in by_name:
-            return math.inf, f"{item.stands_on}, which is not there"
+            return math.inf, f"{item.stands_on}, which does not exist"
         host, of_host = by_name[item.stands_on]
         foot = b[:, :2] if host.item.name == "rug" else b[:, :2].mean(axis=0, keepdims=True)
         inside = (foot >= of_host[0, :2]).all() and (foot <= of_host[1, :2]).all()
@@ -131,12 +130,12 @@ def _intersecting(room: Furnished, boxes: list[Floats], bounds: list[Floats]) ->
 
 
 def meets(one: Floats, other: Floats, margin: float = 0.0) -> bool:
-    """True if two boxes (2, 3) are closer than ``margin``."""
+    """Whether the gap between two boxes (2, 3) is below ``margin`` along every axis."""
     return bool((one[0] < other[1] + margin).all() and (other[0] < one[1] + margin).all())
 
 
 def overlap(one: Floats, other: Floats) -> float:
-    """Largest overlap of the boxes (k, 2, 3) of two items, along its thinnest axis."""
+    """Largest penetration over pairs of boxes (k, 2, 3) of two items; negative if none overlap."""
     low = np.maximum(one[:, None, 0], other[None, :, 0])
     high = np.minimum(one[:, None, 1], other[None, :, 1])
     return float((high - low).min(axis=2).max())
@@ -150,7 +149,7 @@ def _openings(room: Furnished, boxes: list[Floats]) -> list[Fault]:
         for item, b in zip(room.items, boxes, strict=True):
             rows = (b[:, 0, 2] < door.height) & (b[:, 1, 2] > 0.004)
             if any(_in_sector(box, sector, door.width) for box in b[rows]):
-                found.append(Fault("door", item.name, f"stands where door {k} swings"))
+                found.append(Fault("door", item.name, f"is in the swing of door {k}"))
     for k, window in enumerate(shell.windows):
         zone = _window_zone(shell, k)
         for item, b in zip(room.items, boxes, strict=True):
@@ -161,7 +160,7 @@ def _openings(room: Furnished, boxes: list[Floats]) -> list[Fault]:
             bound = hull_of(b[rows])
             wide = np.minimum(bound[1, :2], zone[1]) - np.maximum(bound[0, :2], zone[0])
             if (wide > 0).all() and float(wide.max()) > 0.45 * window.width:
-                found.append(Fault("window", item.name, f"stands before window {k}"))
+                found.append(Fault("window", item.name, f"is in front of window {k}"))
     return found
 
 
@@ -176,7 +175,7 @@ def _window_zone(shell: Shell, k: int) -> Floats:
 
 
 def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
-    """Whether a box overlaps a quarter disc, by its nearest point to the hinge in the disc's quadrant."""
+    """Whether a box (2, 3) overlaps a quarter disc with these corners (hinge first) and radius."""
     hinge, rest = sector[0], sector[1:]
     low, high = rest.min(axis=0), rest.max(axis=0)
     low, high = np.minimum(low, hinge) + 1e-3, np.maximum(high, hinge) - 1e-3
@@ -187,7 +186,7 @@ def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
 
 
 def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
-    """Cells (rows along y, columns along x) of the floor on which a person can stand."""
+    """Mask (rows along y, columns along x) of the floor's cells where a person can stand."""
     from scipy.ndimage import distance_transform_edt
 
     columns, rows = int(shell.width / CELL_M), int(shell.depth / CELL_M)
@@ -200,16 +199,14 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
         first = np.floor((boxes[hit, 0, :2] - origin) / CELL_M).astype(int) + 1
         last = np.ceil((boxes[hit, 1, :2] - origin) / CELL_M).astype(int) + 1
         spans = np.maximum(np.concatenate([first, last], axis=1), 0)
-        for x0, y0, x1, y1 in np.unique(spans, axis=0).tolist():  # books of a row share their cells
+        for x0, y0, x1, y1 in np.unique(spans, axis=0).tolist():  # unique: books in a row share cells
             free[y0:y1, x0:x1] = False
     distance = distance_transform_edt(free) * CELL_M
     return np.asarray(distance[1:-1, 1:-1] > BODY_M)
 
 
 def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Cells (rows, columns) reachable from every door, and the fault if doors are not connected ("":
-    none).
-    """
+    """Mask (rows, columns) of the cells reachable from all doors, and the fault of walking, or ''."""
     from scipy.ndimage import label
 
     free = free_cells(shell, boxes)
@@ -221,24 +218,24 @@ def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
         around = labels[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
         near = around[around > 0]
         if not len(near):
-            return free & False, f"nobody gets through door {k}"
+            return free & False, f"door {k} is blocked"
         if component and component not in near:
-            return free & False, f"there is no way from door 0 to door {k}"
+            return free & False, f"there is no path from door 0 to door {k}"
         component = component or int(np.bincount(near).argmax())
     reached = labels == component if component else free
     area = float(reached.sum()) * CELL_M**2
     if area < MIN_WALKABLE_M2:
-        return reached, f"only {area:.1f} m2 of the floor can be walked on"
+        return reached, f"only {area:.1f} m2 of the floor are walkable"
     return reached, ""
 
 
 def cell_of(shell: Shell, place: tuple[float, float]) -> tuple[int, int]:
-    """Row and column of a floor position."""
+    """Row and column of the cell at a floor position (x, y)."""
     return int((place[1] + shell.depth / 2) / CELL_M), int((place[0] + shell.width / 2) / CELL_M)
 
 
 def front_zone(item: Placed, depth: float) -> Floats:
-    """The area (2, 2) of the floor in front of an item."""
+    """Corners (2, 2) of the floor area up to ``depth`` in front of an item."""
     b = item.item.bounds
     corners = np.array([[x, y, 0.0] for x in b[:, 0] for y in (b[0, 1], b[0, 1] - depth)])
     matrix = item.room_from_item
@@ -247,7 +244,7 @@ def front_zone(item: Placed, depth: float) -> Floats:
 
 
 def reaches(shell: Shell, reached: NDArray[np.bool_], item: Placed) -> bool:
-    """True if the front of an item is reachable."""
+    """Whether a cell of ``reached`` is in front of an item."""
     zone = front_zone(item, item.item.front_m + 0.35)
     (r0, c0), (r1, c1) = (cell_of(shell, (float(x), float(y))) for x, y in zone)
     return bool(reached[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1].any())

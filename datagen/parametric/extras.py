@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furniture along the walls of many kinds of rooms, by name, with random sizes."""
+"""Makers of furniture for the walls of many kinds of rooms, by name, with random sizes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fittings and clutter: radiators, curtains and blinds, rugs, pictures, mirrors, plants."""
+"""Makes fittings and small things: radiators, curtains, rugs, pictures, plants; lengths in metres."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from datagen.parametric.shapes import (
 
 
 def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
-    """A panel or column radiator, on the wall 0.1 m above the floor."""
+    """A panel or column radiator on a wall, ``width`` by ``height`` metres."""
     item = Item("radiator", hold="wall")
     if draws.chance(0.6):
         item.add("radiator", rounded_box((width, 0.07, height), 0.012, (0, -0.075, 0), 2))
@@ -47,9 +47,9 @@ def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
 
 
 def curtains(style: Style, draws: Draws, window: float, height: float, floor: float, off_wall: float) -> Item:
-    """Two drawn-back curtains on a rail ``off_wall`` metres from the wall.
+    """Two open curtains on a rail ``off_wall`` metres from the wall, at a window ``window`` metres wide.
 
-    ``height`` is the rail's height above the item's z = 0, ``floor`` the curtains' length.
+    ``height`` is the rail's height above the item's z = 0, ``floor`` the length of the curtains.
     """
     item = Item("curtains", hold="wall")
     open_share = draws.uniform(0.16, 0.34)
@@ -92,7 +92,7 @@ def _drape(draws: Draws, x0: float, x1: float, top: float, length: float) -> Sha
 
 
 def roller_blind(style: Style, draws: Draws, window: float, height: float) -> Item:
-    """A blind rolled down over part of a window; z = 0 is the window's lower edge."""
+    """A blind over the upper part of a ``window`` by ``height`` m window; z = 0 is its lower edge."""
     item = Item("blind", hold="wall")
     drop = draws.uniform(0.15, 0.55) * height
     item.add(
@@ -111,7 +111,7 @@ def roller_blind(style: Style, draws: Draws, window: float, height: float) -> It
 
 
 def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> Item:
-    """Open horizontal slats over part of a window; z = 0 is the window's lower edge."""
+    """Slats over the upper part of a ``window`` by ``height`` m window; z = 0 is its lower edge."""
     item = Item("blind", hold="wall")
     drop = draws.uniform(0.3, 0.95) * height
     tilt = draws.uniform(-12, 18)
@@ -131,7 +131,7 @@ def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> I
 
 
 def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool = False) -> Item:
-    """A rug, 9 mm thick, centred in x (y from -depth to 0)."""
+    """A rug 9 mm thick, centred in x, with y from -depth to 0; a round one has the diameter ``width``."""
     item = Item("rug")
     if is_round:
         r = width / 2
@@ -150,7 +150,7 @@ def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool =
 
 
 def picture(style: Style, draws: Draws, width: float, height: float, art: str) -> Item:
-    """A framed picture: frame, mount and a print in the slot ``art``; z = 0 is the frame's lower edge."""
+    """A picture with frame, mount, and a print in the slot ``art``; z = 0 is the frame's lower edge."""
     item = Item("picture", hold="wall")
     f = draws.uniform(0.012, 0.035)
     for z in (0.0, height - f):
@@ -168,7 +168,7 @@ def picture(style: Style, draws: Draws, width: float, height: float, art: str) -
 
 
 def mirror(style: Style, draws: Draws, width: float, height: float) -> Item:
-    """A framed mirror."""
+    """A framed mirror of ``width`` by ``height`` metres; z = 0 is its lower edge."""
     item = Item("mirror", hold="wall")
     f = draws.uniform(0.008, 0.03)
     for z in (0.0, height - f):
@@ -182,7 +182,7 @@ def mirror(style: Style, draws: Draws, width: float, height: float) -> Item:
 
 
 def board(style: Style, draws: Draws, width: float, height: float, slot: str) -> Item:
-    """A whiteboard or a slate on the wall, with a tray."""
+    """A board on the wall; ``slot`` is ``white_board`` (with a tray) or ``slate_board``."""
     item = Item("board", hold="wall")
     for z in (0.0, height - 0.02):
         item.add(
@@ -206,7 +206,7 @@ def board(style: Style, draws: Draws, width: float, height: float, slot: str) ->
 
 
 def television(style: Style, draws: Draws, width: float) -> Item:
-    """A television on its stand."""
+    """A television ``width`` metres wide on its stand."""
     item = Item("television", hold="surface")
     h = width * 0.575
     item.add("machine", box((width, 0.035, h), (0, -0.13, 0.07), 0.006))
@@ -326,7 +326,7 @@ def shoes(style: Style, draws: Draws) -> Item:
 
 
 def teepee(style: Style, draws: Draws) -> Item:
-    """A child's tent of cloth on poles."""
+    """A child's tent of fabric on poles."""
     item = Item("tent")
     r, h, c = 0.55, 1.45, -0.58
     feet = ring_of(4, r, np.pi / 4)

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furnishing common to many kinds of room: curtains and blinds, pictures, plants, rugs, chairs around tables,
-lamps.
-"""
+"""Furnishes many kinds of room: curtains, pictures, plants, rugs, chairs around tables, lamps."""
 
 from __future__ import annotations
 
@@ -18,8 +16,9 @@ _SPACING_M = 2.5  # distance between ceiling lamps of one room
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
-    """Place radiators below windows, and curtains or blinds in front of them; one choice per room, with
-    exceptions.
+    """Place radiators, curtains and blinds at windows, with these probabilities.
+
+    Curtains or blinds are drawn once per room.
     """
     draws, style = room.draws, room.style
     pick = draws.unit()
@@ -35,7 +34,7 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
             top = min(window.sill + window.height + draws.uniform(0.1, 0.2), room.shell.height - 0.06)
             long = draws.chance(0.7) or window.sill < 0.4
             hem = 0.03 if long else window.sill - 0.2
-            off_wall = 0.165 if below else 0.125  # in front of a radiator
+            off_wall = 0.165 if below else 0.125  # farther, for a radiator below
             item = fittings.curtains(style, draws, window.width, top - hem, top - hem - 0.02, off_wall)
             if room.before_window(item, window, hem, below) is not None:
                 continue
@@ -45,8 +44,9 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
 
 
 def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
-    """Place chairs at the long sides (``along`` each) and at the ends; raises :class:`Unfit` if fewer than
-    two fit.
+    """Place ``along`` chairs at each long side of a table and one at ``ends`` of its ends.
+
+    Raises :class:`Unfit` if fewer than two fit.
     """
     half = float(table.item.bounds[1, 0])
     made = 0
@@ -57,11 +57,11 @@ def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends:
     for side in SIDES[2 : 2 + 2 * ends]:
         made += room.seat(chair, table, side, 0.0, 0.16) is not None
     if made < 2:
-        raise Unfit(f"{table.name} has no room for chairs")
+        raise Unfit(f"{table.name} has no space for chairs")
 
 
 def seats(room: Furnisher, count: int) -> list[Placed]:
-    """Place armchairs in corners or in the open, facing the room."""
+    """Place up to ``count`` armchairs in corners or in the open."""
     found = []
     for _ in range(count):
         item = seating.armchair(room.style, room.draws)
@@ -72,14 +72,14 @@ def seats(room: Furnisher, count: int) -> list[Placed]:
 
 
 def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
-    """Place a lamp on a table."""
+    """Place a lamp on a table, ``x`` metres from its middle."""
     support = host.item.supports[0]
     back = max(0.02, support.size[1] / 2 - 0.16)
     return room.on(lamps.table_lamp(room.draws, room.glow()), host, 0, x, back)
 
 
 def floor_lamp_somewhere(room: Furnisher) -> Placed | None:
-    """Place a floor lamp in a corner or at a wall."""
+    """Place a floor lamp in a corner or at a wall, with probability 0.75."""
     if room.draws.chance(0.75):
         return room.at_wall(lamps.floor_lamp(room.draws, room.glow()), where="corner", gap=0.05)
     return None
@@ -109,7 +109,7 @@ def pictures(room: Furnisher, most: int) -> None:
 
 
 def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
-    """Place ``least`` to ``most`` more items from ``names`` along the walls, as far as there is space."""
+    """Place ``least`` to ``most`` items from ``names`` along the walls, or fewer if space is lacking."""
     draws = room.draws
     wanted = draws.integer(least, most)
     for name in draws.shuffled([*names, *names]):
@@ -122,7 +122,10 @@ def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
 def decorate(
     room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 5, is_home: bool = True
 ) -> None:
-    """Add pictures, shelves, plants, and a rug on the free floor."""
+    """Place pictures (2 to ``most`` in a home, else 1 to 3), a shelf, plants and a rug on the free floor.
+
+    ``rug`` is the probability of a rug, ``round_rug`` that of a round one.
+    """
     draws, style = room.draws, room.style
     if draws.chance(0.55):
         room.hang(
@@ -153,7 +156,10 @@ def _free_rug(room: Furnisher, is_round: bool) -> None:
 def ceiling_light(
     room: Furnisher, kinds: Sequence[str], over: Placed | None = None, many: bool = False
 ) -> None:
-    """Place identical lamps under the ceiling: one in the middle, a row over a table, or a grid."""
+    """Place equal lamps under the ceiling: one in the middle, a row over a table, or a grid (``many``).
+
+    Raises :class:`Unfit` if none fits.
+    """
     draws, shell = room.draws, room.shell
     kind, look = draws.choice(kinds), draws.integer(0, 2**31)
     places: list[tuple[float, float]] = []
@@ -177,12 +183,12 @@ def ceiling_light(
     made = 0
     for x, y in places:
         item = _ceiling_lamp(room.glow(), kind, drop, Draws("lamp", look))
-        for dx, dy in ((0.0, 0.0), (0.3, 0.25), (-0.3, 0.25), (0.4, -0.4)):  # a beam may be in the way
+        for dx, dy in ((0.0, 0.0), (0.3, 0.25), (-0.3, 0.25), (0.4, -0.4)):  # to avoid beams
             if room.ceil(item, x + dx, y + dy) is not None:
                 made += 1
                 break
     if not made:
-        raise Unfit("the ceiling has no room for a lamp")
+        raise Unfit("the ceiling has no space for a lamp")
 
 
 def _ceiling_lamp(slot: str, kind: str, drop: float, draws: Draws) -> Item:
@@ -198,7 +204,10 @@ def _ceiling_lamp(slot: str, kind: str, drop: float, draws: Draws) -> Item:
 
 
 def desk_place(room: Furnisher, needed: bool) -> bool:
-    """Place a desk at a wall, with a chair, a screen and a lamp."""
+    """Place a desk at a wall, with a chair, a screen and a lamp; returns whether the desk fits.
+
+    If ``needed``, raises :class:`Unfit` for a desk or chair that does not fit.
+    """
     draws, style = room.draws, room.style
     desk = room.at_wall(tables.desk(style, draws, draws.uniform(1.1, 1.6)), needed=needed)
     if desk is None:
@@ -206,7 +215,7 @@ def desk_place(room: Furnisher, needed: bool) -> bool:
     chair = seating.office_chair(style, draws) if draws.chance(0.6) else seating.chair(style, draws)
     seated = room.seat(chair, desk, "front", draws.uniform(-0.1, 0.1), 0.1)
     if seated is None and needed:
-        raise Unfit("no room for a chair at the desk")
+        raise Unfit("no space for a chair at the desk")
     if draws.chance(0.7):
         room.on(tables.monitor(style, draws), desk, 0, draws.uniform(-0.2, 0.2), 0.02)
     if draws.chance(0.6):

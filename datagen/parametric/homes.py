@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Furniture of the rooms of a home: required items first, then others that fit."""
+"""Furnishes the rooms of a home: required items first, then others that fit.
+
+A function raises :class:`Unfit` if a required item does not fit.
+"""
 
 from __future__ import annotations
 
@@ -177,7 +180,7 @@ def kitchen(room: Furnisher) -> None:
         if run is not None:
             break
     if run is None:
-        raise Unfit("no wall has room for the kitchen")
+        raise Unfit("no wall has space for the kitchen")
     extra = draws.unit()
     if extra < 0.6:
         is_round = draws.chance(0.4)

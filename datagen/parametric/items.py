@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furniture as data: shapes by slot, support surfaces, lamps, and required free space.
+"""Furniture as data: shapes by slot, support surfaces, lamps, and required free space, in metres.
 
 An item's frame refers to a wall: its back is the plane y = 0, its front faces -y, x points right for a viewer
 in front of it, and it rests at z = 0. Items that hang from a ceiling have z = 0 there and extend downwards.
@@ -20,7 +20,7 @@ Handle = Literal["bar", "knob", "grip"]
 Front = Literal["flat", "framed"]
 Legs = Literal["square", "round", "tapered", "metal"]
 Hold = Literal["floor", "wall", "ceiling", "surface"]
-# low discrepancy: no two shapes use the same section of a pattern
+# shifts of a low-discrepancy sequence, so that shapes use different sections of a pattern
 _STEP = np.array([0.6180339887, 0.7548776662])
 _PATTERN_M = 4.0
 
@@ -33,7 +33,7 @@ class Style:
     handle: Handle
     legs: Legs
     is_soft: bool
-    """Rounded rather than boxy upholstery."""
+    """Whether upholstery is rounded."""
 
     @property
     def leg_slot(self) -> str:
@@ -50,7 +50,7 @@ class Style:
 
 @dataclass(frozen=True)
 class Support:
-    """A rectangle of an item on which objects may stand: middle (x, y), size, height, free height above."""
+    """A rectangle on which objects may stand: middle (x, y), size, height, free height above it."""
 
     kind: SupportKind
     middle: tuple[float, float]
@@ -61,7 +61,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A luminous slot: its colour temperature and luminous flux; ``area_m2`` is the emitting surface."""
+    """A luminous slot: colour temperature, luminous flux, and area of the emitting surface."""
 
     slot: str
     kelvin: float
@@ -71,20 +71,20 @@ class Lamp:
 
 @dataclass(frozen=True)
 class LampPlace:
-    """Position for a lamp of the configuration: a point, or a rectangle around it that emits downwards."""
+    """Position of a light slot: a point or, with ``size``, a rectangle around it that faces down."""
 
     at: Point
     size: tuple[float, float] | None = None
 
 
 def hull_of(boxes: Floats) -> Floats:
-    """The box (2, 3) around boxes (k, 2, 3)."""
+    """The bounding box (2, 3) of boxes (k, 2, 3)."""
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
 @dataclass
 class Item:
-    """A piece of furniture. ``front_m``: depth of the floor in front of it that must stay free."""
+    """A piece of furniture; the floor must be free up to ``front_m`` metres in front of it."""
 
     name: str
     hold: Hold = "floor"
@@ -96,7 +96,7 @@ class Item:
     _boxes: Floats = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
     def add(self, slot: str, *shapes: Shape) -> None:
-        """Append shapes to a slot; each uses a different section of the slot's pattern."""
+        """Append shapes to a slot, each with a different section of the slot's pattern."""
         for shape in shapes:
             shift = _PATTERN_M * ((len(self.shapes) + 1) * _STEP % 1.0)
             self.shapes.append((slot, shape.shifted_uv(float(shift[0]), float(shift[1]))))
@@ -112,20 +112,20 @@ class Item:
         self.supports.append(Support(kind, middle, size, z, clearance_m))
 
     def boxes(self) -> Floats:
-        """Boxes (k, 2, 3) of the item's shapes in its own frame."""
+        """Bounding boxes (k, 2, 3) of the item's shapes, in the item's frame."""
         if len(self._boxes) != len(self.shapes):
             self._boxes = np.stack([shape.bounds for _, shape in self.shapes])
         return self._boxes
 
     @property
     def bounds(self) -> Floats:
-        """Lowest and highest corner (2, 3) in its own frame."""
+        """Lower and upper corner (2, 3) of the bounding box, in the item's frame."""
         return hull_of(self.boxes())
 
 
 @dataclass(frozen=True)
 class Placed:
-    """An item in the room: rotated by ``yaw_rad`` about z, then moved. ``stands_on`` names its support."""
+    """An item rotated by ``yaw_rad`` about z, then moved to ``at``; ``stands_on`` names its support."""
 
     item: Item
     name: str
@@ -135,17 +135,17 @@ class Placed:
 
     @property
     def room_from_item(self) -> Floats:
-        """The placement as a matrix (4, 4)."""
+        """The transform (4, 4) by yaw and position."""
         matrix = np.eye(4)
         matrix[:3, :3] = np.round(rotation("z", self.yaw_rad), 12)
         matrix[:3, 3] = self.at
         return matrix
 
     def boxes(self) -> Floats:
-        """Axis-aligned boxes (k, 2, 3) of the item's shapes in the room, from their vertices."""
+        """Bounding boxes (k, 2, 3) of the item's shapes, in the room's frame."""
         matrix = self.room_from_item
         turn = matrix[:3, :3]
-        if np.allclose(np.abs(turn), np.round(np.abs(turn)), atol=1e-5):  # boxes stay boxes at this rotation
+        if np.allclose(np.abs(turn), np.round(np.abs(turn)), atol=1e-5):  # multiples of 90 degrees
             ends = self.item.boxes() @ np.round(turn).T + matrix[:3, 3]
             return np.sort(ends, axis=1)
         found = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of rooms: their sizes and openings, and the rules that furnish them."""
+"""The kinds of rooms: sizes, openings, and the rules that furnish them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _WORK: Classes = ("stone", "glazed", "wood")
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of room, with ranges in metres. ``windows`` and ``doors``: minimum and maximum numbers.
+    """A kind of room, with ranges in metres, and minimum and maximum numbers of openings and tiled walls.
 
-    ``tiled``: walls with tiles. ``steel_fronts``: share of the rooms whose cabinets have fronts of steel.
+    ``curtains``, ``blinds``, ``radiators`` and ``beams`` are probabilities; ``steel_fronts`` is that of
+    cabinets with fronts of steel.
     """
 
     furnish: Callable[[Furnisher], None]
@@ -134,4 +135,4 @@ KINDS: dict[str, Kind] = {
         steel_fronts=0.6,
     ),
 }
-"""All kinds by name."""
+"""All kinds of rooms by name."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Lamps: luminous bodies of real size, colour temperature and flux.
+"""Makes lamps with real sizes, colour temperatures and luminous fluxes; lengths in metres.
 
-Most shades are translucent: the luminous body is then the shade of cloth or paper, as in photographs, instead
-of a bulb. Opaque shades hide their bulb from most cameras.
+Most shades are translucent: the shade of cloth or paper then emits, as it appears in photographs, instead of
+a bulb. Opaque shades hide their bulb from most cameras.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _WARM = (2500.0, 3100.0)  # incandescent, halogen and warm LED
 _COOL = (3500.0, 5000.0)  # offices and workshops
 _THIN = 0.0025
 _TRANSLUCENT = 0.75
-"""Share of translucent shades."""
+"""Probability that a shade is translucent."""
 _TRANSMITTED = 0.7
 """Share of a bulb's flux that leaves a translucent shade."""
 
@@ -34,9 +34,7 @@ def _bulb(
 def _shade(
     item: Item, slot: str, at: tuple[float, float, float], low: float, high: float, height: float
 ) -> None:
-    """An open shade of material ``slot`` with its lower rim at ``at`` and radii ``low`` below and ``high``
-    above.
-    """
+    """Add an open shade with its lower rim at ``at`` and radii ``low`` below and ``high`` above."""
     t = _THIN
     profile = [(low, 0), (high, height), (high - t, height), (low - t, 0), (low, 0)]
     item.add(slot, lathe(profile, at, 32))
@@ -51,7 +49,7 @@ def _shaded(
     kelvin: float,
     lumen: float,
 ) -> None:
-    """A luminous translucent ``shade`` (arguments of :func:`_shade`), or an opaque one over a ``bulb``
+    """Add a translucent ``shade`` (arguments of :func:`_shade`) that emits, or an opaque one over a ``bulb``
     (position, radius).
     """
     if not draws.chance(_TRANSLUCENT):
@@ -65,7 +63,7 @@ def _shaded(
 
 
 def ceiling_disc(draws: Draws, slot: str) -> Item:
-    """A flat opal disc under the ceiling."""
+    """A flat opal disc for the ceiling."""
     item = Item("ceiling_lamp", hold="ceiling")
     r = draws.uniform(0.16, 0.26)
     item.add("metal", cylinder(r + 0.008, 0.03, (0, 0, -0.03), 36, 0.003))
@@ -78,9 +76,7 @@ def ceiling_disc(draws: Draws, slot: str) -> Item:
 
 
 def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Item:
-    """A lamp on a cord: a shade with a bulb, or an opal globe; its lowest point is ``drop`` below the
-    ceiling.
-    """
+    """A lamp on a cord, ``drop`` metres long in all: a shade with a bulb, or an opal globe."""
     item = Item("pendant", hold="ceiling")
     item.add("metal", cylinder(0.05, 0.025, (0, 0, -0.025), 20, 0.005))
     kelvin = draws.uniform(*_WARM)
@@ -111,7 +107,7 @@ def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Ite
 
 
 def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
-    """A flat office luminaire under the ceiling."""
+    """A flat office luminaire for the ceiling, ``length`` metres long."""
     item = Item("panel_lamp", hold="ceiling")
     w = draws.uniform(0.25, 0.6)
     item.add("metal", box((length + 0.03, w + 0.03, 0.055), (0, 0, -0.055), 0.004))
@@ -122,7 +118,7 @@ def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
 
 
 def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
-    """A fluorescent tube on a batten, as in workshops and cellars."""
+    """A fluorescent tube on a batten for the ceiling, ``length`` metres long."""
     item = Item("batten_lamp", hold="ceiling")
     item.add("radiator", box((length, 0.07, 0.05), (0, 0, -0.05), 0.006))
     item.add("radiator", box((0.03, 0.05, 0.05), (-length / 2 + 0.02, 0, -0.098), 0.004))
@@ -136,7 +132,7 @@ def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
 
 
 def spots(draws: Draws, slot: str, length: float = 1.2) -> Item:
-    """A rail with three or four spotlights."""
+    """A rail for the ceiling, ``length`` metres long, with three or four spotlights."""
     item = Item("spots", hold="ceiling")
     item.add("metal", box((length, 0.034, 0.03), (0, 0, -0.03), 0.004))
     count = draws.integer(3, 4)
@@ -198,7 +194,7 @@ def floor_lamp(draws: Draws, slot: str) -> Item:
 
 
 def table_lamp(draws: Draws, slot: str) -> Item:
-    """A lamp with a turned foot and a small shade."""
+    """A lamp for a table, with a foot and a small shade."""
     item = Item("table_lamp", hold="surface")
     h, c = draws.uniform(0.36, 0.5), -0.14
     if draws.chance(0.6):
@@ -243,7 +239,7 @@ def table_lamp(draws: Draws, slot: str) -> Item:
 
 
 def desk_lamp(draws: Draws, slot: str) -> Item:
-    """A jointed lamp."""
+    """A lamp on a jointed arm."""
     item = Item("desk_lamp", hold="surface")
     c = -0.12
     item.add("metal", cylinder(0.085, 0.02, (0, c, 0), 28, 0.005))
@@ -258,7 +254,7 @@ def desk_lamp(draws: Draws, slot: str) -> Item:
 
 
 def wall_lamp(draws: Draws, slot: str) -> Item:
-    """An opal bar over a mirror, or a cup-shaped lamp on the wall; z = 0 is its middle."""
+    """An opal bar, or an opal globe on an arm, for a wall; z = 0 is its middle."""
     item = Item("wall_lamp", hold="wall")
     if draws.chance(0.5):
         item.add("metal", box((0.1, 0.03, 0.06), (0, -0.0155, -0.03), 0.004))

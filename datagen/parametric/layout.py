@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Puts furniture into a shell by rules: at walls, beside each other, at tables, in the middle, on top.
+"""Places furniture in a shell by rules: at walls, side by side, at tables, in the middle, on surfaces.
 
-Every candidate is checked before it is accepted: inside the room, clear of other furniture, of swinging
-doors, of windows and of the floor in front of cupboards, with walking paths still open. A required item
-without a valid position raises :class:`Unfit`; the room is then generated anew from another seed.
+A candidate is accepted only inside the room and clear of other furniture, of swinging doors, of windows and
+of the floor in front of cupboards, with walking paths still open. A required item without a valid position
+raises :class:`Unfit`; the room is then generated again from another seed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from datagen.parametric.items import Item, Placed, Style, hull_of
 from datagen.parametric.shapes import Floats, rotation
 from datagen.parametric.shell import CASING_M, WALLS, Shell, Wall, Window, swing
 
-OFF_WALL_M = 0.03  # behind furniture: the skirting
+OFF_WALL_M = 0.03  # gap behind furniture, for the skirting
 _MARGIN_M = 0.02
 _TRIES = 14
 Side = Literal["front", "back", "left", "right"]
@@ -32,12 +32,12 @@ _TURN: dict[Side, float] = {"back": 0.0, "left": 0.5 * math.pi, "front": math.pi
 
 
 class Unfit(Exception):
-    """A required item has no valid position in the generated room."""
+    """A required item has no valid position in the room."""
 
 
 @dataclass
 class Furnisher:
-    """The room while it is furnished. ``draws`` makes all random choices; ``zones`` (2, 3) must stay free."""
+    """A room while it is furnished; ``zones`` are names and boxes (2, 3) that must stay free."""
 
     shell: Shell
     style: Style
@@ -75,28 +75,26 @@ class Furnisher:
         low, high = np.minimum(a, b), np.maximum(a, b)
         self.zones.append((name, np.array([[*low, levels[0]], [*high, levels[1]]])))
 
-    # names of slots that each lamp and picture has of its own
-
     def blank_walls(self) -> list[Wall]:
         """Walls without windows, in random order."""
         return self.draws.shuffled([w for w in WALLS if not any(x.wall == w for x in self.shell.windows)])
 
     def glow(self) -> str:
+        """A new slot for the emitting surface of a lamp."""
         self._num_glows += 1
         return f"glow_{self._num_glows - 1}"
 
     def art(self) -> str:
+        """A new slot for a print."""
         self._num_arts += 1
         return f"art_{self._num_arts - 1}"
 
     def reserve(self, built: Placed) -> None:
-        """Keep the surroundings of a built-in item clear."""
+        """Keep the boxes of a built-in item free of other items."""
         self.zones += [(built.name, box) for box in built.boxes()]
 
-    # the only entrance of the room
-
     def take(self, item: Item, at: tuple[float, float, float], yaw: float, stands_on: str = "") -> Placed:
-        """Place an item without checks; faults are found by the check of the room."""
+        """Place an item without a check; :func:`faults_of` finds its faults."""
         number = self._names[item.name]
         self._names[item.name] += 1
         rounded = (round(at[0], 6), round(at[1], 6), round(at[2], 6))
@@ -118,8 +116,9 @@ class Furnisher:
         ignores: Sequence[str] = (),
         stands_on: str = "",
     ) -> Placed | None:
-        """Place an item if its position is clear. The item may extend under or between the items ``near``;
-        ``ignores`` names zones.
+        """Place an item if its position is valid; returns None if it is not.
+
+        The item may extend under or between the items ``near``; ``ignores`` names zones that it may enter.
         """
         trial = Placed(item, "trial", at, yaw, stands_on)
         boxes = trial.boxes()
@@ -179,8 +178,9 @@ class Furnisher:
         gap: float = OFF_WALL_M,
         s: float | None = None,
     ) -> Placed | None:
-        """Place an item with its back to a wall: anywhere, in a corner, or preferably in the middle of the
-        wall.
+        """Place an item with its back to a wall: anywhere, in a corner, or preferably in the middle.
+
+        If ``needed``, raises :class:`Unfit` instead of returning None.
         """
         b = item.bounds
         order = list(walls) if walls is not None else self.draws.shuffled(WALLS)
@@ -198,11 +198,14 @@ class Furnisher:
                 if found is not None:
                     return found
         if needed:
-            raise Unfit(f"no wall has room for {item.name}")
+            raise Unfit(f"no wall has space for {item.name}")
         return None
 
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
-        """Place an item in the open: first in the middle of the room, later anywhere."""
+        """Place an item in the middle of the room, else anywhere.
+
+        If ``needed``, raises :class:`Unfit` instead of returning None.
+        """
         b = item.bounds
         size = b[1] - b[0]
         for k in range(_TRIES):
@@ -220,13 +223,13 @@ class Furnisher:
             if found is not None:
                 return found
         if needed:
-            raise Unfit(f"the middle has no room for {item.name}")
+            raise Unfit(f"the middle has no space for {item.name}")
         return None
 
     def beside(
         self, item: Item, host: Placed, side: Literal["left", "right"], gap: float = 0.04
     ) -> Placed | None:
-        """Place an item at the host's wall, on the left or right as seen from the front."""
+        """Place an item at the host's wall, ``gap`` metres to its left or right as seen from the front."""
         h, b = host.item.bounds, item.bounds
         x = h[0, 0] - gap - b[1, 0] if side == "left" else h[1, 0] + gap - b[0, 0]
         at = host.room_from_item @ np.array([x, 0.0, 0.0, 1.0])
@@ -235,20 +238,20 @@ class Furnisher:
     def before(
         self, item: Item, host: Placed, gap: float, needed: bool = False, turned: bool = False
     ) -> Placed | None:
-        """Place an item in front of a host, ``gap`` metres away; with ``turned`` it faces the host."""
+        """Place an item ``gap`` metres in front of a host; with ``turned`` it faces the host."""
         h, b = host.item.bounds, item.bounds
         y = h[0, 1] - gap - (b[1, 1] if not turned else -b[0, 1])
         at = host.room_from_item @ np.array([0.5 * (h[0, 0] + h[1, 0]), y, 0.0, 1.0])
         yaw = host.yaw_rad + (math.pi if turned else 0.0)
         found = self.offer(item, (float(at[0]), float(at[1]), 0.0), yaw, ignores=(host.name,))
         if found is None and needed:
-            raise Unfit(f"{item.name} has no room before {host.name}")
+            raise Unfit(f"{item.name} has no space in front of {host.name}")
         return found
 
     def seat(
         self, chair: Item, table: Placed, side: Side, offset: float, tuck: float, jitter: float = 1.0
     ) -> Placed | None:
-        """Place a chair at a side of a table, facing it, with ``tuck`` of its depth below the top."""
+        """Place a chair at a side of a table, ``tuck`` metres under it, ``offset`` metres from the middle."""
         b, depth = table.item.bounds, -float(chair.bounds[0, 1])
         middle = b.mean(axis=0)[:2]
         half = 0.5 * (b[1] - b[0])[:2]
@@ -275,9 +278,7 @@ class Furnisher:
         y: float | None = None,
         turn: float = 0.0,
     ) -> Placed | None:
-        """Place an item on a host's surface: ``x`` from its middle, the item's back at ``y`` in front of the
-        surface's back.
-        """
+        """Place an item on a support of a host, ``x`` metres from its middle, ``y`` metres from its back."""
         support = host.item.supports[index]
         back = support.middle[1] + support.size[1] / 2 - (0.02 if y is None else y)
         at = host.room_from_item @ np.array([support.middle[0] + x, back, support.z, 1.0])
@@ -298,9 +299,9 @@ class Furnisher:
         free: float = 0.12,
         is_slim: bool = False,
     ) -> Placed | None:
-        """Place an item on a wall, ``free`` metres clear of doors, windows and furniture.
+        """Place an item on a wall, ``free`` metres clear of doors and windows; its z = 0 is at height z.
 
-        A placement with ``is_slim`` may also be behind furniture and beside its front.
+        With ``is_slim``, it may also be behind furniture and beside its front.
         """
         b = item.bounds
         near = tuple(self.placed) if is_slim else ()
@@ -332,13 +333,13 @@ class Furnisher:
     def before_window(
         self, item: Item, window: Window, z: float, near: Sequence[Placed] = ()
     ) -> Placed | None:
-        """Place an item on a window's wall: in front of the window, above or below it."""
+        """Place an item on a window's wall, in front of, above or below it; its z = 0 is at height z."""
         passed = [name for name, _ in self.zones if name.startswith("window")]
         at = (*self.shell.point(window.wall, window.s), z)
         return self.offer(item, at, self.shell.yaw(window.wall), near=near, ignores=passed)
 
     def over(self, item: Item, host: Placed, z: float) -> Placed | None:
-        """Place an item on the wall above a host that stands there."""
+        """Place an item on the wall above a host at that wall; its z = 0 is at height z."""
         wall = self.wall_of(host)
         if wall is None:
             return None
@@ -347,7 +348,7 @@ class Furnisher:
         return self.hang(item, z, [wall], float(middle[:3] @ along), 0.02)
 
     def wall_of(self, host: Placed) -> Wall | None:
-        """The wall behind a host; None for free-standing items."""
+        """The wall at the back of an item; None for free-standing items."""
         for wall in WALLS:
             if abs(math.remainder(host.yaw_rad - self.shell.yaw(wall), 2 * math.pi)) < 1e-4:
                 inward = rotation("z", self.shell.yaw(wall))[:2, 1]
@@ -356,11 +357,11 @@ class Furnisher:
         return None
 
     def ceil(self, item: Item, x: float, y: float) -> Placed | None:
-        """Place an item under the ceiling."""
+        """Place an item under the ceiling at (x, y)."""
         return self.offer(item, (x, y, self.shell.height), 0.0)
 
     def lay(self, rug: Item, x: float, y: float, yaw: float = 0.0) -> Placed | None:
-        """Place a rug; no item may stand partly on it."""
+        """Place a rug with its middle at (x, y); no other item may stand partly on it."""
         b = rug.bounds
         middle = rotation("z", yaw)[:2, :2] @ b.mean(axis=0)[:2]
         return self.offer(rug, (x - float(middle[0]), y - float(middle[1]), 0.0), yaw)

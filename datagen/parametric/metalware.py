@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furniture of sheet metal and tubes: bins, trolleys, lockers."""
+"""Makes furniture of sheet metal and tubes: bins, trolleys, lockers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def pedal_bin(style: Style, draws: Draws) -> Item:
 
 
 def trolley(style: Style, draws: Draws) -> Item:
-    """A trolley of tubes with two or three trays on castors."""
+    """A trolley on castors with two or three trays."""
     item = Item("trolley", front_m=0.3)
     w, d, h = draws.uniform(0.5, 0.75), draws.uniform(0.36, 0.42), draws.uniform(0.74, 0.86)
     for x in (-w / 2 + 0.02, w / 2 - 0.02):

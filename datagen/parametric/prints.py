@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Prints for picture frames, as PNG files: landscapes, abstract shapes, twigs, lines, in colour or grey."""
+"""Draws prints for picture frames as PNG files: landscapes, abstract shapes, twigs, lines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PAPER = np.array([0.93, 0.91, 0.86])
 
 
 def print_image(draws: Draws) -> bytes:
-    """A small picture in a few matching colours, or in greys."""
+    """A PNG file with a small picture in a few similar colours, or in greys."""
     hue, spread = draws.unit(), draws.uniform(0.04, 0.2)
     saturation = 0.0 if draws.chance(0.25) else 1.0
     inks = [
@@ -68,7 +68,7 @@ def _washes(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Dr
 
 
 def _hills(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draws) -> None:
-    """Ridges that darken towards the viewer, below a sky that brightens to the horizon."""
+    """Draw ridges that darken towards the viewer, below a sky that brightens to the horizon."""
     sky, ground = 0.45 + 0.55 * inks[0], 0.5 * inks[1]
     picture[:] = sky + (0.95 - sky) * y[..., None]
     count = draws.integer(3, 6)
@@ -82,7 +82,7 @@ def _hills(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Dra
 
 
 def _twig(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draws) -> None:
-    """A stem with pairs of leaves."""
+    """Draw a stem with pairs of leaves."""
     lean, bend = draws.uniform(-0.15, 0.15), draws.uniform(-0.2, 0.2)
     length, width = draws.uniform(0.14, 0.28), draws.uniform(0.25, 0.5)
 
@@ -100,7 +100,7 @@ def _twig(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draw
 
 
 def _strokes(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draws) -> None:
-    """Thin closed lines, drawn without lifting the pen."""
+    """Draw thin closed curves."""
     t = np.linspace(0, 2 * np.pi, 3000)
     for ink in inks[: draws.integer(1, 3)]:
         at = np.full((2, t.size), 0.5)
@@ -113,7 +113,7 @@ def _strokes(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: D
 
 
 def _grid(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draws) -> None:
-    """Fields of a grid, some of them filled, round or square."""
+    """Draw some cells of a grid, round or square."""
     count, is_round = draws.integer(3, 7), draws.chance(0.5)
     u, v = (1.2 * count * (x - 0.5) + 0.5 * count) % 1, (1.2 * count * (y - 0.5) + 0.5 * count) % 1
     column = np.floor(1.2 * count * (x - 0.5) + 0.5 * count).astype(np.int64)

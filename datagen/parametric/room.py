@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A furnished room from (kind, seed): shell, furniture and checks.
+"""Makes a furnished room from a kind and a seed: shell, furniture and checks.
 
-A faulty room is generated again from another sub-seed; the final sub-seed follows from the seed.
+A room with faults is generated again from another sub-seed; all sub-seeds follow from the seed.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A sound room. ``tries``: number of generated rooms; ``rejected``: faults of the rejected rooms.
+    """A room without faults, from attempt number ``tries``; ``rejected`` are the faults of the others.
 
-    Without ``has_scenery`` the outside of windows is empty, for a panorama.
+    Without ``has_scenery``, the outside of windows is empty, for a panorama.
     """
 
     kind: str
@@ -51,7 +51,7 @@ class MadeRoom:
 
 
 def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
-    """The room of a kind and seed. Raises :class:`InputError` if none of :data:`MAX_TRIES` rooms is sound."""
+    """The room of a kind and seed. Raises :class:`InputError` if :data:`MAX_TRIES` attempts have faults."""
     rejected: list[str] = []
     for attempt in range(MAX_TRIES):
         key = ("parametric room", kind, seed, attempt)
@@ -78,14 +78,14 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
     raise input_error(
         f"room of kind {kind}",
         "seed",
-        f"{seed!r}: {MAX_TRIES} rooms drawn, none sound (last: {rejected[-1]})",
-        "a sound room",
+        f"{seed!r}: {MAX_TRIES} rooms drawn, all with faults (last: {rejected[-1]})",
+        "a room without faults",
         "use another seed, or exclude this kind",
     )
 
 
 def draw_shell(kind: Kind, draws: Draws) -> Shell:
-    """Draw size, doors and windows of a room."""
+    """Draw a room's size, doors and windows."""
     width, depth = draws.uniform(*kind.width), draws.uniform(*kind.depth)
     if draws.chance(0.5):
         width, depth = depth, width
@@ -107,8 +107,7 @@ def _doors(kind: Kind, shell: Shell, draws: Draws) -> tuple[Door, ...]:
     for wall in draws.shuffled(WALLS)[: draws.integer(*kind.doors)]:
         width = draws.choice((0.76, 0.82, 0.86, 0.92))
         reach = shell.length(wall) / 2 - width / 2 - CASING_M - 0.02
-        # doors are near a corner in most rooms
-        s = (
+        s = (  # most doors are near a corner
             reach * draws.choice((-1.0, 1.0)) * (1 - 0.35 * draws.unit() ** 2)
             if draws.chance(0.75)
             else reach * draws.uniform(-1, 1)
@@ -118,7 +117,7 @@ def _doors(kind: Kind, shell: Shell, draws: Draws) -> tuple[Door, ...]:
 
 
 def _windows(kind: Kind, shell: Shell, doors: Sequence[Door], draws: Draws) -> tuple[Window, ...]:
-    """Windows of one type on one wall or two."""
+    """Draw windows of one type, preferably on one wall, clear of doors."""
     count = draws.integer(*kind.windows)
     sill = draws.uniform(*kind.sill)
     top = min(shell.height - draws.uniform(0.18, 0.35), sill + draws.uniform(1.1, 1.7))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Baths, basins, toilets and towel rails."""
+"""Makes baths, basins, toilets and towel rails; lengths in metres."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datagen.parametric.units import tap
 
 
 def bathtub(style: Style, draws: Draws) -> Item:
-    """A bath with a panel; its long side is along the wall."""
+    """A bath with a panel and a tap, with its long side at the wall."""
     item = Item("bathtub", front_m=0.55)
     w, d, h = draws.uniform(1.6, 1.8), draws.uniform(0.72, 0.8), 0.56
     rings = [
@@ -53,7 +53,7 @@ def bathtub(style: Style, draws: Draws) -> Item:
 
 
 def vanity(style: Style, draws: Draws, width: float) -> Item:
-    """A basin in a cabinet, with its tap and a mirror above."""
+    """A basin with a tap on a cabinet ``width`` metres wide."""
     item = Item("vanity", front_m=0.6)
     d, h = 0.48, 0.85
     on_legs = draws.chance(0.35)
@@ -115,7 +115,7 @@ def vanity(style: Style, draws: Draws, width: float) -> Item:
 
 
 def toilet(style: Style, draws: Draws) -> Item:
-    """A toilet with its cistern."""
+    """A toilet with a cistern."""
     item = Item("toilet", front_m=0.5)
     c = -0.44
 

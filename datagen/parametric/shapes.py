@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Modelling with plain arrays: every function returns a :class:`Shape` in metres, Z up, with UVs in metres.
+"""Models solids as arrays: every function returns a :class:`Shape` in metres, Z up, with UVs in metres.
 
 Letters: n vertices, m triangles. Wood grain runs along u. Solids are closed and wound counter-clockwise seen
-from outside. ``at`` is the middle of a shape's foot unless a function says otherwise.
+from outside. ``at`` is the middle of a shape's base unless a function states otherwise.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Point = tuple[float, float, float]
-_SHARP_COSINE = math.cos(math.radians(40.0))  # sharper edges of a profile are not smoothed
+_SHARP_COSINE = math.cos(math.radians(40.0))  # sharper corners of a profile are not smoothed
 _ORIGIN: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Triangles: ``points``, ``normals`` (n, 3), ``uv`` (n, 2), ``faces`` (m, 3).
+    """A triangle mesh: ``points`` and ``normals`` (n, 3), ``uv`` (n, 2), ``faces`` (m, 3).
 
-    ``is_print`` marks a unique layout in [0, 1].
+    With ``is_print``, UVs fill [0, 1] once, for an image.
     """
 
     points: Floats
@@ -39,22 +39,22 @@ class Shape:
         return replace(self, points=self.points + np.array([x, y, z]))
 
     def turned(self, axis: str, degrees: float) -> Shape:
-        """The shape rotated about an axis through the origin, right-handed."""
+        """The shape rotated about an axis (``x``, ``y`` or ``z``) through the origin, right-handed."""
         matrix = rotation(axis, math.radians(degrees))
         return replace(self, points=self.points @ matrix.T, normals=self.normals @ matrix.T)
 
     def shifted_uv(self, u: float, v: float) -> Shape:
-        """The same shape on a different section of its pattern; prints are unchanged."""
+        """The shape with shifted UVs, for another section of its pattern; prints are unchanged."""
         return self if self.is_print else replace(self, uv=self.uv + np.array([u, v]))
 
     @property
     def bounds(self) -> Floats:
-        """Lowest and highest corner (2, 3)."""
+        """Lower and upper corner (2, 3) of the bounding box."""
         return np.stack([self.points.min(axis=0), self.points.max(axis=0)])
 
 
 def rotation(axis: str, angle_rad: float) -> Floats:
-    """Rotation matrix (3, 3) about ``x``, ``y`` or ``z``."""
+    """Right-handed rotation matrix (3, 3) about the axis ``x``, ``y`` or ``z``."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     k = "xyz".index(axis)
     a, b = (k + 1) % 3, (k + 2) % 3
@@ -64,7 +64,7 @@ def rotation(axis: str, angle_rad: float) -> Floats:
 
 
 def joined(shapes: Sequence[Shape]) -> Shape:
-    """One shape from several."""
+    """All triangles of several shapes as one shape."""
     starts = np.cumsum([0] + [len(s.points) for s in shapes[:-1]])
     return Shape(
         np.concatenate([s.points for s in shapes]),
@@ -77,7 +77,7 @@ def joined(shapes: Sequence[Shape]) -> Shape:
 
 @lru_cache(maxsize=1)
 def _box_topology() -> tuple[Ints, Ints, Ints]:
-    """Faces (44, 3) of a bevelled box over 24 vertices, and for each vertex its axis and signs."""
+    """Faces (44, 3) of a bevelled box over 24 vertices, and each vertex's axis (24,) and signs (24, 3)."""
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     axis_sign = [(a, s) for a in range(3) for s in (-1, 1)]
     vertex: dict[tuple[int, tuple[int, ...]], int] = {}
@@ -111,9 +111,7 @@ def _box_topology() -> tuple[Ints, Ints, Ints]:
 
 
 def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | None = None) -> Shape:
-    """A box with bevelled edges and smooth shading; ``grain`` is the axis along which u runs (default: the
-    longest).
-    """
+    """A box with bevelled edges and smooth shading; u runs along axis ``grain`` (default: the longest)."""
     half = 0.5 * np.array(size, dtype=np.float64)
     r = min(bevel, 0.45 * float(half.min()))
     faces, axis, corner = _box_topology()
@@ -121,30 +119,30 @@ def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | Non
     local = corner * np.where(is_axis, half, half - r)
     normals = np.where(is_axis, corner, 0).astype(np.float64)
     uv = _box_uv(local, normals, int(np.argmax(half)) if grain is None else grain, half)
-    flat_faces = faces if r > 0 else faces[:12]  # without a bevel its strips have no area
+    flat_faces = faces if r > 0 else faces[:12]  # without a bevel, its faces have no area
     return Shape(local + np.array(at) + np.array([0.0, 0.0, half[2]]), normals, uv, flat_faces)
 
 
 def _box_uv(points: Floats, normals: Floats, grain: int, half: Floats) -> Floats:
-    """Box projection (n, 2): u along the grain if a face contains it, else along the face's longer side."""
+    """UVs (n, 2) by box projection: u along the grain if a face contains it, else along the longer side."""
     uv = np.zeros((len(points), 2))
-    axis, sign = np.argmax(np.abs(normals), axis=1), 1.0
+    axis = np.argmax(np.abs(normals), axis=1)
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         along = grain if grain in (b, c) else (b if half[b] >= half[c] else c)
         rows = axis == a
         facing = np.sign(normals[rows, a])
         if along == b:
-            uv[rows] = np.stack([points[rows, b], sign * facing * points[rows, c]], axis=1)
+            uv[rows] = np.stack([points[rows, b], facing * points[rows, c]], axis=1)
         else:
-            uv[rows] = np.stack([points[rows, c], -sign * facing * points[rows, b]], axis=1)
+            uv[rows] = np.stack([points[rows, c], -facing * points[rows, b]], axis=1)
     return uv
 
 
 def rounded_box(
     size: Point, radius: float, at: Point = _ORIGIN, segments: int = 2, bulge: float = 0.0
 ) -> Shape:
-    """A box with round edges; ``bulge`` metres inflate its large faces like a cushion's."""
+    """A box with rounded edges, whose two largest faces bulge by ``bulge`` as those of cushions do."""
     half = 0.5 * np.array(size, dtype=np.float64)
     r = min(radius, 0.98 * float(half.min()))
     angles = np.linspace(-math.pi / 4, 0, segments + 1)
@@ -193,7 +191,7 @@ def rounded_box(
 
 
 def _lattice_faces(rows: int, columns: int) -> Ints:
-    """Triangles over a (rows, columns) lattice, counter-clockwise for columns along x and rows along y."""
+    """Triangles (m, 3) of a (rows, columns) lattice, counter-clockwise for columns along x, rows along y."""
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     return np.concatenate(
@@ -202,7 +200,7 @@ def _lattice_faces(rows: int, columns: int) -> Ints:
 
 
 def smooth(shape: Shape) -> Shape:
-    """The shape with normals averaged over all triangles that share a position."""
+    """The shape with normals averaged over all triangles at a position, weighted by area."""
     _, spot = np.unique(np.round(shape.points, 7), axis=0, return_inverse=True)
     spot = spot.reshape(-1)
     p = shape.points[shape.faces]
@@ -215,9 +213,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats, is_print: bool = False) -> Shape:
-    """A smooth sheet over a (rows, columns, 3) lattice; seen from its front, columns run right and rows
-    up.
-    """
+    """A smooth sheet over points (rows, columns, 3); from its front, columns run right and rows up."""
     rows, columns = points.shape[:2]
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
@@ -231,7 +227,7 @@ def grid(points: Floats, is_print: bool = False) -> Shape:
 
 
 def flipped(shape: Shape) -> Shape:
-    """The other side of a sheet."""
+    """The sheet with its front and back exchanged."""
     return replace(shape, normals=-shape.normals, faces=shape.faces[:, ::-1])
 
 
@@ -243,13 +239,12 @@ def without_slivers(shape: Shape) -> Shape:
 
 
 def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments: int = 24) -> Shape:
-    """A body of revolution about z from (radius, height) pairs, from its foot up the outside and down the
-    inside.
+    """A body of revolution about z from (radius, height) pairs: its foot, then up outside and down inside.
 
-    u runs along the profile, v around. Corners of the profile sharper than 40 degrees have no smooth shading.
+    u runs along the profile, v around. Corners of the profile sharper than 40 degrees are not smoothed.
     """
     steps = np.array(profile, dtype=np.float64)
-    steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # a cosine slightly off zero would leave a hole
+    steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # a rounded cosine of 90 degrees would leave a hole
     edges = np.diff(steps, axis=0)
     unit = edges / np.linalg.norm(edges, axis=1, keepdims=True)
     runs, start = [], 0
@@ -292,7 +287,7 @@ def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments:
 def cylinder(
     radius: float, height: float, at: Point = _ORIGIN, segments: int = 20, bevel: float = 0.002
 ) -> Shape:
-    """A round rod or disc with bevelled rims."""
+    """A cylinder along z with bevelled rims."""
     b = min(bevel, 0.4 * radius, 0.4 * height)
     r, h = radius, height
     return lathe([(0, 0), (r - b, 0), (r, b), (r, h - b), (r - b, h), (0, h)], at, segments)
@@ -305,7 +300,7 @@ def ball(radius: float, at: Point = _ORIGIN, segments: int = 16) -> Shape:
 
 
 def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
-    """A round bar along a path, with flat ends; u runs along it."""
+    """A round bar along a path of points, with flat ends; u runs along it."""
     points = np.array(path, dtype=np.float64)
     ahead = np.gradient(points, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -334,7 +329,7 @@ def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
 
 
 def _wound(shape: Shape) -> Shape:
-    """The shape with triangles wound to match their normals."""
+    """The shape with triangles wound to agree with its normals."""
     p = shape.points[shape.faces]
     cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     inward = (cross * shape.normals[shape.faces].mean(axis=1)).sum(axis=1) < 0
@@ -352,7 +347,7 @@ def _cap(ring: Floats, normal: Floats) -> Shape:
 
 
 def flat(quads: Floats, is_print: bool = False) -> Shape:
-    """Flat quads (q, 4, 3), each with its own normal and UVs; u along the first edge."""
+    """Flat quads (q, 4, 3) with separate normals and UVs; u runs along the first edge."""
     a, b, d = quads[:, 0], quads[:, 1], quads[:, 3]
     normal = np.cross(b - a, d - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -370,9 +365,9 @@ def flat(quads: Floats, is_print: bool = False) -> Shape:
 
 
 def loft(rings: Floats, caps: tuple[bool, bool] = (False, False)) -> Shape:
-    """A smooth skin over closed rings (k, c, 3), counter-clockwise seen from above, from the foot upwards.
+    """A smooth surface through closed rings (k, c, 3), counter-clockwise from above, from the base upwards.
 
-    Inner skins (of a basin) continue downwards. ``caps`` close the first and the last ring with a fan.
+    For a basin, rings continue down its inside. ``caps`` close the first and the last ring.
     """
     closed = np.concatenate([rings, rings[:, :1]], axis=1)
     skin = grid(closed)
@@ -392,7 +387,7 @@ def rounded_ring(
     centre: tuple[float, float] = (0.0, 0.0),
     steps: int = 4,
 ) -> Floats:
-    """A rounded rectangle (4 (steps + 1), 3) at height z, counter-clockwise."""
+    """A rounded rectangle as a ring (4 (steps + 1), 3) at height z, counter-clockwise."""
     r = min(radius, 0.499 * width, 0.499 * depth)
     points = []
     for k, (sx, sy) in enumerate(((1, -1), (1, 1), (-1, 1), (-1, -1))):

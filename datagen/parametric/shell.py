@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The shell of a room: walls with openings, floor, ceiling, skirting, windows, doors, and the outside.
+"""Makes the shell of a room: walls with openings, floor, ceiling, trim, windows, doors, outside.
 
-The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height]. A *wall frame* is
-oriented as seen from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
+Lengths are in metres. The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height].
+The frame of a wall is as seen from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ DOOR_HEIGHT = 2.03
 
 @dataclass(frozen=True)
 class Window:
-    """A window: its middle at ``s`` along the wall, from ``sill`` to ``sill + height``; numbers of panes
-    across and up.
-    """
+    """A window with its middle at ``s`` along the wall; ``panes`` are its columns and rows."""
 
     wall: Wall
     s: float
@@ -42,9 +40,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Door:
-    """A closed door that opens inwards: its middle at ``s`` along the wall; ``width`` is the leaf's width,
-    ``hinge`` is -1 on the left, 1 on the right.
-    """
+    """A closed door that opens inwards, with its middle at ``s``; ``hinge``: -1 left, 1 right."""
 
     wall: Wall
     s: float
@@ -55,7 +51,10 @@ class Door:
 
 @dataclass(frozen=True)
 class Shell:
-    """Size and openings of a room. ``accent`` is a wall of another colour, ``tiled`` are walls with tiles."""
+    """Size and openings of a room; the wall ``accent`` has another colour, the walls ``tiled`` have tiles.
+
+    ``storey_m`` is the height of the floor above the ground outside.
+    """
 
     width: float
     depth: float
@@ -71,21 +70,21 @@ class Shell:
         return self.width if wall in ("north", "south") else self.depth
 
     def yaw(self, wall: Wall) -> float:
-        """Rotation about z, in radians, from the wall's frame to the room's."""
+        """Rotation about z in radians from the wall's frame to the room's."""
         return _YAW[wall]
 
     def point(self, wall: Wall, s: float, gap: float = 0.0) -> tuple[float, float]:
-        """(x, y) at the position ``s`` along a wall, ``gap`` in front of it."""
+        """Position (x, y) at ``s`` along a wall, ``gap`` metres in front of it."""
         half = 0.5 * (self.depth if wall in ("north", "south") else self.width)
         x, y, _ = rotation("z", _YAW[wall]) @ np.array([s, half - gap, 0.0])
         return round(float(x), 9), round(float(y), 9)
 
     def on_wall(self, item: Item, name: str, wall: Wall, s: float, z: float, gap: float = 0.0) -> Placed:
-        """An item with its back ``gap`` away from a wall."""
+        """Place an item with its back ``gap`` metres in front of a wall, at ``s`` along it and height z."""
         return Placed(item, name, (*self.point(wall, s, gap), z), _YAW[wall])
 
     def spans(self, wall: Wall) -> list[tuple[float, float, float, float]]:
-        """Openings of a wall with their frames: s0, s1, z0, z1."""
+        """Openings of a wall including their frames, as (s0, s1, z0, z1)."""
         found = []
         for w in self.windows:
             if w.wall == wall:
@@ -97,7 +96,7 @@ class Shell:
 
 
 def swing(shell: Shell, door: Door) -> Floats:
-    """Corners (k, 2) of the sector swept by a door's leaf, in the room."""
+    """Corners (k, 2) of the sector swept by a door's leaf, hinge first, in the room's frame."""
     hinge = door.s + door.hinge * door.width / 2
     angles = np.linspace(0, 0.5 * math.pi, 10)
     arc = [(hinge - door.hinge * door.width * math.cos(a), -door.width * math.sin(a)) for a in angles]
@@ -107,7 +106,7 @@ def swing(shell: Shell, door: Door) -> Floats:
 
 
 def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
-    """All built-in parts as placed items."""
+    """All built-in parts as placed items: walls, floor, ceiling, trim, windows, doors, beams."""
     w, d, h, t = shell.width, shell.depth, shell.height, THICKNESS
     body = Item("shell")
     body.shapes.append(("floor", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), 0.0, grain=0)))
@@ -136,7 +135,7 @@ def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
 
 
 def _wall(shell: Shell, wall: Wall) -> Item:
-    """A thick wall with holes for its windows; north and south walls include the corners."""
+    """A wall with thickness and with holes for its windows; north and south walls include the corners."""
     reach = THICKNESS if wall in ("north", "south") else 0.0
     half = shell.length(wall) / 2 + reach
     holes = [
@@ -202,7 +201,7 @@ def _beams(shell: Shell) -> Placed:
 
 
 def _window(window: Window) -> Item:
-    """Frame, casements with handles, sill board and casing; z = 0 is the opening's lower edge."""
+    """A window's frame, casements with handles, sill board and casing; z = 0 is the opening's lower edge."""
     item = Item("window", hold="wall")
     w, h, y = window.width, window.height, _RECESS
     frame = 0.055
@@ -257,7 +256,7 @@ def _window(window: Window) -> Item:
 
 
 def _door(door: Door, panels: str) -> Item:
-    """A closed leaf with panels, handle, casing and hinges on the wall's face."""
+    """A door's leaf with ``panels`` (``framed``, ``flat``, ``glazed``), handle, casing and hinges."""
     item = Item("door", hold="wall")
     w, h = door.width, door.height
     item.add("door", box((w, 0.03, h), (0, -0.003, 0.006), 0.003, grain=2))
@@ -285,7 +284,7 @@ def _door(door: Door, panels: str) -> Item:
 
 
 def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
-    """Windows as (name, corner, edge_u, edge_v) on the outer face; edge_u x edge_v points into the room."""
+    """Windows as name, corner (3,) and edges u and v (3,) on the outer face; u x v points into the room."""
     found = []
     for k, window in enumerate(shell.windows):
         yaw = rotation("z", _YAW[window.wall])
@@ -303,12 +302,11 @@ def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
 
 
 def outside(shell: Shell, draws: Draws) -> list[Placed]:
-    """Random scenery outside windows: ground below, then hedges, trees or houses."""
+    """Random scenery outside windows: the ground, and hedges, trees or houses."""
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))
-    # Mitsuba's sky is black below the horizon: from the third floor one degree of it is visible
-    reach = 400.0
+    reach = 400.0  # Mitsuba's sky is black below the horizon, of which upper storeys then see one degree
     ground = "asphalt" if scene == "street" else "lawn"
     item.add(ground, box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), 0.0, grain=0))
     for wall in sorted({w.wall for w in shell.windows}):
@@ -367,7 +365,7 @@ def _tree(draws: Draws, level: float) -> list[tuple[Shape, str]]:
 
 
 def _houses(draws: Draws, y: float, level: float) -> list[tuple[Shape, str]]:
-    """A row of houses with windows whose fronts are at ``y``, seen from the south."""
+    """A row of houses whose fronts, with windows, are at ``y`` and face -y; shapes and slots."""
     found: list[tuple[Shape, str]] = []
     x = -24.0
     while x < 24.0:

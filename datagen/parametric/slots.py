@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The slots of generated rooms: the surface, fitting classes and a plain colour of each.
+"""The slots of generated rooms: kind of surface, possible classes and a plain colour of each.
 
-Plans assign materials of the library to almost all of them; the plain colours remain where no material fits.
+Plans assign materials of the library to almost all slots; the plain colours remain where no material fits.
 """
 
 from __future__ import annotations
@@ -17,9 +17,7 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot. ``classes``: classes whose materials may replace the slot's own unless it is fixed, the main
-    class first.
-    """
+    """A slot with a plain material, which materials of ``classes`` may replace unless it is fixed."""
 
     surface: Surface
     classes: Classes
@@ -29,7 +27,7 @@ class Slot:
     is_fixed: bool = False
 
     def material(self, classes: Classes | None = None) -> SlotMaterial:
-        """The slot's material; ``classes`` narrows the replacements."""
+        """The slot's plain material; ``classes`` restricts its replacements."""
         allowed = classes or self.classes
         return SlotMaterial(
             classes=allowed[:1],
@@ -122,17 +120,17 @@ SLOTS: Mapping[str, Slot] = {
     "bark": _fixed("small", "organic", (0.09, 0.07, 0.05), 0.95),
     "foliage": _fixed("small", "organic", (0.06, 0.11, 0.03), 0.85),
 }  # fmt: skip
-"""Slots by name. Those of lamps (``glow``) and pictures (``art``) are added per room."""
+"""Slots by name; those of lamps (``glow``) and pictures (``art``) are added for each room."""
 METAL_SHARE: Mapping[str, float] = {
     "appliance": 0.75, "frame": 0.35, "legs": 0.25, "machine": 0.5, "shade": 0.3, "slats": 0.5, "steel": 0.85,
     "tool": 0.6, "worktop": 0.35,
 }  # fmt: skip
-"""Share of the rooms in which a slot may only be of metal."""
+"""Probability that all materials of a slot in a room are of metal."""
 _FINISHED = ("frame", "legs", "shade", "slats")
 
 
 def in_metal(slot: str) -> SlotMaterial:
-    """The material of a metal slot; slender metal parts have the finish of handles and taps."""
+    """The plain material of a slot of metal; slender parts have the finish of handles and taps."""
     surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
     return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
 

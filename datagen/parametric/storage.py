@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Storage furniture: wardrobes, chests, bookcases, racks, boards with tools."""
+"""Makes storage furniture: wardrobes, chests, bookcases, racks, boards with tools; lengths in metres."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def cabinet(
     foot: float,
     slots: tuple[str, str] = ("wood", "front"),
 ) -> Item:
-    """A closed cabinet (width, depth, height) on feet or a plinth of height ``foot``."""
+    """A closed cabinet of ``size`` (width, depth, height) on a plinth or feet ``foot`` metres high."""
     w, d, h = size
     item = Item(name, front_m=0.5)
     body, face = slots
@@ -48,7 +48,7 @@ def cabinet(
 
 
 def chest(style: Style, draws: Draws, width: float, name: str = "chest") -> Item:
-    """A chest of drawers."""
+    """A chest of drawers ``width`` metres wide."""
     h = draws.uniform(0.74, 0.95)
     rows = [("drawer", 0.26), ("drawer", 0.22), ("drawer", 0.2)] + ([("drawer", 0.17)] if h > 0.84 else [])
     item = cabinet(
@@ -65,7 +65,7 @@ def chest(style: Style, draws: Draws, width: float, name: str = "chest") -> Item
 
 
 def bedside(style: Style, draws: Draws) -> Item:
-    """A bedside table with a drawer or two."""
+    """A bedside table with two drawers or a door."""
     w, h = draws.uniform(0.38, 0.5), draws.uniform(0.46, 0.58)
     rows = [("drawer", 0.2), ("drawer", 0.16)] if draws.chance(0.6) else [("door", 0.3)]
     item = cabinet("bedside", style, (w, 0.4, h), rows, 1, draws.choice((0.05, 0.15)))
@@ -75,7 +75,7 @@ def bedside(style: Style, draws: Draws) -> Item:
 
 
 def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) -> Item:
-    """A long low cabinet with doors and drawers."""
+    """A low cabinet of ``width`` by ``height`` metres, with doors or doors and drawers."""
     count = max(2, round(width / 0.5))
     rows = [("door", 0.46), ("drawer", 0.17)] if height > 0.6 and draws.chance(0.6) else [("door", 0.5)]
     item = cabinet(
@@ -87,7 +87,7 @@ def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) ->
 
 
 def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
-    """A wardrobe with two to five doors, some with mirrors."""
+    """A wardrobe with ``doors`` doors, some with mirrors."""
     w, h = doors * draws.uniform(0.45, 0.52), draws.uniform(2.0, 2.25)
     rows = [("drawer", 0.22), ("door", 1.7)] if draws.chance(0.35) else [("door", 1.9)]
     d = draws.uniform(0.56, 0.62)
@@ -104,7 +104,7 @@ def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
 def bookcase(
     style: Style, draws: Draws, width: float, height: float, depth: float = 0.3, fill: float = 0.6
 ) -> Item:
-    """Open shelves with uprights, a back and rows of books; free stretches are support surfaces."""
+    """Open shelves with rows of books in a share ``fill`` of the bays; free space is a support surface."""
     item = Item("bookcase", front_m=0.45)
     t = 0.024
     item.add("wood", box((width - 2 * t, 0.008, height - 0.06), (0, -0.006, 0.05), 0.0))
@@ -142,7 +142,7 @@ def bookcase(
 
 
 def cube_shelf(style: Style, draws: Draws, columns: int, rows: int) -> Item:
-    """A shelf of square bays, some with baskets or toys."""
+    """A shelf of ``columns`` by ``rows`` square bays, some with baskets, books or toys."""
     item = Item("cube_shelf", front_m=0.45)
     each, d, t = 0.36, 0.38, 0.03
     w, h = columns * each + t, rows * each + t
@@ -175,7 +175,7 @@ def cube_shelf(style: Style, draws: Draws, columns: int, rows: int) -> Item:
 
 
 def rack(style: Style, draws: Draws, width: float) -> Item:
-    """A shelf of steel uprights and boards with boxes and cans, for storerooms and workshops."""
+    """A shelf ``width`` metres wide with boxes and cans, for storerooms and workshops."""
     item = Item("rack", front_m=0.5)
     h, d = draws.uniform(1.75, 2.0), draws.uniform(0.38, 0.5)
     boards = "steel" if draws.chance(0.6) else "wood"
@@ -217,7 +217,7 @@ def rack(style: Style, draws: Draws, width: float) -> Item:
 
 
 def wall_shelf(style: Style, draws: Draws, width: float, boards: int = 2) -> Item:
-    """Boards on brackets, hung on the wall; the item's z = 0 is the lowest board's underside."""
+    """Boards on brackets, ``width`` metres long; z = 0 is the lowest board's underside."""
     item = Item("wall_shelf", hold="wall")
     d = 0.24
     for k in range(boards):
@@ -242,7 +242,7 @@ def wall_shelf(style: Style, draws: Draws, width: float, boards: int = 2) -> Ite
 
 
 def tool_board(style: Style, draws: Draws, width: float) -> Item:
-    """A board on the wall with tools on hooks."""
+    """A board ``width`` metres wide on the wall, with tools on hooks."""
     item = Item("tool_board", hold="wall")
     h = 0.72
     item.add("second", box((width, 0.018, h), (0, -0.009, 0), 0.002, grain=0))
@@ -300,7 +300,7 @@ def tool_board(style: Style, draws: Draws, width: float) -> Item:
 
 
 def coat_rail(style: Style, draws: Draws, width: float) -> Item:
-    """A board with hooks, and coats and bags on some."""
+    """A board ``width`` metres wide on the wall, with hooks and garments on some of them."""
     item = Item("coat_rail", hold="wall")
     item.add("second", box((width, 0.022, 0.12), (0, -0.011, 0), 0.004, grain=0))
     count = max(3, round(width / 0.19))
@@ -315,7 +315,7 @@ def coat_rail(style: Style, draws: Draws, width: float) -> Item:
 
 
 def _coat(draws: Draws, room: float) -> Shape:
-    """A garment on a hook; the origin is its loop."""
+    """A garment on a hook, for ``room`` metres of width; the origin is its loop."""
     length, half = draws.uniform(0.7, 1.0), min(0.23, 0.45 * room + 0.02)
     phase = draws.uniform(0, 6)
     rings = []
@@ -354,7 +354,7 @@ def drying_rack(style: Style, draws: Draws) -> Item:
 
 
 def basket(style: Style, draws: Draws) -> Item:
-    """A tall basket."""
+    """A tall round basket, some with a towel."""
     item = Item("basket")
     r, h = draws.uniform(0.17, 0.23), draws.uniform(0.3, 0.55)
     profile = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Units with worktops and appliances: kitchens, laundries, the counter of a cafe."""
+"""Makes kitchen units, appliances and the counter of a cafe; lengths in metres."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COUNTER_M = 0.91
 
 
 def tap(item: Item, x: float, y: float, z: float, reach: float = 0.16, height: float = 0.24) -> None:
-    """A tap with its base at height ``z`` and its spout towards -y."""
+    """Add a tap with its base at (x, y, z) and its spout towards -y."""
     item.add("metal", cylinder(0.026, 0.045, (x, y, z - 0.001), 16, 0.004))
     arc = [
         (x, y - reach / 2 * (1 - np.cos(a)), z + height - 0.07 + 0.07 * np.sin(a))
@@ -32,7 +32,7 @@ def tap(item: Item, x: float, y: float, z: float, reach: float = 0.16, height: f
 def sink_bowl(
     width: float, depth: float, deep: float, at: tuple[float, float, float], radius: float = 0.05
 ) -> Shape:
-    """A bowl sunk below ``at`` (the middle of its rim), with a rim 12 mm wide that rests on the worktop."""
+    """A sink's bowl of depth ``deep`` below ``at``, the middle of its rim, which rests on the worktop."""
     x, y, z = at
     rings = []
     for w, d, h, r in (
@@ -51,7 +51,7 @@ def sink_bowl(
 def _worktop(
     item: Item, x0: float, x1: float, hole: tuple[float, float, float, float] | None, slot: str = "worktop"
 ) -> None:
-    """A worktop from x0 to x1 with an optional rectangular hole (x0, x1, y0, y1)."""
+    """Add a worktop from x0 to x1 with an optional rectangular hole (x0, x1, y0, y1)."""
     d, z, t = 0.62, COUNTER_M - 0.038, 0.038
     pieces = [(x0, x1, -d, 0.0)]
     if hole is not None:
@@ -65,7 +65,7 @@ def _worktop(
 def kitchen_run(style: Style, draws: Draws, modules: list[str], has_wall_units: bool) -> Item:
     """A row of units 0.6 m wide: ``sink``, ``hob``, ``drawers``, ``doors``, ``washer``, ``tall``, ``fridge``.
 
-    Tall units stand at the ends. The front of the worktop is 0.62 m from the wall.
+    ``tall`` and ``fridge`` must be at the ends. The front of the worktop is 0.62 m from the wall.
     """
     item = Item("kitchen_run", front_m=0.8)
     width = 0.6 * len(modules)
@@ -183,7 +183,7 @@ def _wall_units(item: Item, style: Style, draws: Draws, modules: list[str], widt
 
 
 def _washer_front(item: Item, x: float, y: float, z: float, height: float) -> None:
-    """Door, panel and knob of a washing machine whose front is the plane ``y``."""
+    """Add door, panel and knob of a washing machine whose front is the plane ``y``, from height z."""
     c = z + 0.42 * height
     ring = lathe(
         [(0.13, 0), (0.172, 0), (0.175, 0.012), (0.16, 0.028), (0.135, 0.03), (0.128, 0.016), (0.13, 0)],
@@ -208,7 +208,7 @@ def _washer_front(item: Item, x: float, y: float, z: float, height: float) -> No
 
 
 def washing_machine(style: Style, draws: Draws, stacked: bool = False) -> Item:
-    """A washing machine, with a dryer on top if stacked."""
+    """A washing machine, with a dryer on top if ``stacked``."""
     item = Item("washing_machine", front_m=0.7)
     for k in range(2 if stacked else 1):
         z = 0.86 * k + (0.002 if k else 0.0)
@@ -223,12 +223,12 @@ def washing_machine(style: Style, draws: Draws, stacked: bool = False) -> Item:
 
 
 def utility_run(style: Style, draws: Draws, count: int) -> Item:
-    """Washing machines under a worktop beside a sink."""
+    """A row of units with a sink and ``count`` washing machines under a worktop."""
     return kitchen_run(style, draws, ["sink", *["washer"] * count, "doors"], draws.chance(0.6))
 
 
 def bar_counter(style: Style, draws: Draws, width: float) -> Item:
-    """A café counter: panelled on the guests' side (-y), with a coffee machine, cups and a till on top."""
+    """A café counter ``width`` metres wide: panels towards the guests (-y), coffee machine, cups."""
     item = Item("bar_counter", front_m=0.75)
     d, h = 0.66, 1.08
     item.add("wood", box((width - 0.06, d - 0.1, 0.0905), (0, -d / 2, 0), 0.001))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Furniture of rooms for work and guests: required items first, then others that fit."""
+"""Furnishes rooms for work and guests: required items first, then others that fit.
+
+A function raises :class:`Unfit` if a required item does not fit.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +83,7 @@ def reading_room(room: Furnisher) -> None:
         )
     group = seats(room, draws.integer(2, 3))
     if not group:
-        raise Unfit("nobody can sit in the reading room")
+        raise Unfit("the reading room has no space for seats")
     if draws.chance(0.6):
         table = room.in_middle(tables.round_table(style, draws, draws.uniform(0.5, 0.7), 0.5))
         if table is not None:
@@ -172,7 +175,7 @@ def cafe(room: Furnisher) -> None:
             room.hang(board, 1.5)
             break
     if bar is None:
-        raise Unfit("no wall has room for the counter")
+        raise Unfit("no wall has space for the counter")
     chair = seating.chair(style, draws)
     made = 0
     if draws.chance(0.6):
@@ -204,7 +207,7 @@ def cafe(room: Furnisher) -> None:
         sides = draws.shuffled(SIDES)[: draws.integer(2, 3)]
         made += any([room.seat(chair, table, side, 0.0, 0.12) is not None for side in sides])
     if made < 2:
-        raise Unfit("too few tables for guests")
+        raise Unfit("fewer than two tables for guests")
     fill(room, ("sideboard", "trolley", "bin", "open_shelf", "plant"), 2, 6)
     decorate(room, rug=0.0, is_home=False)
     ceiling_light(room, ("pendant", "globe", "spots"), many=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``python -m datagen.tradeoff``."""
+"""Runs the command ``python -m datagen.tradeoff``."""
 
 from datagen.foundation.command_line import run_function
 from datagen.tradeoff.command import tradeoff

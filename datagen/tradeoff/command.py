@@ -21,7 +21,7 @@ EXIT_INTERRUPTED = 75
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest errors of the recommended setting."""
+    """Largest errors that the recommended setting may have; None sets no limit."""
 
     rel_mse: Annotated[
         float | None,
@@ -36,7 +36,7 @@ class Limits:
         typer.Option(
             "--max-maps-error",
             min=0,
-            help="... and at most this mean absolute error of the ground-truth maps.",
+            help="The same limit for the mean absolute error of the ground-truth maps.",
         ),
     ] = None
     statistics_error: Annotated[
@@ -44,7 +44,7 @@ class Limits:
         typer.Option(
             "--max-statistics-error",
             min=0,
-            help="... and at most this mean absolute error of the statistics.",
+            help="The same limit for the mean absolute error of the statistics.",
         ),
     ] = None
 
@@ -57,7 +57,7 @@ def tradeoff(
     limits: Limits,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned trials and stop.")] = False,
 ) -> None:
-    """Measure error against time over all settings that affect time, and recommend a setting for an error.
+    """Measure error against time for all settings that affect time, and recommend a setting for an error.
 
     Example: python -m datagen.tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
     """
@@ -74,14 +74,14 @@ def _announce(sweep: Sweep) -> None:
     total = len(sweep.settings) * len(sweep.subjects)
     typer.echo(
         f"{len(sweep.settings)} settings x {len(sweep.subjects)} configurations: {total - pending} of "
-        f"{total} trials are there; {sweep.missing_views()} views of references are to be made"
+        f"{total} trials are done; {sweep.missing_views()} views of references are missing"
     )
     for setting in sweep.unavailable:
         typer.echo(f"not available on this machine: {setting.text(sweep.base)}")
 
 
 def _run(sweep: Sweep) -> None:
-    """Measure with a progress bar; an interrupt ends the command with 75."""
+    """Measure with a progress bar; an interrupt ends the command with exit code 75."""
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
     with Bars("steps") as bars:
@@ -95,7 +95,7 @@ def _run(sweep: Sweep) -> None:
         try:
             sweep.run(report)
         except KeyboardInterrupt:
-            typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
+            typer.echo("interrupted; finished results are kept, and the same command continues", err=True)
             raise typer.Exit(EXIT_INTERRUPTED) from None
 
 
@@ -112,7 +112,7 @@ def _write(sweep: Sweep, limits: dict[str, float]) -> None:
     results = Results(trials, sweep.base, sweep.unavailable, sweep.description(), recommended, limits or None)
     for path in write_results(results, sweep.out):
         typer.echo(path)
-    typer.echo("settings that nothing beats (processor seconds a view, relMSE):")
+    typer.echo("Pareto-optimal settings (processor seconds a view, relMSE):")
     for point in front_of(points, sweep.base):
         typer.echo(f"  {point.cpu_s:8.3f} s  {point.rel_mse:.5f}  {point.setting.text(sweep.base)}")
     if failure is not None:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """References for the tradeoff: converged views of a configuration, rendered once and stored.
 
-A reference holds, for each view, two independent images (so that their own noise adds nothing to the errors,
-see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed from the
-denoised means of both images with traced visibility and the maximum number of best views. A reference is
-named by the hash of everything that affects it, so that another library, configuration, resolution, sample
-count or renderer never reuses it.
+A reference contains, for each view, two independent images (so that their noise adds nothing to the errors in
+expectation, see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed
+from the denoised means of both images with traced visibility and the maximum number of best views. Its name
+is the hash of everything that affects it, so it is never reused for another library, configuration,
+resolution, sample count or renderer.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ STATISTICS = ("color_min", "color_median", "color_max")
 
 
 def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -> Configuration:
-    """The configuration at another resolution with ``num_views`` of its views, evenly spaced."""
+    """The configuration at resolution ``size`` (width, height) with ``num_views`` evenly spaced views."""
     total = len(configuration.cameras)
     count = min(num_views, total)
     chosen = [configuration.cameras[k * total // count] for k in range(count)]
@@ -51,7 +51,7 @@ def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -
 
 
 def reference_key(configuration: Configuration, samples: int) -> str:
-    """Hash of everything that affects a reference. The configuration names its assets by their hashes."""
+    """Hash of everything that affects a reference; the configuration contains the hashes of its assets."""
     parts = {
         "configuration": configuration.model_dump(mode="json"),
         "samples": samples,
@@ -65,7 +65,7 @@ def reference_key(configuration: Configuration, samples: int) -> str:
 
 @dataclass(frozen=True)
 class Reference:
-    """Converged views on disk: ``folder`` holds ``view_000.npz`` ... and ``statistics.npz``."""
+    """Converged views on disk: ``folder`` contains ``view_000.npz`` etc. and ``statistics.npz``."""
 
     folder: Path
     num_views: int
@@ -87,12 +87,12 @@ class Reference:
         return self.num_made == self.num_views and self.statistics_path.is_file()
 
     def halves(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Two independent images (H, W, 3) of a view."""
+        """The two independent images (H, W, 3) of a view."""
         with np.load(self.view_path(index)) as data:
             return data["first"], data["second"]
 
     def maps(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """Ground truth (H, W, C) of a view by buffer."""
+        """Ground-truth maps (H, W, C) of a view by buffer."""
         with np.load(self.view_path(index)) as data:
             return {name: data[name] for name in MAPS}
 
@@ -102,13 +102,13 @@ class Reference:
             return {name: data[f"{name}_{index}"] for name in STATISTICS}
 
     def exposure(self, index: int) -> float:
-        """Factor that makes errors of radiance independent of the lights' brightness."""
+        """Exposure of a view, by which errors of radiance are multiplied."""
         first, second = self.halves(index)
         return exposure_for(0.5 * (first + second))
 
 
 def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
-    """Write an ``npz`` file that appears whole or not at all."""
+    """Write an ``npz`` file; it appears whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     np.savez(partial, **arrays)
     publish(partial, path)
@@ -121,7 +121,7 @@ def make_reference(
     samples: int,
     report: Callable[[], None],
 ) -> None:
-    """Make the missing parts of a reference; ``report`` is called after each view."""
+    """Render the missing parts of a reference; ``report`` is called after each view."""
     reference.folder.mkdir(parents=True, exist_ok=True)
     recipe = RenderRecipe(
         variant="auto",
@@ -146,7 +146,7 @@ def make_reference(
 
 
 def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np.float32]:
-    """Mean of ``samples`` paths per pixel in small launches, including visible emission."""
+    """Mean (H, W, 3) of ``samples`` paths per pixel, with visible emission; ``half`` selects the seeds."""
     sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
     total, done = np.zeros((1, 1, 3)), 0
     while done < samples:
@@ -160,7 +160,7 @@ def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np
 def _statistics(
     renderer: Any, configuration: Configuration, reference: Reference
 ) -> dict[str, NDArray[np.float32]]:
-    """Statistics of all views, from their converged and denoised colours."""
+    """Statistics of all views from their converged and denoised colours, by buffer and view."""
     denoiser = make_denoiser(renderer.variant)
     views = []
     for index, camera in enumerate(configuration.cameras):
@@ -170,7 +170,7 @@ def _statistics(
         normal = maps["normal_world"]
         if denoiser.wants_camera_normals:
             normal = normal @ camera.camera().world_from_camera[:3, :3].astype(np.float32)
-        # visible lights are not denoised well, but their pixels have no statistics
+        # denoising impairs visible lights, whose pixels have no statistics
         color = denoiser.denoise(mean, albedo, normal)
         views.append(
             StatisticsView(

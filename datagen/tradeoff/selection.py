@@ -23,12 +23,12 @@ RENDER_FIELDS = (
     "firefly_clamp",
     "irradiance_cache",
 )
-"""Fields that a recommendation may change; the others change the content of a view, not its accuracy."""
+"""Fields that a recommendation may change; other fields change the content of a view, not its accuracy."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """A setting's means over all configurations; ``worst_rel_mse`` is the maximum over them."""
+    """Means of a setting over all configurations; ``worst_rel_mse`` is the maximum over them."""
 
     setting: Setting
     rel_mse: float
@@ -42,7 +42,7 @@ class Point:
 
 
 def points_of(trials: Iterable[Trial]) -> list[Point]:
-    """One point for each setting that was measured on every configuration of ``trials``."""
+    """A point for each setting that was measured on every configuration of ``trials``."""
     by_setting: dict[Setting, dict[str, Trial]] = {}
     for trial in trials:
         by_setting.setdefault(Setting(**trial.setting), {})[trial.configuration] = trial
@@ -74,10 +74,10 @@ def points_of(trials: Iterable[Trial]) -> list[Point]:
 
 
 def pareto_front(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
-    """Indices of the pairs that no other dominates, cheapest first.
+    """Indices of the pairs (cost, error) that no other dominates, cheapest first.
 
-    A pair is dominated by another with at most its cost and at most its error, and less of one of them.
-    Of equal pairs the first remains.
+    A pair dominates another if neither its cost nor its error is larger and one of them is smaller. Of equal
+    pairs the first is kept.
     """
     order = sorted(range(len(costs)), key=lambda k: (costs[k], errors[k], k))
     front: list[int] = []
@@ -88,12 +88,12 @@ def pareto_front(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
 
 
 def comparable(points: Iterable[Point], base: Setting) -> list[Point]:
-    """Points that differ from the base in :data:`RENDER_FIELDS` alone."""
+    """Points that differ from the base only in :data:`RENDER_FIELDS`."""
     return [p for p in points if set(p.setting.differences(base)) <= set(RENDER_FIELDS)]
 
 
 def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
-    """The front of processor seconds against relMSE, among :func:`comparable` points."""
+    """The Pareto front of processor seconds and relMSE, among :func:`comparable` points."""
     found = comparable(points, base)
     return [found[k] for k in pareto_front([p.cpu_s for p in found], [p.rel_mse for p in found])]
 
@@ -101,7 +101,7 @@ def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
 def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) -> Point:
     """The cheapest comparable point whose errors are at most ``limits`` (by field of :class:`Point`).
 
-    Raises :class:`InputError` if there is none, stating the best measured point.
+    Raises :class:`InputError`, with the least errors measured, if there is none.
     """
     found = comparable(points, base)
     meets = [p for p in found if all(getattr(p, name) <= limit for name, limit in limits.items())]
@@ -110,18 +110,18 @@ def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) 
     problems = []
     for name, limit in limits.items():
         best = min((getattr(p, name) for p in found), default=float("nan"))
-        remedy = "allow a larger error, or sweep what costs more (--sweep path_samples=128,256)"
+        remedy = "allow a larger error, or sweep costlier settings (--sweep path_samples=128,256)"
         got, expected = f"{best:.3g} at best", f"at most {limit:g}"
         problems.append(Problem("tradeoff", name, got, expected, remedy))
     raise InputError(*problems)
 
 
 def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s") -> float:
-    """Cost of ``point`` divided by the cost at which the front of ``others`` reaches its error.
+    """Cost of ``point`` divided by the cost at which the Pareto front of ``others`` reaches its error.
 
     ``cost`` is a field of :class:`Point`. The front is interpolated in logarithms between its points; below 1
-    the point extends the front. An error that no other point reaches gives 0; an error above the error of the
-    front's cheapest point is compared with this point.
+    the point extends the front. The result is 0 for an error below the front's least; an error above that of
+    the front's cheapest point is compared with this point.
     """
     costs = [getattr(p, cost) for p in others]
     front = [others[k] for k in pareto_front(costs, [p.rel_mse for p in others])]
@@ -134,6 +134,6 @@ def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s"
 
 
 def as_row(point: Point) -> dict[str, Any]:
-    """A point as a flat dictionary."""
+    """A point as a dictionary of its setting's fields and its means."""
     values = asdict(point)
     return {**values.pop("setting"), **values}

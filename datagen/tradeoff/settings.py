@@ -2,9 +2,9 @@
 """Settings that trade accuracy for time: one setting, the sweeps around a base point, and the factorial.
 
 Every field of :class:`Setting` affects time. The base point is the recipe's defaults with a fixed number of
-samples; a sweep changes one field, the factorial crosses the four that interact: auxiliary buffers matter
-only through the denoiser, and both affect the number of samples needed, as does the irradiance cache, which
-makes samples cheaper and less noisy.
+samples; a sweep varies one field, and the factorial combines the four that interact: auxiliary buffers matter
+only through the denoiser, both affect the number of samples needed, and the irradiance cache makes samples
+cheaper and less noisy.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Any, Literal, get_args
 
 from pydantic import ValidationError
 
-from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, QUALITIES, RenderRecipe
 from datagen.foundation.errors import Problem, raise_problems
 from datagen.foundation.exr import COMPRESSIONS
@@ -28,11 +27,11 @@ DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
 class Setting:
     """Options for rendering, processing and storing a view.
 
-    ``quality`` names a target of the recipe (which then overrides samples, clamp and auxiliary samples given
-    here). ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
-    ``texture_shrink``: side in texels of the squares averaged to one. ``image_scale``: factor on width and
-    height; images are enlarged again for comparison. ``storage`` float keeps every channel in single
-    precision.
+    ``quality`` names a target of the recipe, which then determines samples, clamp and auxiliary samples.
+    ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
+    ``texture_shrink`` is the side in texels of the squares that are averaged to one texel. ``image_scale`` is
+    a factor on width and height; images are enlarged for comparison. ``storage`` ``float`` keeps every
+    channel in single precision.
     """
 
     quality: str = ""
@@ -51,13 +50,8 @@ class Setting:
     compression: str = "zip"
     variant: str = "llvm_ad_rgb"
 
-    def key(self) -> str:
-        """Hash of the setting's values, including the current numbers of its quality."""
-        parts = {"setting": asdict(self), "recipe": self.recipe().model_dump(mode="json")}
-        return sha256_hex(canonical_json(parts))[:16]
-
     def recipe(self) -> RenderRecipe:
-        """The part of the setting that the renderer uses."""
+        """The renderer's part of the setting."""
         common = {
             "variant": self.variant,
             "max_depth": self.max_depth,
@@ -72,12 +66,12 @@ class Setting:
         return RenderRecipe.model_validate({**common, **samples, **clamp, **cache})
 
     def differences(self, base: Setting) -> dict[str, Any]:
-        """Fields in which the setting differs from ``base``, with their values."""
+        """Values of the fields in which the setting differs from ``base``."""
         theirs = asdict(base)
         return {name: value for name, value in asdict(self).items() if value != theirs[name]}
 
     def text(self, base: Setting) -> str:
-        """Short description of the setting's differences from a base point."""
+        """Short description of the setting by its differences from ``base``."""
         found = self.differences(base)
         return ", ".join(f"{name} {value}" for name, value in found.items()) or "base"
 
@@ -99,14 +93,14 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "variant": ("llvm_ad_rgb", "cuda_ad_rgb"),
     "quality": tuple(QUALITIES),
 }
-"""Values of each field that are varied alone."""
+"""Values of each field, which are varied one field at a time."""
 FACTORIAL: dict[str, tuple[Any, ...]] = {
     "path_samples": (2, 4, 8, 16, 32),
     "auxiliary_samples": (16, 64),
     "denoiser": ("fast", "balanced", "high"),
     "irradiance_cache": (0, 1),
 }
-"""Fields that interact; all combinations are measured."""
+"""Values of the fields that interact, of which all combinations are measured."""
 _LIMITS: dict[str, tuple[float, float]] = {
     "firefly_clamp": (0.0, 1e6),
     "irradiance_cache": (0, 1),
@@ -116,14 +110,14 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 
 def base_setting(variant: str) -> Setting:
-    """The base point of the sweeps."""
+    """The base point of the sweeps for a Mitsuba variant."""
     return Setting(variant=variant, denoiser="optix" if variant.startswith("cuda") else "high")
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
-    """The base point, the one-at-a-time sweeps and the factorial: each setting once, in a fixed order.
+    """The base point, the sweeps and the factorial: each setting once, in a fixed order.
 
-    A sweep is a field's name, or ``NAME=VALUE,VALUE`` with custom values. Raises :class:`InputError`.
+    A sweep is a field's name, or ``NAME=VALUE,VALUE``. Raises :class:`InputError` with all invalid sweeps.
     """
     settings, problems = [base], []
     for text in sweeps:
@@ -150,7 +144,7 @@ def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: boo
 
 
 def _checked(name: str, value: Any) -> Any:
-    """``value`` as the field's type; ``ValueError`` for an invalid one."""
+    """``value`` as the type of field ``name``. Raises :class:`ValueError` for an invalid one."""
     kind = type(getattr(Setting(), name))
     if kind is str and value not in SWEEPS[name]:
         raise ValueError(f"one of {', '.join(SWEEPS[name])}")

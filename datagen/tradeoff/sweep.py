@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Runs a sweep: references, then trials, each in a worker process of its variant and each stored on disk.
+"""Runs a sweep: references, then trials, in a worker process per variant, with all results on disk.
 
-``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` hold finished results; an interrupted sweep resumes
-from them, and other sweeps in the same folder reuse them.
+``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` are finished results; an interrupted sweep
+continues from them, and other sweeps in the same folder reuse them.
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ class SweepOptions:
         bool,
         typer.Option(
             "--factorial/--no-factorial",
-            help="Also samples x auxiliary samples x denoiser, all combinations.",
+            help="Also all combinations of samples, auxiliary samples, denoiser and irradiance cache.",
         ),
     ] = True
     variant: Annotated[
         str | None,
-        typer.Option(help="Mitsuba variant of the base point; the machine's best if left out."),
+        typer.Option(help="Mitsuba variant of the base point; default: the fastest available."),
     ] = None
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A configuration at the sweep's size, with its reference."""
+    """A configuration at the sweep's resolution, with its reference."""
 
     configuration: Configuration
     library_paths: tuple[str, ...]
@@ -76,14 +76,17 @@ class Subject:
     reference_samples: int
 
     def trial_path(self, out: Path, setting: Setting) -> Path:
-        """Path of a trial's record; its name includes the quality's values and the code's version."""
+        """Path of a trial's record, named by a hash of the setting, its quality and the software versions."""
         meaning = QUALITIES[setting.quality] if setting.quality else None  # type: ignore[index]
         key = sha256_hex(canonical_json([asdict(setting), meaning, pixel_versions()]))[:16]
         return out / "trials" / f"{self.reference.folder.name}-{key}.json"
 
 
 class Sweep:
-    """A sweep over the configurations of a planned dataset folder. Raises :class:`InputError`."""
+    """A sweep over configurations of a planned dataset folder.
+
+    Raises :class:`InputError` for faults of options or folder.
+    """
 
     def __init__(self, folder: Path, out: Path, options: SweepOptions):
         self.out, self.options = out, options
@@ -117,7 +120,7 @@ class Sweep:
         return subjects
 
     def pending(self) -> list[tuple[Subject, Setting]]:
-        """Trials without a stored result, in order."""
+        """Trials (subject and setting) without a stored result, in order."""
         return [
             (subject, setting)
             for subject in self.subjects
@@ -135,7 +138,7 @@ class Sweep:
         return [read_trial(path) for path in paths if path.is_file()]
 
     def description(self) -> dict[str, str]:
-        """Conditions of a sweep for its report: configurations, views, references, software."""
+        """Conditions of the sweep for its report: configurations, views, references, machine, software."""
         options = self.options
         return {
             "configurations": ", ".join(s.configuration.id for s in self.subjects),
@@ -147,9 +150,10 @@ class Sweep:
         }
 
     def run(self, report: Callable[[str, int], None] = lambda what, done: None) -> list[Trial]:
-        """Compute the missing results. ``report(what, steps)`` is called as views and trials are finished.
+        """Compute the missing results; ``report(what, steps)`` is called when views and trials are finished.
 
-        Finished results survive an interrupt, and the death of a worker, which raises ``RuntimeError``.
+        Finished results are kept after an interrupt, and after the death of a worker, which raises
+        :class:`RuntimeError`.
         """
         for subject in self.subjects:
             if not subject.reference.is_complete:
@@ -176,7 +180,7 @@ class Sweep:
 
 
 def _check(out: Path, options: SweepOptions) -> None:
-    """Raise :class:`InputError` with all faults of a sweep before it is planned."""
+    """Raise :class:`InputError` with all faults of a sweep's folder, resolution and variant."""
     problems = []
     if out.exists() and not out.is_dir():
         problems.append(Problem(out, "--out", "a file", "a folder", "choose another --out"))
@@ -198,11 +202,11 @@ def _check(out: Path, options: SweepOptions) -> None:
 
 
 def read_trial(path: Path) -> Trial:
-    """A stored trial. Raises :class:`InputError` if it is damaged."""
+    """Read a stored trial. Raises :class:`InputError` if it is damaged."""
     try:
         return Trial(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
-        raise input_error(path, "", str(error), "a trial", "remove the file; it is measured again") from None
+        raise input_error(path, "", str(error), "a trial", "remove the file and run again") from None
 
 
 def _is_available(setting: Setting) -> bool:
@@ -223,14 +227,14 @@ def _wait(future: object) -> None:
 
 @contextmanager
 def _worker() -> Iterator[ProcessPoolExecutor]:
-    """One rendering process: a process cannot change its variant."""
+    """A pool of one rendering process, since a process cannot change its variant."""
     pool = ProcessPoolExecutor(1, get_context("spawn"), _start_worker)
     try:
         yield pool
     except BrokenProcessPool:
         raise RuntimeError(
-            "the process that renders has died (out of memory, or killed); "
-            "what is finished is kept, the same command goes on from here"
+            "the rendering process has died (out of memory, or killed); finished results are kept, and the "
+            "same command continues"
         ) from None
     except BaseException:
         for process in list((pool._processes or {}).values()):
@@ -241,7 +245,7 @@ def _worker() -> Iterator[ProcessPoolExecutor]:
 
 
 def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ended by its starter
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends the worker
 
 
 def _make_reference(subject: Subject) -> None:

@@ -45,21 +45,21 @@ STAGES = ("learn", "render", "statistics", "compress")
 
 
 class Stopwatch:
-    """Wall and processor seconds by stage, one entry per view."""
+    """Wall-clock and processor seconds by stage, with an entry per view."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[tuple[float, float]]] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time the block."""
+        """Measure the time of a block as an entry of stage ``name``."""
         cpu, wall = time.process_time(), time.perf_counter()
         yield
         entry = (time.perf_counter() - wall, time.process_time() - cpu)
         self.seconds.setdefault(name, []).append(entry)
 
     def medians(self) -> dict[str, dict[str, float]]:
-        """Medians over views of each stage, and of all stages together."""
+        """Medians over views of each stage, and as ``total`` their sums."""
         found = {
             name: {
                 "wall_s": stats.median(wall for wall, _ in entries),
@@ -73,7 +73,7 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Trial:
-    """Result of one setting on one configuration (see the module's docstring)."""
+    """Result of a setting on a configuration; see the module's docstring."""
 
     configuration: str
     setting: dict[str, Any]
@@ -93,7 +93,7 @@ class Trial:
 
 
 def measure(configuration: Configuration, library: Library, reference: Reference, setting: Setting) -> Trial:
-    """Render, process, store and compare every view of the reference's ``configuration`` with ``setting``."""
+    """Render, process, store and compare every view of a reference's configuration with ``setting``."""
     at_size = _scaled(configuration, setting.image_scale)
     caches = AssetCaches(MeshCache(), TextureCache(shrink=setting.texture_shrink))
     start = time.process_time()
@@ -149,7 +149,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
 
 
 def _preparation(renderer: SceneRenderer) -> dict[str, float]:
-    """Seconds to estimate sky guide and irradiance cache, with compiled kernels."""
+    """Seconds to compute sky guide and irradiance cache again, with compiled kernels."""
     cpu, wall = time.process_time(), time.perf_counter()
     renderer.scene.prepare_paths()
     return {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
@@ -168,7 +168,7 @@ def _scaled(configuration: Configuration, share: float) -> Configuration:
 
 
 def _denoiser(setting: Setting) -> OidnDenoiser | None:
-    """The denoiser of a setting; None keeps the renderer's own choice."""
+    """The denoiser of a setting; None keeps the renderer's default."""
     if setting.denoiser in ("none", "optix"):
         return None
     is_guided = setting.denoiser != "unguided"
@@ -182,7 +182,7 @@ def _gather(
     scene: Any,
     watch: Stopwatch,
 ) -> Iterator[dict[str, NDArray]]:
-    """Statistics of all views; compilation in the first launch is not counted."""
+    """Yield the statistics of all views; compilation in the first launch is not timed."""
     views = [
         StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
         for camera, buffers in zip(configuration.cameras, stored, strict=True)
@@ -200,7 +200,7 @@ def _gather(
 
 
 def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
-    """A view as EXR bytes, as in shards or with every channel in single precision."""
+    """A view as an EXR file, as in shards or with every float channel in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
     channels = {
@@ -218,7 +218,7 @@ def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
 
 
 def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> dict[str, float]:
-    """Errors of one view's stored buffers."""
+    """Errors of a view's stored buffers against the reference."""
     first, second = reference.halves(index)
     size = (first.shape[1], first.shape[0])
     found = {"rel_mse": relative_mse(_at_size(buffers["beauty"], size), first, second, exposed=True)}
@@ -235,7 +235,7 @@ def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> di
 
 
 def _at_size(array: NDArray, size: tuple[int, int]) -> NDArray[np.float32]:
-    """``array`` (H, W, C), enlarged if smaller than ``size`` (width, height)."""
+    """``array`` (H, W, C) resampled to ``size`` (width, height)."""
     image = array.astype(np.float32)
     if image.shape[1::-1] == size:
         return image

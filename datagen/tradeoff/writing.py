@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A sweep's results as CSV, JSON, two figures and one self-contained HTML page."""
+"""Writes a sweep's results as CSV, JSON, two figures and one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _COLORS = {"fast": "#e69f00", "balanced": "#56b4e9", "high": "#0072b2", "none": 
 
 @dataclass(frozen=True)
 class Results:
-    """Results of a sweep, and the user's constraints."""
+    """Results of a sweep, the recommendation, and the limits that it meets."""
 
     trials: Sequence[Trial]
     base: Setting
@@ -55,7 +55,7 @@ class Results:
 
 
 def csv_columns() -> list[str]:
-    """Columns of the CSV, in order."""
+    """Columns of the CSV file, in order."""
     setting = [field.name if field.name != "path_samples" else "samples_asked" for field in fields(Setting)]
     return ["configuration", *setting, *MEASURES, *(f"{stage}_cpu_s" for stage in STAGES)]
 
@@ -115,7 +115,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def front_figure(points: Sequence[Point], results: Results) -> Figure:
-    """Error against processor seconds: all comparable settings, the front, qualities, the recommendation."""
+    """Plot error against processor seconds: comparable settings, front, qualities, recommendation."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
@@ -194,7 +194,7 @@ def _add_legend(axes: Axes) -> None:
 
 
 def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
-    """Effect of each field alone: errors, time and bytes relative to the base. None without a sweep."""
+    """Plot errors, time and bytes relative to the base by each swept field; None without a sweep."""
     from matplotlib.figure import Figure
 
     base_point = next((p for p in points if p.setting == base), None)
@@ -214,7 +214,7 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
         axes.set_yscale("log", base=2)
         axes.axhline(1.0, color="#333333", lw=0.7)
         low, high = axes.get_ylim()
-        # minimum range, so that small differences do not look large
+        # a minimum range keeps small differences from looking large
         axes.set_ylim(min(low, 0.5), max(high, 2.0))
         axes.set_title(f"{name} (base {getattr(base, name)})", fontsize=9)
         axes.tick_params(axis="x", labelrotation=45 if max(map(len, values)) > 4 else 0, labelsize=8)
@@ -230,7 +230,7 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
 
 
 def _one_at_a_time(points: Sequence[Point], base: Setting, name: str) -> list[Point]:
-    """The base and the points that differ from it in ``name`` alone, in the order of their values."""
+    """The base and the points that differ from it only in field ``name``, in the order of its values."""
     some = [p for p in points if set(p.setting.differences(base)) <= {name}]
     order = {value: k for k, value in enumerate(SWEEPS[name])}
     return sorted(some, key=lambda p: (order.get(getattr(p.setting, name), 0.5), getattr(p.setting, name)))
@@ -260,18 +260,18 @@ _COLUMNS = {
 def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes | None]) -> str:
     parts = ["<h1>Error against time</h1>", _description(results)]
     if results.recommended is not None and results.limits:
-        asked = ", ".join(f"{name} at most {limit:g}" for name, limit in results.limits.items())
-        text = f"For {asked}: {results.recommended.setting.text(results.base)}"
+        limits = ", ".join(f"{name} at most {limit:g}" for name, limit in results.limits.items())
+        text = f"For {limits}: {results.recommended.setting.text(results.base)}"
         parts += [
             f"<h2>Recommended</h2><p>{html.escape(text)}</p>",
             _table([results.recommended], results.base),
         ]
-    for name, title in (("front.png", "The front"), ("sweeps.png", "One thing at a time")):
+    for name, title in (("front.png", "Pareto front"), ("sweeps.png", "One field at a time")):
         data = figures[name]
         if data is not None:
             source = base64.b64encode(data).decode()
             parts.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{source}">')
-    parts += ["<h2>Settings that nothing beats</h2>", _table(front_of(points, results.base), results.base)]
+    parts += ["<h2>Pareto-optimal settings</h2>", _table(front_of(points, results.base), results.base)]
     parts += ["<h2>All settings</h2>", _table(points, results.base)]
     body = "\n".join(parts)
     return (

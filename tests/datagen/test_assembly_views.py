@@ -221,7 +221,8 @@ def test_a_camera_region_inside_a_wall_is_reported(tmp_path: Path) -> None:
         tmp_path, camera_regions=(Box(minimum_m=(-0.08, 0.5, 0), maximum_m=(-0.02, 3.5, 2.5)),)
     )
     with pytest.raises(
-        InputError, match=r"environment room: camera_regions = no free.*inside_solid \d+.*mend its"
+        InputError,
+        match=r"environment room: camera_regions = no free.*inside_solid \d+.*correct camera_regions",
     ):
         plan.assemble(recipe(views=2), 0, library)
     outside = with_room(tmp_path / "outside", camera_regions=(thick,))

@@ -176,7 +176,7 @@ def test_a_full_disk_stops_the_run_at_its_first_word(tmp_path: Path, library_roo
         result = subprocess.run(command, capture_output=True, text=True)
         said = " ".join(result.stderr.split())
         assert result.returncode == 1 and "Traceback" not in said, said
-        assert said.count("no space left on device") == 1 and "make room" in said and ".partial" not in said
+        assert said.count("no space left on device") == 1 and "free space" in said and ".partial" not in said
         assert len(_logs(folder)) == 1 and not folder.failed_path.exists()
         assert list(folder.root.glob("work/*/rendered/*.json")), "what had room was kept"
         disk.make_room()

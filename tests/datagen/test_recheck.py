@@ -111,4 +111,4 @@ def test_what_cannot_be_rechecked_is_said(dataset: Path, tmp_path: Path) -> None
     nothing = Report("")
     (tmp_path / "empty").mkdir()
     assert recheck(dataset, Library([tmp_path / "empty"]), 2, 4, nothing) == []
-    assert "is missing or has changed since" in nothing.notes[0] and nothing.applied["recheck"] == 0
+    assert "is missing or has changed" in nothing.notes[0] and nothing.applied["recheck"] == 0

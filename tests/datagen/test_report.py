@@ -88,7 +88,7 @@ def test_smooth_pixels_become_small() -> None:
 
 def test_no_tile_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.html").write_text("<p>REPORT</p>")
-    with pytest.raises(InputError, match="no tile"):
+    with pytest.raises(InputError, match="not a tile"):
         read_tile(tmp_path / "x.html")
 
 
@@ -297,7 +297,7 @@ def test_report_holds_what_the_page_needs(report: Path, dataset: Path) -> None:
         and summed["effort"]["hours"] > 0
     )
     figures = {figure["title"]: figure for figure in summed["distributions"]}
-    assert sum(figures["Clipped surface pixels at a photographer's exposure"]["counts"]) == 10
+    assert sum(figures["Surface pixels clipped at a photographic exposure"]["counts"]) == 10
     assert sum(figures["Camera height (z)"]["counts"]) == 10
     assert sum(figures["Intensity of point lights"]["counts"]) == 2
     classes = dict(summed["assets"]["class_shares"])

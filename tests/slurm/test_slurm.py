@@ -241,7 +241,7 @@ def test_time_limit_with_notice_requeues_until_done(
     cluster.wait_until_idle(timeout_s=900)
     assert read_status(folder.root).done == 1
     log = (folder.logs_path / "slurm-unit-0.log").read_text()
-    assert "interrupted; what is finished is kept" in log
+    assert "interrupted; finished views are kept" in log
 
 
 def test_scripts_are_readable_shell(tmp_path: Path, library_root: Path) -> None:

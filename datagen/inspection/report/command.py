@@ -22,7 +22,7 @@ from datagen.library import Library
 
 
 def parse_pixels(text: str) -> int | None:
-    """The option ``--pixels``: a number of views, or None for "all". Raises :class:`InputError`."""
+    """Parse ``--pixels``: a number of views, or None for "all". Raises :class:`InputError` otherwise."""
     if text == "all":
         return None
     if not text.isdecimal():
@@ -37,7 +37,7 @@ def report_command(
     library_paths: Iterable[Path] | None = None,
     is_dry_run: bool = False,
 ) -> int:
-    """Write the report with a progress bar and print its path; returns the exit code."""
+    """Write the report with a progress bar, and print its plan and path; returns the exit code."""
     index = Dataset(folder).index
     target = out if out is not None else folder / "report"
     first = predicted_configurations(index, options.predictions)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figures of a dataset: histograms over fixed bins, so that the counts of shards add up to the dataset's
-counts.
+"""Counts pixels of a dataset in histograms with fixed bins, so the counts of shards can be added.
 
 Values beyond a histogram's ends are counted in its outermost bins. Only surface pixels are counted: pixels
 hit by a ray and at least half covered by reflecting surface. Luminance is Rec.709 of linear colour. The
@@ -26,9 +25,7 @@ NUM_COVERAGE_BINS = 32
 
 @dataclass(frozen=True)
 class Axis:
-    """Bins of a histogram: ``edges`` increase; ``scale`` is their spacing (``whole``: one bin for each whole
-    number).
-    """
+    """Bins of a histogram: increasing ``edges`` and their spacing (``whole``: one bin per integer)."""
 
     title: str
     unit: str
@@ -41,7 +38,7 @@ class Axis:
 
     @classmethod
     def whole(cls, title: str, unit: str, low: int, high: int) -> Axis:
-        """A bin for each whole number from ``low`` to ``high``."""
+        """An axis with one bin for each integer from ``low`` to ``high``."""
         return cls(title, unit, tuple(np.arange(low - 0.5, high + 1).tolist()), "whole")
 
     @classmethod
@@ -49,7 +46,7 @@ class Axis:
         return cls(title, unit, tuple(np.geomspace(low, high, num + 1).tolist()), "log")
 
     def count(self, values: NDArray | Sequence[float]) -> NDArray[np.int64]:
-        """Number of ``values`` in each bin; NaN are left out."""
+        """Number of ``values`` in each bin, (len(edges) - 1,); NaN is not counted."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         flat = flat[~np.isnan(flat)]
         return np.histogram(np.clip(flat, self.edges[0], self.edges[-1]), self.edges)[0]
@@ -62,13 +59,13 @@ PIXEL_AXES: dict[str, Axis] = {
     "specular_luminance": Axis.log("Luminance of S (F0)", "1", 0.01, 1, 50),
     "roughness": Axis.linear("Roughness R", "1", 0, 1, 64),
     "depth": Axis.log("Depth", "m", 0.1, 100, 60),
-    "observation_count": Axis.whole("Views behind a pixel's statistics", "views", 0, 24),
+    "observation_count": Axis.whole("Views in a pixel's statistics", "views", 0, 24),
 }
-"""Histograms over surface pixels."""
+"""Axes of the histograms over surface pixels."""
 
 
 def hue_deg(colors: NDArray) -> NDArray:
-    """Hue of (N, 3) colours in [0, 360); NaN if the chroma is too small."""
+    """Hue (N,) of linear colours (N, 3) in degrees, [0, 360); NaN if the chroma is at most 0.02."""
     largest, chroma = colors.max(axis=-1), np.ptp(colors, axis=-1)
     red, green, blue = np.moveaxis(colors, -1, 0)
     safe = np.where(chroma > _MIN_CHROMA, chroma, 1)
@@ -81,10 +78,10 @@ def hue_deg(colors: NDArray) -> NDArray:
 
 
 def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.int64]]:
-    """Histograms of a view's surface pixels, by the names of :data:`PIXEL_AXES`, and its coverage counts.
+    """Histograms of a view's surface pixels, by name in :data:`PIXEL_AXES`, and its coverage counts.
 
-    Coverage is (R, luminance of D): row r, column l counts pixels with R in [r, r+1]/32 and the luminance in
-    [l, l+1]/32. Buffers that the view lacks are left out.
+    Coverage counts pixels in a square grid of :data:`NUM_COVERAGE_BINS` cells a side over [0, 1]: R by row,
+    luminance of D by column. Histograms of absent buffers are absent.
     """
     mask = surface_pixels(view)
     values: dict[str, NDArray] = {}
@@ -112,7 +109,7 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
 
 
 def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
-    """Numbers of surface pixels, metal pixels and glossy pixels of a view."""
+    """Numbers of surface pixels, and of metal and glossy ones, of a view."""
     mask = surface_pixels(view)
     return {
         "surface_pixels": int(mask.sum()),
@@ -122,7 +119,7 @@ def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
 
 
 def nice_axis(title: str, unit: str, values: Sequence[float], num: int = 24, log: bool = False) -> Axis:
-    """An axis that spans ``values``, for histograms computed once over the whole dataset."""
+    """An axis of ``num`` bins that spans the finite ``values``; whole powers of 10 with ``log``."""
     finite = [v for v in values if np.isfinite(v) and (v > 0 or not log)]
     low, high = (min(finite), max(finite)) if finite else (0.1, 1.0)
     if log:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Processes one shard: counts the contents of its views, draws thumbnails, writes pixels for the viewer.
+"""Processes one shard: counts its pixels, draws thumbnails, writes pixels for the viewer.
 
-Figures are stored beside the page under a key of the shard's content and the options, so that a repeated or
-interrupted report reuses them.
+Figures are stored in the report's folder under a key of the shard's content and the options, so that a
+repeated or interrupted report reuses them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from datagen.inspection.report.tiles import write_tile
 from datagen.multiview.statistics import StatisticsView
 
 REVISION = 4
-"""Part of the key of stored figures: increase it when the form of the figures or tiles changes."""
+"""Part of the key of stored figures, to be increased when the format of figures or tiles changes."""
 SHOWN_BUFFERS = (
     "beauty",
     "diffuse_albedo",
@@ -50,9 +50,7 @@ _INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
 
 @dataclass(frozen=True)
 class GatherJob:
-    """A shard to process. ``with_pixels`` writes tiles, ``with_sources`` also the source views of each
-    pixel.
-    """
+    """A shard to process; ``with_pixels`` writes tiles, ``with_sources`` also each pixel's source views."""
 
     shard: Path
     record: ShardRecord
@@ -62,7 +60,7 @@ class GatherJob:
 
     @property
     def key(self) -> str:
-        """Key of everything on which the result depends."""
+        """Hash of everything on which the result depends."""
         parts = [REVISION, self.record.sha256, self.with_pixels, self.with_pixels and self.with_sources]
         return sha256_hex(canonical_json(parts))
 
@@ -72,7 +70,7 @@ class GatherJob:
 
 
 def kept_result(job: GatherJob) -> dict[str, Any] | None:
-    """Figures that an earlier report stored for the same shard, or None."""
+    """Figures that an earlier report stored for the same shard and options, or None."""
     try:
         kept = json.loads(job.kept_path.read_bytes())
     except (OSError, ValueError):
@@ -83,7 +81,7 @@ def kept_result(job: GatherJob) -> dict[str, Any] | None:
 def gather_shard(job: GatherJob) -> dict[str, Any]:
     """Figures of one shard as plain data; writes thumbnails, tiles and the configuration's script.
 
-    Raises :class:`InputError` if the shard is damaged.
+    Stored figures are reused. Raises :class:`InputError` if the shard is damaged.
     """
     kept = kept_result(job)
     if kept is not None:
@@ -139,7 +137,7 @@ def _placed(placed: PlacedAsset) -> dict[str, Any]:
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
-    """Type of a light and the luminance of its emission, in the unit of its type."""
+    """Type of a light, and the luminance of its emission with its unit."""
     units = {"intensity": "W/sr", "irradiance": "W/m^2", "radiance": "W/(m^2 sr)"}
     if light.type == "sky":
         return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}
@@ -163,7 +161,7 @@ def _pixels_by_name(view: View, buffer: str, names: dict[str, str]) -> dict[str,
 
 
 def _view_figures(view: View) -> dict[str, Any]:
-    """Data of one view for the report's list, for display and sorting."""
+    """Figures of one view, by which the page displays and sorts views."""
     record, buffers = view.record, view.buffers
     camera = record.camera.camera()
     mask = surface_pixels(buffers)
@@ -214,7 +212,7 @@ def _write_tiles(folder: Path, view: View) -> int:
 
 
 def _geometry(view: View) -> Any:
-    # source views depend on no colours
+    # source views do not depend on colours
     buffers: dict[str, NDArray] = {**view.buffers, "beauty": np.zeros((0,))}
     return StatisticsView.from_buffers(view.record.camera.camera(), buffers, view.record.name)
 
@@ -230,7 +228,7 @@ def _write_sources(folder: Path, records: list[ViewRecord], geometry: list[Any])
 
 
 def _write_configuration(path: Path, configuration: Configuration, records: list[ViewRecord]) -> None:
-    """Write a configuration's data for the viewer: cameras, exposures, names of ids, rendering record."""
+    """Write a configuration's script for the viewer: cameras, exposures, names by id, render records."""
     tables: list[dict[str, dict[str, str]]] = []
     views = []
     for record in records:

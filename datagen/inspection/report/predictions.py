@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Predicted maps of a dataset's views compared with their ground truth: errors, problems, pixels for the
-viewer.
+"""Compares predicted maps of a dataset's views with their ground truth, and writes them for the viewer.
 
-A method's folder contains one EXR per view with the channels of D, S and R under the dataset's names (half
-floats, linear), at the first of these paths that exists:
+A method's folder contains one EXR file per view with D, S and R as half floats under the dataset's names of
+channels, at the first of these paths that exists:
 
     FOLDER/<configuration>/<view>.exr
     FOLDER/<configuration>/views/<view>.exr    from ``materials infer SHARD --out FOLDER/<configuration>``
     FOLDER/views/<view>.exr                    one result of ``materials infer``; report.json names the
                                                configuration
 
-A figure is the mean squared error over the view's surface pixels (``figures.surface_pixels``) and the map's
-channels, of linear values.
+Errors are mean squared errors of linear values over a view's surface pixels and a map's channels.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ from datagen.foundation.transliteration import transliterated
 from datagen.inspection.report.tiles import write_tile
 
 TILES = "predictions"
-"""Folder of predicted pixels beside the configurations' pixels; part of their tiles' names."""
+"""Folder of predicted maps in ``tiles/``, and first part of the keys of their tiles."""
 MAX_LISTED_PROBLEMS = 200
 _REVISION = 1
 _NEEDED = ("depth_z_m", "surface_mask", *MATERIAL_MAPS)
@@ -43,14 +41,14 @@ _NEEDED = ("depth_z_m", "surface_mask", *MATERIAL_MAPS)
 
 @dataclass(frozen=True)
 class Method:
-    """Predictions to show: their title on the page, their name in file names, and their folder."""
+    """A method's predictions: title on the page, name in file names, and folder."""
 
     label: str
     slug: str
     folder: Path
 
     def find(self, configuration: str, view: str) -> Path | None:
-        """The file of one view, or None."""
+        """The file of a view's prediction, or None if there is none."""
         name = f"{view}.exr"
         places = [self.folder / configuration / name, self.folder / configuration / "views" / name]
         if self.own_configuration() == configuration:
@@ -58,11 +56,11 @@ class Method:
         return next((path for path in places if path.is_file()), None)
 
     def covers(self, configuration: str) -> bool:
-        """Whether any view of a configuration may have a prediction."""
+        """Whether the method's folder may contain predictions of a configuration."""
         return (self.folder / configuration).is_dir() or self.own_configuration() == configuration
 
     def own_configuration(self) -> str | None:
-        """The configuration of a folder that holds one result of ``materials infer``."""
+        """The configuration of a folder that is one result of ``materials infer``; None for other folders."""
         try:
             report = json.loads((self.folder / "report.json").read_bytes())
         except (OSError, ValueError):
@@ -72,10 +70,10 @@ class Method:
 
 
 def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Method, ...]:
-    """Methods from the options ``--predictions`` and ``--label``.
+    """Methods from the values of ``--predictions`` and ``--label``.
 
     Labels belong to folders in order; methods without a label are named after their folder. Raises
-    :class:`InputError` for missing folders, and for labels that are surplus, empty or equal.
+    :class:`InputError` for missing folders, and for labels that are surplus, empty or not unique.
     """
     problems = [
         Problem("--predictions", str(path), "no such folder", "a folder of predicted maps", "check the path")
@@ -99,9 +97,7 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
 
 @dataclass(frozen=True)
 class CompareJob:
-    """One shard's views to compare with one method's maps; ``with_pixels`` writes the predicted maps as
-    tiles.
-    """
+    """A shard to compare with a method's maps; ``with_pixels`` also writes the maps as tiles."""
 
     shard: Path
     record: ShardRecord
@@ -111,9 +107,7 @@ class CompareJob:
 
     @property
     def key(self) -> str:
-        """Key of everything on which the result depends: files by size and modification time, without reading
-        them.
-        """
+        """Hash of everything on which the result depends, with files by size and modification time."""
         configuration = self.record.configuration
         folders = [self.method.folder / configuration, self.method.folder / configuration / "views"]
         if self.method.own_configuration() == configuration:
@@ -134,7 +128,7 @@ class CompareJob:
 def compare_shard(job: CompareJob) -> dict[str, Any]:
     """Errors of every view of a shard as plain data; writes tiles of predicted maps.
 
-    Faults of a prediction are part of the result. Raises :class:`InputError` if the shard itself is damaged.
+    Faults of a prediction are part of the result. Raises :class:`InputError` if the shard is damaged.
     """
     key = job.key
     try:
@@ -170,7 +164,7 @@ def compare_shard(job: CompareJob) -> dict[str, Any]:
 def _compare_view(
     method: Method, view: View, truth: Mapping[str, NDArray]
 ) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """A view's figures, and its valid predicted maps."""
+    """A view's errors and problems, and its valid predicted maps."""
     name = view.record.name
     path = method.find(view.record.configuration, name)
     figures: dict[str, Any] = {"name": name, "file": path is not None, "pixels": 0}
@@ -182,20 +176,20 @@ def _compare_view(
     maps, problems = _read_maps(path, mask.shape)
     for map_name, predicted in maps.items():
         if map_name not in truth:
-            problems.append(f"{map_name}: the dataset has no ground truth of it")
+            problems.append(f"{map_name}: the dataset has no ground truth")
             continue
         error = mean_squared_error(predicted, truth[map_name], mask)
         if error is not None:
             figures["mse"][map_name] = error
         elif mask.any():
             bad = int((~np.isfinite(predicted[mask]).all(axis=-1)).sum())
-            problems.append(f"{map_name}: {bad} surface pixels are NaN or Inf; expected numbers")
+            problems.append(f"{map_name}: {bad} surface pixels are NaN or Inf; expected finite values")
     figures["problems"], figures["maps"] = problems, list(maps)
     return figures, maps
 
 
 def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], list[str]]:
-    """The readable maps of a file with a view's size (H, W), and the faults of the others."""
+    """The maps of a file that are readable and of size ``shape`` (H, W), and the faults of the others."""
     maps: dict[str, NDArray] = {}
     problems: dict[str, str] = {}
     for name in MATERIAL_MAPS:
@@ -216,7 +210,7 @@ def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], 
 
 
 def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool_]) -> float | None:
-    """Mean over masked pixels and channels; None if there are none, or if one of them is not finite."""
+    """Mean squared error over masked pixels and channels; None if it is empty or not finite."""
     difference = predicted[mask].astype(np.float64) - truth[mask].astype(np.float64)
     return float(np.mean(difference**2)) if difference.size and np.isfinite(difference).all() else None
 
@@ -226,9 +220,9 @@ def prediction_table(
 ) -> dict[str, Any]:
     """Errors of predictions for the page.
 
-    ``methods``: totals of each method over all counted pixels. ``errors``: for each method, one row per view
-    in the page's order, with the error of each map (None if unknown) and a bit mask of the maps that can be
-    shown; None in place of the row for views without predictions.
+    ``methods`` are the totals of each method over all counted pixels. ``errors`` contains, for each method, a
+    row per view in the page's order, or None without prediction: the error of each map (None if unknown) and
+    a bit mask of the maps that can be displayed.
     """
     by_place: dict[tuple[str, str, str], dict[str, Any]] = {}
     for result in compared:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The views behind a pixel's statistics, found again by the kernel that computed them."""
+"""Finds the views of each pixel's statistics again, by the kernel that computed these."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from datagen.multiview.visibility import PackedViews, VisibilityOptions
 from mitsuba_plugins.variant import select_variant
 
 NO_VIEW = 65535
-"""Marks the end of a pixel's list."""
+"""Fills the end of a pixel's list of views."""
 
 
 def options_of(record: StatisticsRecord) -> StatisticsOptions:
-    """Options of the statistics, with depth-buffer visibility: a page has no geometry to trace."""
+    """Options of recorded statistics, but with depth-buffer visibility, since there is no mesh to trace."""
     return StatisticsOptions(
         best_views=record.best_views,
         include_self=record.include_self,
@@ -29,9 +29,9 @@ def options_of(record: StatisticsRecord) -> StatisticsOptions:
 def source_views(
     views: Sequence[StatisticsView], options: StatisticsOptions, wanted: Sequence[int] | None = None
 ) -> Iterator[NDArray[np.uint16]]:
-    """For each view in ``wanted`` (None = all), (H, W, k) indices of the views chosen for each pixel.
+    """Yield, for each view in ``wanted`` (None: all), indices (H, W, k) of the views chosen for each pixel.
 
-    The best comes first; :data:`NO_VIEW` fills the rest. Raises :class:`InputError` if LLVM is missing.
+    The best view comes first; :data:`NO_VIEW` fills the rest. Raises :class:`InputError` if LLVM is missing.
     """
     select_variant()
     import drjit as dr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Combines the figures of all shards: content of the page's sections, as plain data."""
+"""Combines the figures of all shards into the contents of the page's sections, as plain data."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from datagen.inspection.plan_summary import lack_for_training
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, nice_axis
 from datagen.library import Library, asset_classes
 
-_COARSE = 8  # cells per side of the grid in which missing regions are described
+_COARSE = 8  # cells a side of the grid in which missing regions are listed
 _MISSING_SHARE = 1e-3
-"""A coarse cell with a smaller share of all surface pixels counts as missing."""
-_UNKNOWN = "not in the library at hand"
+"""A coarse cell with a smaller share of the surface pixels than this counts as missing."""
+_UNKNOWN = "not in the library"
 MAX_LISTED_FAULTS = 20
 
 
 def histogram(axis: Axis, counts: Sequence[int], what: str) -> dict[str, Any]:
-    """A histogram for the page; ``what`` names the counted items."""
+    """A histogram as data for the page; ``what`` is the noun for the counted items."""
     return {
         "title": axis.title,
         "unit": axis.unit,
@@ -43,7 +43,7 @@ def _histogram_of(axis: Axis, values: Sequence[float], what: str) -> dict[str, A
 
 
 def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Every distribution of the page, in its order."""
+    """All histograms of the page, in its order."""
     figures = [
         histogram(axis, np.sum([shard["counts"][name] for shard in gathered], axis=0).tolist(), "pixels")
         for name, axis in PIXEL_AXES.items()
@@ -58,8 +58,8 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     views = [view for shard in gathered for view in shard["views"]]
     for name, title, unit, log in (
         ("exposure", "Exposure", "factor on linear radiance", True),
-        ("clipped_share", "Clipped surface pixels at a photographer's exposure", "share", False),
-        ("samples", "Light paths a pixel", "samples", False),
+        ("clipped_share", "Surface pixels clipped at a photographic exposure", "share", False),
+        ("samples", "Light paths per pixel", "samples", False),
         ("rel_mse", "Estimated error (relMSE)", "1", True),
         ("height_m", "Camera height (z)", "m", False),
         ("pitch_deg", "Camera pitch (up is positive)", "degrees", False),
@@ -73,8 +73,7 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Pixel counts over R and luminance of D, descriptions of missing regions, shares of metal and gloss, and
-    remarks on shares too low for training."""
+    """Pixel counts over R and luminance of D, missing regions, and shares of metal and gloss with remarks."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
     training = [shard for shard in gathered if shard["split"] == "train"]
@@ -101,7 +100,7 @@ def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _metal_and_gloss(gathered: Sequence[dict[str, Any]]) -> tuple[float, float]:
-    """Shares of metal and gloss among the surface pixels of all views."""
+    """Shares of metal and of gloss among the surface pixels of all views."""
     views = [view for shard in gathered for view in shard["views"]]
     surface = max(sum(view["surface_pixels"] for view in views), 1)
     metal, gloss = (sum(view[name] for view in views) for name in ("metal_pixels", "gloss_pixels"))
@@ -121,7 +120,7 @@ def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
 def assets(
     gathered: Sequence[dict[str, Any]], index: DatasetIndex, library: Library | None
 ) -> dict[str, Any]:
-    """Every asset with class, use and licence; pixels by material class; unused assets."""
+    """All assets with class, use and licence; shares of pixels by material and class; unused assets."""
     placed: Counter[str] = Counter()
     used_in: Counter[str] = Counter()
     pixels: Counter[str] = Counter()
@@ -169,7 +168,7 @@ def assets(
 
 
 def _class_of(material: str, library: Library | None) -> str:
-    """Main class of a material by its name in the views' records."""
+    """Main class of a material, from its name in the views' records."""
     if library is None:
         return _UNKNOWN
     identity, _, slot = _without_variant(material).partition("/")
@@ -183,7 +182,7 @@ def _class_of(material: str, library: Library | None) -> str:
 
 
 def _without_variant(material: str) -> str:
-    """Name of a material without the mark ``#2`` of a second variation: its asset's id, or ``asset/slot``."""
+    """A material's name without the suffix ``#2`` of a second variation: an asset's id, or ``asset/slot``."""
     return re.sub(r"#\d+$", "", material)
 
 
@@ -195,7 +194,7 @@ def _detail(identity: str, library: Library | None) -> str:
 
 
 def splits(index: DatasetIndex) -> dict[str, Any]:
-    """Configurations and views per split, and every asset used by more than one split."""
+    """Configurations, views and assets by split, and the assets that more than one split uses."""
     used: dict[str, set[str]] = {}
     views: Counter[str] = Counter()
     for shard in index.shards:
@@ -222,7 +221,7 @@ def splits(index: DatasetIndex) -> dict[str, Any]:
 
 
 def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) -> dict[str, Any]:
-    """Time, memory and cost from the units' manifests; unknown figures are None, with the reason."""
+    """Size, time, memory and cost from the units' manifests; ``why_not``: the reason for unknown times."""
     size = {
         "num_bytes": index.num_bytes,
         "bytes_per_view": index.num_bytes / index.num_views if index.num_views else None,
@@ -260,8 +259,8 @@ def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) ->
 def findings(
     report: Report | None, index: DatasetIndex, gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Findings of the verification, views with the most errors first, and outliers among the views."""
-    stand_out = _stand_out(gathered)
+    """Findings of the verification by view, most errors first, and views with extreme figures."""
+    stand_out = _extreme_views(gathered)
     if report is None:
         return {"is_checked": False, "checks": [], "views": [], "notes": [], "stand_out": stand_out}
     files = {shard.file: shard.configuration for shard in index.shards}
@@ -269,7 +268,7 @@ def findings(
     grouped: dict[tuple[str, str], list[Any]] = {}
     for fault in report.faults:
         grouped.setdefault(place_of(fault.where, files, names), []).append(fault)
-    order = sorted(grouped, key=lambda place: (*_badness(grouped[place]), place))
+    order = sorted(grouped, key=lambda place: (*_severity_order(grouped[place]), place))
     views = [
         {
             "configuration": configuration,
@@ -302,13 +301,13 @@ def findings(
     }
 
 
-def _badness(faults: Sequence[Any]) -> tuple[int, int]:
+def _severity_order(faults: Sequence[Any]) -> tuple[int, int]:
     errors = sum(fault.severity == "error" for fault in faults)
     return -errors, errors - len(faults)
 
 
 def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> tuple[str, str]:
-    """(configuration, view) of a fault's ``where``; "" where it concerns more than one view."""
+    """Configuration and view of a fault's ``where``; '' for the view if it concerns the whole shard."""
     for file, configuration in files.items():
         at = where.find(file)
         if at >= 0:
@@ -318,15 +317,15 @@ def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> t
     return "", ""
 
 
-def _stand_out(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Views at the extremes of a few scales, worth a look even without faults."""
+def _extreme_views(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The six most extreme views by each of several figures."""
     views = [(shard["id"], view) for shard in gathered for view in shard["views"]]
     found = []
     for title, name, sign in (
         ("largest estimated error", "rel_mse", -1),
         ("most pixels clipped to the range of half floats", "clipped_pixels", -1),
-        ("most surface clipped at a photographer's exposure", "clipped_share", -1),
-        ("fewest views behind a surface pixel, on average", "mean_count", 1),
+        ("most surface clipped at a photographic exposure", "clipped_share", -1),
+        ("fewest views in a surface pixel's statistics, on average", "mean_count", 1),
         ("least surface", "surface_share", 1),
     ):
         ranked = [(c, v) for c, v in views if v[name] is not None and (sign > 0 or v[name] > 0)]

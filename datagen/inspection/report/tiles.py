@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Pixels for a page that opens from disk: one file per buffer and view, lossless, loaded on demand.
+"""Writes pixels for a page that opens from disk: one lossless file per buffer and view, loaded on demand.
 
-A page opened from disk may not read files, but it may show others in frames: a tile is a small page that
-unpacks its bytes and passes them to the page around it (``page/tile.html``; decision 60). The bytes are, in
-this order: planes (channel by channel, rows top-down) of the stored numbers; each row as differences to the
-left neighbour, modulo the word's size; all first (lowest) bytes of the words, then all second bytes and so
-on; deflate with a zlib header; base64.
+A page opened from disk may not read files, but it may open them in frames: a tile is a small page that
+decompresses its bytes and passes them to the page that contains the frame (``page/tile.html``; decision 60).
+The bytes are, in this order: planes (channel by channel, rows top-down) of the stored numbers; each row as
+differences to the left neighbour, modulo the word's size; all first (lowest) bytes of the words, then all
+second bytes and so on; deflate with a zlib header; base64.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ _HEAD = re.compile(r"^\}\)\((\{.*\})\);$", re.MULTILINE)
 
 
 def encode_tile(array: NDArray) -> bytes:
-    """Compress an (H, W, C) array of half, float, 32-bit or 16-bit unsigned numbers."""
+    """Compress an array (H, W, C) of 16-bit or 32-bit floats or unsigned integers."""
     word = np.dtype(f"<u{array.dtype.itemsize}")
     planes = np.ascontiguousarray(np.moveaxis(array, -1, 0)).astype(array.dtype.newbyteorder("<")).view(word)
     differences = planes.copy()
-    differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned: the difference wraps, and the sum wraps back
+    differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned, so the sum reverses a difference that wraps
     by_byte = differences.reshape(-1, 1).view(np.uint8).T
     return zlib.compress(np.ascontiguousarray(by_byte).tobytes(), _LEVEL)
 
 
 def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int) -> NDArray:
-    """Inverse of :func:`encode_tile`, as implemented in the viewer; (H, W, C)."""
+    """The array (H, W, C) from :func:`encode_tile`; the viewer implements the same."""
     name = np.dtype(_TYPES[dtype])
     by_byte = np.frombuffer(zlib.decompress(data), np.uint8).reshape(name.itemsize, -1)
     word = np.dtype(f"<u{name.itemsize}")
@@ -57,7 +57,7 @@ def _template() -> str:
 
 
 def write_tile(path: Path, key: str, array: NDArray) -> int:
-    """Write ``array`` as the tile ``key`` (``configuration/view/buffer``); returns the file's size."""
+    """Write an array (H, W, C) as tile ``key`` (``configuration/view/buffer``); returns the file's size."""
     height, width, channels = array.shape
     head = {
         "key": key,
@@ -75,11 +75,11 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
 
 
 def read_tile(path: Path) -> NDArray:
-    """The array (H, W, C) of a tile's file; raises :class:`InputError` for other files."""
+    """The array (H, W, C) of a tile's file. Raises :class:`InputError` for other files."""
     page = path.read_text(encoding="utf-8")
     packed, head_text = _BYTES.search(page), _HEAD.search(page)
     if packed is None or head_text is None:
-        raise input_error(path, "", "no tile", "a page with bytes and head", "write the report again")
+        raise input_error(path, "", "not a tile", "a page with bytes and head", "write the report again")
     head = json.loads(head_text[1])
     return decode_tile(
         base64.b64decode(packed[1]), head["dtype"], head["width"], head["height"], head["channels"]

@@ -79,9 +79,9 @@ _LABELS = {
 class ReportOptions:
     """Options of a report.
 
-    ``max_pixel_views``: number of views whose pixels are written for the viewer, by whole configurations
-    (None = all); ``with_sources``: also the source views of every pixel; ``price_per_hour``: price of a
-    unit's resources, 0 = unknown; ``predictions``: maps that are compared with the ground truth.
+    ``max_pixel_views`` limits the number of views with pixels for the viewer, by whole configurations (None:
+    all). ``with_sources`` also writes the source views of every pixel. ``price_per_hour`` is the price of a
+    unit's resources, 0 if unknown. ``predictions`` are compared with the ground truth.
     """
 
     max_pixel_views: int | None = 400
@@ -94,10 +94,9 @@ class ReportOptions:
 
 @dataclass(frozen=True)
 class ReportResult:
-    """Result of writing a report.
-
-    It holds the page's path, the number of views with pixels, their bytes, and for each method the numbers of
-    predicted views and of faulty predictions.
+    """The page's path, numbers of views and of views with pixels, bytes of pixels, and number of faults
+    (None: not verified); ``predicted`` contains, for each method, the numbers of predicted views and of
+    faulty predictions.
     """
 
     page: Path
@@ -109,15 +108,15 @@ class ReportResult:
 
 
 def choose_configurations(index: DatasetIndex, max_views: int | None, first: Iterable[str] = ()) -> set[str]:
-    """Configurations whose pixels are written: first ``first``, then others evenly spaced over the dataset.
+    """Configurations whose pixels are written: those of ``first``, then others evenly spaced by index.
 
-    Their views stay within ``max_views`` (None = all configurations).
+    Their views number at most ``max_views`` (None: all configurations).
     """
     if max_views is None:
         return {shard.configuration for shard in index.shards}
     views = {shard.configuration: shard.num_views for shard in index.shards}
     count = len(index.shards)
-    # bit-reversed order: every prefix of it is evenly spaced
+    # every prefix of the bit-reversed order is evenly spaced
     bits = max(count - 1, 1).bit_length()
     spread = sorted(range(count), key=lambda i: int(f"{i:0{bits}b}"[::-1], 2))
     order = [*dict.fromkeys([*first, *(index.shards[i].configuration for i in spread)])]
@@ -131,7 +130,7 @@ def choose_configurations(index: DatasetIndex, max_views: int | None, first: Ite
 
 
 def estimate_tile_bytes(index: DatasetIndex, chosen: set[str]) -> int:
-    """Approximate bytes of the pixels of ``chosen``.
+    """Approximate bytes of the pixels of configurations ``chosen``.
 
     Base64 adds a third to the size of the shards; the source views need about as much space as a few buffers.
     """
@@ -145,10 +144,10 @@ def write_report(
     library: Library | None = None,
     progress: Progress | None = None,
 ) -> ReportResult:
-    """Write the report of a dataset folder into ``out``; an existing report there is updated.
+    """Write the report of a dataset folder into ``out``, or update an existing one.
 
     ``progress(stage, done, total)`` counts shards. Raises :class:`InputError` if the folder has no index,
-    ``out`` contains something else, no shard can be read, or LLVM is missing and source views are requested.
+    ``out`` contains other files, no shard can be read, or source views are requested without LLVM.
     """
     index = Dataset(folder).index
     _check_out(out)
@@ -161,7 +160,7 @@ def write_report(
         GatherJob(folder / shard.file, shard, out, shard.configuration in chosen, options.with_sources)
         for shard in index.shards
     ]
-    gathered, unreadable = _walk(jobs, gather_shard, "figures", options.workers, progress)
+    gathered, unreadable = _run_jobs(jobs, gather_shard, "figures", options.workers, progress)
     if not gathered:
         raise InputError(*(unreadable[0][1].problems if unreadable else ()))
     damaged = {job.shard for job, _ in unreadable}
@@ -172,7 +171,7 @@ def write_report(
         if job.shard not in damaged and method.covers(job.record.configuration)
     ]
     _remove_other_methods(out, options.predictions)
-    compared, _ = _walk(pairs, compare_shard, "predictions", options.workers, progress)
+    compared, _ = _run_jobs(pairs, compare_shard, "predictions", options.workers, progress)
     predictions = prediction_table(options.predictions, compared, gathered)
     data = {
         **_head(index, folder),
@@ -200,7 +199,7 @@ def write_report(
 
 
 def predicted_configurations(index: DatasetIndex, methods: Iterable[Method]) -> list[str]:
-    """Configurations with predictions of at least one method."""
+    """Configurations with predictions by at least one method, in the order of the index."""
     return [
         shard.configuration
         for shard in index.shards
@@ -209,7 +208,7 @@ def predicted_configurations(index: DatasetIndex, methods: Iterable[Method]) -> 
 
 
 def _remove_other_methods(out: Path, methods: Iterable[Method]) -> None:
-    """Remove the files of methods that are in an earlier report but not in this one."""
+    """Remove the files of methods of an earlier report that are not in this one."""
     wanted = {method.slug for method in methods}
     for home in (out / "tiles" / TILES, out / "gathered" / "predictions"):
         for folder in home.iterdir() if home.is_dir() else ():
@@ -239,14 +238,14 @@ def _verify(
 Job = TypeVar("Job", GatherJob, CompareJob)
 
 
-def _walk(
+def _run_jobs(
     jobs: Sequence[Job],
     work: Callable[[Job], dict[str, Any]],
     stage: str,
     workers: int,
     progress: Progress | None,
 ) -> tuple[list[dict[str, Any]], list[tuple[Job, InputError]]]:
-    """Results in the order of ``jobs``, and the jobs whose shards cannot be read."""
+    """Results in the order of ``jobs``, and the jobs that failed, with their errors."""
     results: dict[int, dict[str, Any]] = {}
     failures: dict[int, InputError] = {}
 
@@ -271,7 +270,7 @@ def _walk(
 
 
 def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
-    """Relative paths of the contact sheets, by configuration, for a page inside the dataset folder."""
+    """Paths of contact sheets relative to the page, by configuration; empty unless it is in the dataset."""
     page, root = out.resolve(), folder.resolve()
     if not page.is_relative_to(root):  # the page may be moved without the dataset
         return {}
@@ -281,7 +280,7 @@ def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
 
 
 def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
-    """Counts, the registry's buffers, and the numbers that viewer and kernels share."""
+    """Facts about the dataset, its buffers, and constants of the statistics that the viewer needs."""
     visibility = VisibilityOptions()
     shown = [name for name in SHOWN_BUFFERS if name in index.buffers]
     return {
@@ -325,7 +324,7 @@ VIEW_COLUMNS = (
 
 
 def view_table(gathered: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """One row per view, without keys, which keeps the data of thousands of views small."""
+    """A table with a row per view, without keys, to keep the data of thousands of views small."""
     configurations, rows = [], []
     for number, shard in enumerate(gathered):
         configurations.append([shard["id"], shard["split"], shard["has_pixels"]])

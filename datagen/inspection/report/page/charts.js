@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Histograms, the coverage map and tables, as SVG and HTML that read without colour.
+// Draws histograms, the coverage map and tables as SVG and HTML that can be read without colour.
 "use strict";
 
 REPORT.charts = (() => {
@@ -99,7 +99,7 @@ REPORT.charts = (() => {
       lazyTable(`Numbers of ${figure.title}`, ["from", "to", figure.what], () => figure.counts.map((count, i) => [number(figure.edges[i], 4), number(figure.edges[i + 1], 4), number(count)])));
   }
 
-  // A table behind a fold; it is built when it is opened first.
+  // A folded table, built when it is first opened.
   function lazyTable(label, head, makeRows) {
     const details = element("details", {}, element("summary", { text: "numbers", "aria-label": label }));
     details.addEventListener("toggle", () => {
@@ -125,13 +125,13 @@ REPORT.charts = (() => {
     return `rgb(${r},${g},${b})`;
   }
 
-  // R upwards, luminance of D to the right; shares on a log scale.
+  // R upwards, luminance of D to the right; colours are shares on a logarithmic scale.
   function heatMap(coverage) {
     const cells = coverage.cells, num = cells.length, side = 11, left = 54, top = 8;
     const total = Math.max(cells.flat().reduce((a, b) => a + b, 0), 1);
     const size = num * side;
     const picture = svg("svg", { viewBox: `0 0 ${left + size + 90} ${top + size + 40}`, role: "img", class: "heat",
-      "aria-label": `Coverage of roughness against luminance of D: ${percent(coverage.filled_share)} of ${num} by ${num} cells hold pixels; missing regions are listed beside it` });
+      "aria-label": `Coverage of roughness against luminance of D: ${percent(coverage.filled_share)} of ${num} by ${num} cells contain pixels; missing regions are listed next to it` });
     picture.append(svg("rect", { x: left, y: top, width: size, height: size, class: "empty" }));
     const scale = (count) => Math.max(0, Math.min(1, 1 + Math.log10(count / total) / 6));
     cells.forEach((row, r) => row.forEach((count, l) => {

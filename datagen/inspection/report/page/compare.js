@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT
-// Predicted maps against the truth: the report's section with its tables, and the viewer's further pictures.
+// Compares predicted maps with the ground truth: the report's section with its tables, and pictures for the viewer.
 // A picture is named `predicted:METHOD:MAP` or `error:METHOD:MAP`.
 "use strict";
 
 REPORT.compare = (() => {
   const { element, loadTile } = REPORT;
   const SHORT = { diffuse_albedo: "D", specular_albedo: "S", roughness: "R" };
-  const MORE = 20; // rows of the table of views at a time
+  const MORE = 20; // rows that are added to the table of views at a time
 
   const methods = () => REPORT.predictions.methods;
   const methodOf = (slug) => methods().find((m) => m.slug === slug);
@@ -31,10 +31,10 @@ REPORT.compare = (() => {
     const truth = REPORT.summary.buffers.find((b) => b.name === map), { label } = methodOf(slug);
     return kind === "predicted"
       ? { ...truth, name, kind, slug, map, label: `${SHORT[map]}, ${label}`, description: `${truth.description}, predicted by ${label}` }
-      : { ...truth, name, kind, slug, map, label: `|error| of ${SHORT[map]}, ${label}`, description: `absolute difference of ${label}'s prediction and the truth; the colour shows its mean over the channels` };
+      : { ...truth, name, kind, slug, map, label: `|error| of ${SHORT[map]}, ${label}`, description: `absolute difference of ${label}'s prediction and the ground truth; the colour is its mean over the channels` };
   }
 
-  // Names of the pictures of one method that a view has, three a map: truth, prediction, error.
+  // Names of a view's pictures for a method, up to three per map: truth, prediction, error.
   function namesOf(slug, key, available) {
     const has = errorsOf(slug, key)?.has ?? [];
     return maps().filter((map) => available.includes(map)).flatMap((map) => has.includes(map) ? [map, `predicted:${slug}:${map}`, `error:${slug}:${map}`] : [map]);
@@ -46,7 +46,7 @@ REPORT.compare = (() => {
       Object.assign(this, { truth, predicted, dtype: "float", width: truth.width, height: truth.height, channels: truth.channels, numPixels: truth.numPixels });
     }
     all(i) { return Array.from({ length: this.channels }, (_, c) => Math.abs(this.predicted.at(c, i) - this.truth.at(c, i))); }
-    // what is painted: the mean over the channels
+    // the value that is painted: the mean over the channels
     at(_, i) {
       let sum = 0;
       for (let c = 0; c < this.channels; c++) sum += Math.abs(this.predicted.at(c, i) - this.truth.at(c, i));
@@ -54,7 +54,7 @@ REPORT.compare = (() => {
     }
   }
 
-  // The picture of a name; `get` gives the view's other pictures.
+  // The picture with a name; `get` returns the view's other pictures.
   async function picture(name, stem, get) {
     const [kind, slug, map] = name.split(":");
     if (kind === "predicted") return loadTile(`predictions/${slug}/${stem}/${map}`);
@@ -64,7 +64,7 @@ REPORT.compare = (() => {
 
   // ---------------------------------------------------------------- section of the report
 
-  // four digits, so that tables compare at a glance
+  // three digits, by which tables are easily compared
   const figure = (value) => (value === null || value === undefined ? "unknown" : value === 0 ? "0" : value < 1e-4 ? value.toExponential(2) : value.toPrecision(3));
 
   const count = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
@@ -78,7 +78,7 @@ REPORT.compare = (() => {
     const best = Object.fromEntries(maps().map((map) => [map, Math.min(...methods().map((m) => m.total[map] ?? Infinity))]));
     const cell = (m, map) => {
       const text = figure(m.total[map]);
-      return methods().length > 1 && m.total[map] === best[map] ? element("b", { text, title: "the least of all methods" }) : text;
+      return methods().length > 1 && m.total[map] === best[map] ? element("b", { text, title: "the least error of all methods" }) : text;
     };
     return REPORT.charts.table(["method", "views", ...maps().map((map) => `MSE of ${SHORT[map]}`), "not predicted", "with problems"],
       methods().map((m) => [m.label, m.num_views, ...maps().map((map) => cell(m, map)), m.num_missing, m.num_problems]), "Errors of the whole dataset by method");
@@ -99,7 +99,7 @@ REPORT.compare = (() => {
   function fill() {
     const home = document.getElementById("predictions");
     if (!methods().length) {
-      home.append(element("p", { class: "note", text: "No predictions were given. Predicted maps are shown against the truth, with their errors, by datagen report DATASET --predictions FOLDER." }));
+      home.append(element("p", { class: "note", text: "No predictions were given. To compare predicted maps with the ground truth: datagen report DATASET --predictions FOLDER." }));
       return;
     }
     const method = element("select", { id: "worst-method", onchange: rank }, ...methods().map((m) => element("option", { value: m.slug, text: m.label })));
@@ -129,7 +129,7 @@ REPORT.compare = (() => {
       more.hidden = shown >= order.length;
     }
     home.append(
-      element("p", { class: "note", text: "Mean squared errors of linear values over surface pixels; the whole dataset's are means over all its predicted pixels." }),
+      element("p", { class: "note", text: "Mean squared errors of linear values over surface pixels; those of the whole dataset are means over all predicted pixels." }),
       totals(), ...methods().flatMap(troubles),
       element("h3", { text: "Views, worst first" }),
       element("form", { class: "controls", onsubmit: (event) => event.preventDefault() }, element("label", {}, "by the error of ", method), element("label", {}, "in ", map)),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Every view as a thumbnail. Only rows near the window exist, so thousands of views cost nothing.
+// Shows every view as a thumbnail. Only rows near the visible part exist, so thousands of views remain fast.
 "use strict";
 
 REPORT.gallery = (() => {
@@ -74,7 +74,7 @@ REPORT.gallery = (() => {
       element("form", { class: "controls", onsubmit: (event) => event.preventDefault() },
         element("label", {}, "split ", element("select", { id: "by-split", onchange: choose }, element("option", { value: "", text: "all" }), ...splits.map((text) => element("option", { text })))),
         element("label", {}, "order ", element("select", { id: "by-order", onchange: choose }, ...Object.keys(orders).map((text) => element("option", { text })))),
-        element("label", {}, "name holds ", element("input", { id: "by-name", type: "search", size: 16, oninput: choose })), status),
+        element("label", {}, "name contains ", element("input", { id: "by-name", type: "search", size: 16, oninput: choose })), status),
       scroller);
     scroller.addEventListener("scroll", () => requestAnimationFrame(() => draw()));
     new ResizeObserver(() => draw()).observe(scroller);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// Fills the page and goes where the address says: #views, #view/CONFIGURATION/VIEW, #view/CONFIGURATION/VIEW@X,Y, each with
-// ?method=METHOD behind it to see its predictions too
+// Fills the page and shows what the address names: #views, #view/CONFIGURATION/VIEW, #view/CONFIGURATION/VIEW@X,Y, each
+// optionally followed by ?method=METHOD, which shows the method's predictions.
 "use strict";
 
 (() => {

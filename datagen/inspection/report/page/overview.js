@@ -29,7 +29,7 @@ REPORT.overview = (() => {
     return element("img", { src: `thumbnails/${configuration}/${view}.jpg`, loading: "lazy", decoding: "async", width: 160, alt: `${configuration}, ${view}` });
   }
 
-  // The first thing to see: a view of each of the first rooms.
+  // The first view of each of the first rooms.
   function rooms(sheets) {
     const { columns, rows, configurations } = REPORT.views;
     const [which, name] = [columns.indexOf("configuration"), columns.indexOf("name")];
@@ -49,18 +49,18 @@ REPORT.overview = (() => {
     section("overview").append(
       rooms(data.sheets),
       data.is_complete ? "" : element("p", { class: "notice", text: `${data.missing.length} configurations are missing: ${data.missing.slice(0, 8).join(", ")}${data.missing.length > 8 ? " ..." : ""}` }),
-      ...data.unreadable.map(([file, why]) => element("p", { class: "notice", text: `${file} cannot be read and is left out of every figure: ${why}` })),
+      ...data.unreadable.map(([file, why]) => element("p", { class: "notice", text: `${file} cannot be read and is not in any figure: ${why}` })),
       cards([
         ["Views", number(data.num_views), `${data.num_configurations} ${data.num_configurations === 1 ? "configuration" : "configurations"}, ${data.resolution.join(" × ")} pixels`],
         ["Disk", bytes(e.num_bytes), e.bytes_per_view ? `${bytes(e.bytes_per_view)} a view` : ""],
-        ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `of all units together, ${number(e.views_per_hour)} views an hour a unit`],
-        ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "--cost gives the price of an hour" : `at ${number(e.price_per_hour)} an hour of a unit`],
+        ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `sum over units; ${number(e.views_per_hour)} views per unit and hour`],
+        ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "needs --cost, a unit's price per hour" : `at ${number(e.price_per_hour)} per unit and hour`],
         ["Peak memory", e.peak_memory_mb ? bytes(e.peak_memory_mb * 1e6) : "unknown", e.hosts ? `${e.hosts.length} host${e.hosts.length === 1 ? "" : "s"}` : ""],
         ["Findings", data.findings.is_checked ? count(errors, "error") : "not verified", data.findings.is_checked ? count(warnings, "warning") : ""],
-        ["Leakage", data.splits.shared.length ? `${data.splits.shared.length} shared assets` : "none", `${data.splits.rows.length} split${data.splits.rows.length === 1 ? "" : "s"}; disjoint splits were ${data.splits.is_disjoint_asked ? "" : "not "}asked for`],
+        ["Leakage", data.splits.shared.length ? `${data.splits.shared.length} shared assets` : "none", `${data.splits.rows.length} split${data.splits.rows.length === 1 ? "" : "s"}; the recipe ${data.splits.is_disjoint_asked ? "requires" : "does not require"} disjoint splits`],
       ]));
     if (!e.why_not) {
-      section("overview").append(element("h3", { text: "Time by stage" }), table(["stage", "sum over units", "median a view"],
+      section("overview").append(element("h3", { text: "Time by stage" }), table(["stage", "sum over units", "median per view"],
         [...Object.entries(e.stages).map(([name, s]) => [name, duration(s), ""]), ...Object.entries(e.view_stages).map(([name, s]) => [`render: ${name}`, "", duration(s)])], "Time by stage"));
     }
     section("overview").append(element("details", {}, element("summary", { text: "recipe and versions" }),
@@ -72,7 +72,7 @@ REPORT.overview = (() => {
     const found = data.findings, home = section("findings");
     if (!found.is_checked) home.append(element("p", { text: "The dataset was not verified for this report." }));
     else {
-      home.append(table(["check", "asserts", "looked at", "errors", "warnings"], found.checks, "Checks"));
+      home.append(table(["check", "asserts", "checked", "errors", "warnings"], found.checks, "Checks"));
       for (const note of found.notes) home.append(element("p", { class: "note", text: `Note: ${note}` }));
       home.append(element("h3", { text: found.views.length ? "Worst first" : "Nothing was found" }));
       const list = element("ol", { class: "worst" });
@@ -118,10 +118,10 @@ REPORT.overview = (() => {
     const splits = data.splits;
     section("splits").append(table(["split", "configurations", "views", "assets"], splits.rows, "Splits"));
     if (!splits.shared.length) {
-      section("splits").append(element("p", { text: splits.rows.length > 1 ? "No asset is used by more than one split." : "There is one split only, so nothing can leak." }));
+      section("splits").append(element("p", { text: splits.rows.length > 1 ? "No asset is used by more than one split." : "There is only one split, so nothing can leak." }));
     } else {
       section("splits").append(
-        element("p", { class: splits.is_disjoint_asked ? "notice" : "note", text: `${splits.shared.length} assets are used by more than one split${splits.is_disjoint_asked ? ", although the recipe asks for disjoint splits" : "; the recipe does not ask for disjoint splits"}.` }),
+        element("p", { class: splits.is_disjoint_asked ? "notice" : "note", text: `${splits.shared.length} assets are used by more than one split${splits.is_disjoint_asked ? ", although the recipe requires disjoint splits" : "; the recipe does not require disjoint splits"}.` }),
         table(["asset", "kind", "splits"], splits.shared.map((s) => [s.asset, s.kind, s.splits.join(", ")]), "Assets that several splits share"));
     }
   }
@@ -132,11 +132,11 @@ REPORT.overview = (() => {
     fillOverview(data);
     fillFindings(data);
     section("distributions").append(
-      element("p", { class: "note", text: "Pixels are those with a surface. Values beyond an axis are counted in its outermost bars. Colours are linear Rec.709." }),
+      element("p", { class: "note", text: "Only pixels with a surface are counted, values beyond an axis in its outermost bars. Colours are linear Rec.709." }),
       element("div", { class: "charts" }, ...data.distributions.map(histogram)));
     const coverage = data.coverage;
     section("coverage").append(element("div", { class: "beside" }, heatMap(coverage), element("div", {},
-      element("p", { text: `${percent(coverage.filled_share)} of the fine cells hold pixels. Of ${coverage.coarse_total} coarse cells, ${coverage.coarse_filled} hold at least ${percent(coverage.threshold)} of all surface pixels.` }),
+      element("p", { text: `${percent(coverage.filled_share)} of the fine cells contain pixels. Of ${coverage.coarse_total} coarse cells, ${coverage.coarse_filled} contain at least ${percent(coverage.threshold)} of all surface pixels.` }),
       element("p", { text: `${percent(coverage.metal_share)} of the surface pixels have S > 0.3, ${percent(coverage.gloss_share)} R < 0.3.` }),
       coverage.lack_for_training ? element("p", { class: "notice", text: `${coverage.lack_for_training}.` }) : "",
       element("h3", { text: coverage.missing.length ? "Missing" : "Nothing is missing" }),

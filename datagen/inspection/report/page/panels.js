@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Stored numbers to screen pixels, and the one frame (zoom, centre) that all panels share.
+// Converts stored numbers to screen pixels, and keeps the frame (zoom, centre) that all panels share.
 "use strict";
 
 REPORT.panels = (() => {
@@ -11,7 +11,7 @@ REPORT.panels = (() => {
     return Math.min(255, Math.round(255 * encoded));
   }
 
-  // byte on the screen of every half float under an exposure: redrawing is then a look-up a number
+  // the sRGB byte of every half float at an exposure, by which pictures are redrawn fast
   const tables = new Map();
   function screenTable(exposure) {
     if (!tables.has(exposure)) {
@@ -31,8 +31,8 @@ REPORT.panels = (() => {
     return some.length ? some[Math.min(some.length - 1, Math.floor(share * some.length))] : 1;
   }
 
-  // What a buffer's colours mean: used to draw and to say so above the picture. `high` of a scalar is at the
-  // bright end of the colour map.
+  // The scale of a buffer's colours, for drawing and for the legend above the picture. `high` of a scalar is at the bright
+  // end of the colour map.
   function scaleOf(buffer, picture, view, exposure, maxError) {
     if (buffer.kind === "error") return { kind: "scalar", low: 0, high: maxError, needsSurface: true };
     if (buffer.is_radiance) return { kind: "color", exposure, legend: `× ${REPORT.charts.number(exposure)}, sRGB` };
@@ -51,7 +51,7 @@ REPORT.panels = (() => {
     }
   }
 
-  // Draw a picture at its own size; `mask` (a Picture or null) tells where there is no surface.
+  // Draw a picture, a pixel per value; `mask` (a Picture or null) is 0 where there is no surface.
   function paint(canvas, picture, scale, mask) {
     const { width, height, words, numPixels } = picture;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -81,7 +81,7 @@ REPORT.panels = (() => {
     context.putImageData(image, 0, 0);
   }
 
-  // The colours of a scalar with the numbers at their ends.
+  // The colour scale of a scalar with the values at its ends.
   function scaleBar(scale) {
     const text = (value) => `${REPORT.charts.number(value)}${scale.unit ? ` ${scale.unit}` : ""}`;
     const map = REPORT.summary.color_map, stops = [];
@@ -95,7 +95,7 @@ REPORT.panels = (() => {
     constructor(width, height) { Object.assign(this, { width, height }); this.fit(); }
     fit() { this.zoom = 1; this.x = this.width / 2; this.y = this.height / 2; }
     scaleIn(canvas) { return Math.min(canvas.clientWidth / this.width, canvas.clientHeight / this.height) * this.zoom; }
-    // where pixel coordinates lie in a canvas, and back; both in CSS pixels
+    // from pixel coordinates to a canvas's coordinates in CSS pixels, and back
     toScreen(canvas, x, y) {
       const s = this.scaleIn(canvas);
       return [canvas.clientWidth / 2 + (x - this.x) * s, canvas.clientHeight / 2 + (y - this.y) * s];
@@ -104,7 +104,7 @@ REPORT.panels = (() => {
       const s = this.scaleIn(canvas);
       return [this.x + (sx - canvas.clientWidth / 2) / s, this.y + (sy - canvas.clientHeight / 2) / s];
     }
-    // zoom by a factor and keep the point (x, y) of the picture where it is
+    // zoom by a factor about the point (x, y) of the picture
     zoomAt(factor, x, y) {
       const zoom = Math.max(1, Math.min(64, this.zoom * factor));
       const ratio = this.zoom / zoom;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
-// Where a pixel's statistics come from: its surface point projected into each chosen view, and the colour that
-// the statistics fetch there (datagen/multiview/statistics.py: fetch_bilinear). Letters: p the world point,
-// (u, v) its projection in pixels, z its depth there.
+// Recomputes a pixel's statistics: projects its surface point into each chosen view and fetches the colour there, as
+// the statistics do (datagen/multiview/statistics.py: fetch_bilinear). Letters: p the world point, (u, v) its
+// projection in pixels, z its depth in that view.
 "use strict";
 
 REPORT.sources = (() => {
@@ -19,7 +19,7 @@ REPORT.sources = (() => {
     return { u: (camera.fx_px * local[0]) / local[2] + camera.cx_px, v: (camera.fy_px * local[1]) / local[2] + camera.cy_px, z: local[2], distance: Math.hypot(...offset) };
   }
 
-  // Colour between the four pixels around the projection, without those that show another depth.
+  // Colour interpolated from the four pixels around the projection, without those of another depth.
   function fetchColor(beauty, depth, at) {
     const { width, height } = beauty;
     const x = Math.max(0, Math.min(width - 1, at.u - 0.5)), y = Math.max(0, Math.min(height - 1, at.v - 0.5));
@@ -54,7 +54,7 @@ REPORT.sources = (() => {
     const indices = chosen.all(pixel).filter((index) => index !== NO_VIEW);
     const p = unproject(view.camera, x, y, depth.at(0, pixel));
     const found = [];
-    for (const index of indices) { // one after another: at most two pictures more in memory
+    for (const index of indices) { // in sequence, for at most two more pictures in memory
       if (!isCurrent()) return null;
       const other = configuration.views[index];
       const isOwn = other.name === view.name;

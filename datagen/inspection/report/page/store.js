@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: MIT
-// Pixels and cameras, loaded when they are asked for. A page opened from disk may not read files. Cameras are
-// scripts. Tiles are pages (tile.html) in sandboxed frames, which a browser gives a process of their own: their
-// text, which it would otherwise keep until it collects garbage, goes with that process. Decoded tiles are kept
-// up to a limit, the least recently used go first.
+// Loads pixels and cameras on demand. A page opened from disk may not read files. Cameras are scripts. Tiles are
+// pages (tile.html) in sandboxed frames, which a browser runs in a separate process: their text, which it would
+// otherwise keep until it collects garbage, is freed with that process. Decoded tiles are cached up to a limit; the
+// least recently used are evicted first.
 "use strict";
 
 var REPORT = (() => {
   const MAX_BYTES = 40 << 20; // of decoded tiles that are kept
   const MAX_FRAME_BYTES = 12 << 20; // of tiles decoded by one process
-  const MAX_FRAMES = 3; // at work at a time
-  const MAX_SILENCE_MS = 10000; // of a frame that has loaded something
+  const MAX_FRAMES = 3; // that decode at the same time
+  const MAX_SILENCE_MS = 10000; // from a frame's load event to its first message
   const loading = new Map(); // key -> promise
   const kept = new Map(); // key -> image, oldest first
   let keptBytes = 0;
   let numRequested = 0;
 
-  // every half float there is, as a number
+  // the value of every half float
   const half = new Float32Array(65536);
   for (let bits = 0; bits < 65536; bits++) {
     const sign = bits & 0x8000 ? -1 : 1;
@@ -65,8 +65,8 @@ var REPORT = (() => {
     }
   }
 
-  // Frames that decode. The last one to finish stays until the next does, and with it their common process;
-  // after MAX_FRAME_BYTES all go, and the next frame starts a fresh process.
+  // Frames that decode. The last finished frame stays until the next one finishes, which keeps their common process;
+  // after MAX_FRAME_BYTES all are removed, and the next frame starts a new process.
   const queue = []; // {key, resolve, reject}, oldest first
   const working = new Map(); // key -> the same with its frame
   let lastFrame = null, frameBytes = 0;
@@ -75,7 +75,7 @@ var REPORT = (() => {
     while (queue.length && working.size < MAX_FRAMES) {
       const job = queue.shift();
       job.frame = element("iframe", { sandbox: "allow-scripts", src: `tiles/${job.key}.html`, title: "pixels", hidden: true, tabindex: "-1" });
-      // a page that is not there loads as the browser's own, and says nothing
+      // for a missing page the browser loads its error page, which sends no message
       job.frame.addEventListener("load", () => { job.timer ??= setTimeout(() => finish(job, { error: "cannot be loaded" }), MAX_SILENCE_MS); });
       working.set(job.key, job);
       numRequested++;
@@ -104,7 +104,7 @@ var REPORT = (() => {
     if (!job || event.source !== job.frame.contentWindow) return;
     if (!event.data.isRead) return finish(job, event.data);
     clearTimeout(job.timer);
-    job.timer = 0; // it speaks: no timer any more
+    job.timer = 0; // the frame responds and needs no timer
   });
 
   // The picture of `configuration/view/buffer`.
@@ -139,7 +139,7 @@ var REPORT = (() => {
   function loadConfiguration(id) {
     if (!configurations.has(id)) {
       const promise = loadScript(`configurations/${id}.js`).then(() => {
-        if (!arrived.has(id)) throw new Error(`configurations/${id}.js holds something else`);
+        if (!arrived.has(id)) throw new Error(`configurations/${id}.js does not contain this configuration`);
         return arrived.get(id);
       });
       promise.catch(() => configurations.delete(id));

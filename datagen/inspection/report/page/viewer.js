@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// One view in all its buffers, or predicted maps beside the truth: side by side or under a wipe, with linked
-// zoom, exposure and values.
+// Shows all buffers of a view, or predicted maps and the ground truth, side by side or under a wipe, with common zoom,
+// exposure and pixel values.
 "use strict";
 
 REPORT.viewer = (() => {
@@ -9,8 +9,8 @@ REPORT.viewer = (() => {
   const HIDDEN_FIRST = ["observation_count"];
   let ui = null, state = null, generation = 0, frameAsked = false;
   const shownBuffers = new Set();
-  const painted = new Map(); // buffer -> canvas of its own size, kept from view to view
-  const panelOf = new Map(); // buffer, or "wipe" -> its figure, likewise
+  const painted = new Map(); // buffer -> canvas with a pixel per value, reused for all views
+  const panelOf = new Map(); // buffer, or "wipe" -> its figure, reused for all views
   const settings = { stops: 0, isWipe: false, wipeA: "beauty", wipeB: "diffuse_albedo", wipeAt: 0.5, method: "", maxError: 0.2 };
   const ERROR_SCALES = [0.02, 0.05, 0.1, 0.2, 0.5, 1];
 
@@ -18,7 +18,7 @@ REPORT.viewer = (() => {
   const bufferOf = (name) => buffers().find((b) => b.name === name) || compare.describe(name);
   const exposure = () => state.view.exposure * 2 ** settings.stops;
 
-  // Six digits tell any half float from its neighbours, nine any 32-bit float.
+  // Six digits distinguish all half floats, nine all 32-bit floats.
   const format = (value, digits = 6) => (Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : String(value));
   const unitOf = (b) => (b.is_radiance ? "W/(m² sr)" : b.unit === "1" ? "" : b.unit.replace(/^1 \((.*)\)$/, "$1"));
   const digitsOf = (picture) => (picture.dtype === "float" && !picture.truth ? 9 : 6); // errors to six digits
@@ -69,7 +69,7 @@ REPORT.viewer = (() => {
         element("a", { href: "#report", class: "back", text: "← report", "aria-label": "back to the report" }),
         element("label", {}, "configuration ", ui.configuration), element("label", {}, "view ", ui.view),
         button("‹", "previous view (P)", () => step(-1)), button("›", "next view (N)", () => step(1)),
-        element("label", {}, "exposure ", ui.exposure), ui.exposureText, button("auto", "the view's own exposure (0 stops)", () => setStops(0)),
+        element("label", {}, "exposure ", ui.exposure), ui.exposureText, button("auto", "the view's exposure (0 stops)", () => setStops(0)),
         ui.compareControls = element("span", { hidden: !compare.methods().length }, element("label", {}, "predictions ", ui.method), " ", ui.errorControl = element("label", { hidden: true }, "errors ", ui.maxError)),
         button("−", "zoom out (-)", () => zoom(0.5)), button("+", "zoom in (+)", () => zoom(2)), button("fit", "show everything (0)", fit), ui.zoomText,
         element("label", {}, ui.isWipe, " wipe"), ui.wipeControls,
@@ -126,7 +126,7 @@ REPORT.viewer = (() => {
     ui.exposure.setAttribute("aria-valuetext", text);
   }
 
-  // Show a method's predictions ("" = none); a wipe then goes from the truth to the prediction.
+  // Show a method's predictions ("" = none); a wipe then compares the truth with the prediction.
   function setMethod(slug) {
     settings.method = ui.method.value = slug;
     ui.errorControl.hidden = !slug;
@@ -190,11 +190,11 @@ REPORT.viewer = (() => {
     if (!ui) build();
     const mine = ++generation;
     if (method !== undefined && method !== settings.method && compare.methodOf(method)) {
-      state = null; // nothing is loaded twice
+      state = null; // so that setMethod loads nothing
       setMethod(method);
     }
     ui.message.hidden = true;
-    ui.sources.replaceChildren(element("p", { class: "note", text: "Click a pixel to see which views its minimum, median and maximum come from." }));
+    ui.sources.replaceChildren(element("p", { class: "note", text: "Click a pixel to see the views of its minimum, median and maximum." }));
     const entry = REPORT.views.configurations.find(([other]) => other === id);
     if (!entry) return complain(`There is no configuration ${id} in this report.`);
     let configuration;
@@ -217,7 +217,7 @@ REPORT.viewer = (() => {
     document.title = `${id} / ${name}: ${REPORT.summary.name}`;
     tellExposure();
     const { render } = view, { number } = REPORT.charts;
-    ui.facts.textContent = [`${width} × ${height} pixels`, `${render.path_samples} light paths a pixel`, render.estimated_rel_mse == null ? null : `estimated error ${number(render.estimated_rel_mse)}`,
+    ui.facts.textContent = [`${width} × ${height} pixels`, `${render.path_samples} light paths per pixel`, render.estimated_rel_mse == null ? null : `estimated error ${number(render.estimated_rel_mse)}`,
       `${number(render.clipped_pixels)} clipped pixels`, `exposure ${number(view.exposure)}`].filter(Boolean).join(", ");
     await load(cursor);
   }
@@ -238,7 +238,7 @@ REPORT.viewer = (() => {
     return buffers().map((b) => b.name).filter((name) => shownBuffers.has(name) && isThere(name));
   }
 
-  // Load what is shown and not there yet, and draw each picture as it comes.
+  // Load the pictures that are shown and not loaded yet, and draw each when it is loaded.
   async function load(cursor) {
     if (!state) return;
     const mine = ++generation, current = state;
@@ -247,7 +247,7 @@ REPORT.viewer = (() => {
     ui.message.hidden = true;
     layOut();
     if (!current.hasPixels) {
-      complain("The pixels of this configuration are not part of this report. `datagen report DATASET --pixels all` writes those of every view.");
+      complain("This report does not contain the pixels of this configuration; `datagen report DATASET --pixels all` writes all pixels.");
       return showThumbnail();
     }
     tellMethod();
@@ -274,7 +274,7 @@ REPORT.viewer = (() => {
     if (mine !== generation) return;
     if (failures.length) complain(`${[...new Set(failures)].join("; ")}: write the report again.`);
     const shown = new Set(wanted());
-    // canvases that nothing shows: without pixels they take no memory, whenever garbage is collected
+    // free the memory of hidden canvases without waiting for garbage collection
     for (const [name, canvas] of painted) if (!shown.has(name)) { canvas.width = canvas.height = 0; painted.delete(name); }
     for (const figure of panelOf.values()) if (!figure.isConnected) { const canvas = figure.querySelector("canvas"); canvas.width = canvas.height = 0; }
     current.isReady = true;
@@ -286,7 +286,7 @@ REPORT.viewer = (() => {
     document.getElementById("viewer").dataset.ready = "true";
   }
 
-  // What a method lacks in this view, and its errors.
+  // Show a method's errors in this view, and its problems.
   function tellMethod() {
     const { method } = settings, key = `${state.configuration.id}/${state.view.name}`;
     ui.errors.hidden = !method;
@@ -476,22 +476,22 @@ REPORT.viewer = (() => {
     const mine = state, { x, y } = state.cursor;
     const isCurrent = () => state === mine && mine.asked === `${x},${y}`;
     mine.asked = `${x},${y}`;
-    const head = element("p", { text: `Looking up the views behind column ${x}, row ${y} ...` });
+    const head = element("p", { text: `Looking up the source views of column ${x}, row ${y} ...` });
     ui.sources.replaceChildren(head);
     ui.sources.dataset.ready = "false";
     let found;
     try {
       found = await REPORT.sources.find(mine.configuration, mine.view, x, y, isCurrent);
     } catch (error) {
-      head.textContent = `The source views are not part of this report (${error.message}).`;
+      head.textContent = `This report does not contain the source views (${error.message}).`;
       return;
     }
     if (!found || !isCurrent()) return;
     const statistics = mine.view.statistics;
-    const note = statistics && statistics.visibility === "trace" ? " The statistics asked traced rays what hides a point; here the depth buffers are asked, which may choose others near edges." : "";
-    if (!found.length) head.textContent = `No view stands behind column ${x}, row ${y}: it shows no surface, so its statistics are its own colour.`;
+    const note = statistics && statistics.visibility === "trace" ? " The statistics tested visibility by tracing; this list tests it by depth buffers, which may choose other views near edges." : "";
+    if (!found.length) head.textContent = `Column ${x}, row ${y} has no source views: it shows no surface, so its statistics are its own colour.`;
     else {
-      head.textContent = `${found.length} ${found.length === 1 ? "view stands" : "views stand"} behind column ${x}, row ${y}, the best first.${note}`;
+      head.textContent = `${found.length} source ${found.length === 1 ? "view" : "views"} of column ${x}, row ${y}, the best first.${note}`;
       const order = REPORT.sources.orderStatistics(found.map((source) => source.color));
       ui.sources.append(
         element("table", { class: "recomputed" }, element("caption", { text: "From these colours" }), element("tbody", {}, ...["min", "median", "max"].map((what) =>
