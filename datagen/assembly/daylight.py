@@ -125,7 +125,7 @@ def sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) of a ``sunsky`` emitter from unit directions; scaled by ``sky``, the sun by ``disc``."""
+    """Radiance (R, 3) of a ``sunsky`` emitter from unit directions: sky times ``sky``, sun times ``disc``."""
     select_variant()
     import drjit as dr
     import mitsuba as mi
