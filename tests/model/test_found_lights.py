@@ -23,6 +23,7 @@ from model.reconstruction.export import balance
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import Color, FoundLights, RadianceSamples
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.light.found import radiance_samples
 from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.light_room import LAMP, SKY, photographed_room, room_capture
 
@@ -125,6 +126,25 @@ def test_right_lights_keep_their_radiance(inferred: Path) -> None:
 def test_nothing_is_balanced_without_light_or_samples(run: Inferred) -> None:
     assert balance.balanced(run.reconstruction, run.samples.chosen(np.arange(99))) is None
     assert balance.balanced(replace(run.reconstruction, lights=FoundLights()), run.samples) is None
+
+
+def test_samples_are_unclipped_pixels_in_any_order_of_the_views() -> None:
+    clipped = np.zeros((60, 80, 3), bool)
+    clipped[:, :40, 1] = True
+    views = [replace(view, clipped_mask=clipped) for view in photographed_room()]
+    samples = radiance_samples(views, 240)
+    assert len(samples) == 240
+    again = radiance_samples(views[::-1], 240)
+    assert samples.radiance.tobytes() == again.radiance.tobytes()
+    found = 0
+    for view in views:
+        mine = np.abs(samples.origin_m - view.camera.position_m).max(axis=1) < 1e-6
+        pixel, _ = view.camera.project(samples.origin_m[mine] + samples.direction[mine])
+        column, row = np.floor(pixel).astype(int).T
+        assert column.min() >= 40
+        np.testing.assert_array_equal(samples.radiance[mine], view.color[row, column])
+        found += int(mine.sum())
+    assert found == 240
 
 
 def rendered(out: Path, xml: str | None = None) -> dict[int, NDArray[np.float64]]:
