@@ -118,8 +118,8 @@ def run(
 ) -> None:
     """Plan, render, compute statistics, pack and index; the same command continues an interrupted run.
 
-    With --unit: the command of job scripts, and with --attempts 0 the way to reproduce a failure. Exit codes:
-    0 done, 75 interrupted (run it again), 1 failed.
+    Job scripts use --unit; --unit with --attempts 0 reproduces a failure. Exit codes: 0 done, 75 interrupted
+    (run it again), 1 failed.
 
     Example: datagen run smoke --out smoke --workers 2
     """

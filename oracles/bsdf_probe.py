@@ -102,5 +102,8 @@ def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **option
 
 
 def unit_float32(w: np.ndarray) -> np.ndarray:
-    """Directions rounded to float32, as float64: the input that the implementation gets."""
+    """Directions rounded to float32, returned as float64: exactly what the tested BSDF receives.
+
+    Not normalised.
+    """
     return np.asarray(w, np.float32).astype(np.float64)

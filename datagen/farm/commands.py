@@ -53,7 +53,7 @@ def farm_status(
     folder: FolderArgument,
     cost: Annotated[float, typer.Option(min=0, help="Price of one unit's resources per hour.")] = 0.0,
 ) -> None:
-    """Show the number of units by state, rate, time left, cost, and the logs of failures.
+    """Show rate, time left, cost, failure logs, and the number of units by state.
 
     Example: datagen farm status paper --cost 0.12
     """

@@ -79,15 +79,17 @@ class SlurmOptions:
         tuple[str, ...],
         typer.Option("--sbatch-option", help="NAME or NAME=VALUE for sbatch, for the units; repeatable."),
     ] = ()
-    collect_time: Annotated[str, typer.Option(help="Time limit of the job that collects.")] = "04:00:00"
-    collect_memory: Annotated[str, typer.Option(help="Memory of the job that collects.")] = "4G"
-    collect_cpus: Annotated[int, typer.Option(min=1, help="Processors of the job that collects.")] = 1
+    collect_time: Annotated[
+        str, typer.Option(help="Time limit of the final job (index, verify, report).")
+    ] = "04:00:00"
+    collect_memory: Annotated[str, typer.Option(help="Memory of the final job.")] = "4G"
+    collect_cpus: Annotated[int, typer.Option(min=1, help="Processors of the final job.")] = 1
     collect_partition: Annotated[
-        str, typer.Option(help="Partition of the job that collects; default: partition.")
+        str, typer.Option(help="Partition of the final job; default: partition.")
     ] = ""
     collect_options: Annotated[
         tuple[str, ...],
-        typer.Option("--collect-option", help="Like --sbatch-option, for the job that collects."),
+        typer.Option("--collect-option", help="Like --sbatch-option, for the final job."),
     ] = ()
 
     def __post_init__(self) -> None:

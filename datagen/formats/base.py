@@ -111,7 +111,10 @@ def _field_path(location: Location) -> str:
 
 
 def problems_of(where: str | Path | Callable[[Location], str], error: ValidationError) -> list[Problem]:
-    """Problems from validation errors; ``where``: the file, or a function from location to position."""
+    """Problems from validation errors.
+
+    ``where``: the file, or a function from a field's keys to text naming its place, such as file and line.
+    """
     problems = []
     for entry in error.errors(include_url=False):
         position = where(entry["loc"]) if callable(where) else where

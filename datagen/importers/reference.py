@@ -160,10 +160,10 @@ class Agreement:
 
 
 def agreement(image: NDArray, reference: NDArray) -> Agreement:
-    """Compare two images of the same aspect; the reference is resampled by area to the image's size.
+    """Compare two images of the same aspect ratio; the reference is resampled by area to the image's size.
 
-    Luminance is blurred with a Gaussian of ``BLUR_SHARE`` of the width; then both images are clipped at the
-    99th percentile of the reference's, so that the few pixels of a visible lamp do not dominate.
+    Both luminances are blurred with a Gaussian of standard deviation ``BLUR_SHARE`` x width, then clipped at
+    the 99th percentile of the reference, so that the few pixels of a visible lamp do not dominate.
     """
     import cv2
     from scipy.ndimage import gaussian_filter

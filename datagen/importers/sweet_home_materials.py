@@ -177,7 +177,10 @@ class PhongConverter:
         return (guess,)
 
     def _image(self, slot: str, statement: str | None) -> ImageSource | None:
-        """The image of a map statement, without its options and folders; None if it is missing."""
+        """Image that an MTL map statement names; the statement's options and the path's folders are ignored.
+
+        None without a statement or file.
+        """
         if not statement:
             return None
         name = _file_name(statement)

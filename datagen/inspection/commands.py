@@ -85,7 +85,7 @@ class ReportWords:
     """Options for the contents of the report."""
 
     pixels: Annotated[str, typer.Option(help="Number of views with pixels for the viewer, or all.")] = "400"
-    sources: Annotated[bool, typer.Option(help="Write the source views of pixels' statistics.")] = True
+    sources: Annotated[bool, typer.Option(help="Write which views each pixel's statistics use.")] = True
     check: Annotated[bool, typer.Option("--verify/--no-verify", help="Verify the dataset first.")] = True
     cost: Annotated[float, typer.Option(min=0, help="Price of one unit's resources per hour.")] = 0.0
     predictions: Annotated[

@@ -278,7 +278,11 @@ class Furnisher:
         y: float | None = None,
         turn: float = 0.0,
     ) -> Placed | None:
-        """Place an item on a support of a host, ``x`` metres from its middle, ``y`` metres from its back."""
+        """Place an item on the support ``index`` of a host, turned by ``turn`` radians.
+
+        Its origin is ``x`` metres to the right of the support's middle, ``y`` metres (None: 0.02) from the
+        support's back edge.
+        """
         support = host.item.supports[index]
         back = support.middle[1] + support.size[1] / 2 - (0.02 if y is None else y)
         at = host.room_from_item @ np.array([support.middle[0] + x, back, support.z, 1.0])

@@ -56,7 +56,10 @@ def _source(method: Given, scene: str, capture: Capture) -> tuple[str, Callable[
 
 
 def _texture(traced: TracedCapture) -> list[Maps]:
-    """The photographs themselves, exposed as for the networks and clipped; merging computes their median."""
+    """D is the photograph, exposed as for the networks and clipped to [0, 1]; S is 0, R 1.
+
+    The merge combines the views.
+    """
     exposure = capture_exposure(traced.statistics)
     maps = []
     for view in traced.views:

@@ -37,7 +37,7 @@ class FrameOptions:
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
     up: Annotated[
         Literal["auto", "cameras", Axis],
-        typer.Option(help="Up axis of the cameras' world; cameras: any direction, from the cameras."),
+        typer.Option(help="Up axis of the cameras' world; cameras: any direction, estimated from poses."),
     ] = "auto"
     unit_m: Annotated[
         float | None,
@@ -71,8 +71,6 @@ class CaptureOptions(FrameOptions):
     encoding: Annotated[Encoding, typer.Option(help="Transfer function of the photographs' values.")] = "auto"
     exposure: Annotated[
         Exposure,
-        typer.Option(
-            help="Exposures by EXIF and common surfaces (auto), by EXIF alone, or unchanged (common)."
-        ),
+        typer.Option(help="auto: EXIF and overlapping surfaces; exif: EXIF alone; common: unchanged."),
     ] = "auto"
     limits: Limits | None = None

@@ -53,7 +53,7 @@ def infer(
     listener: ListenerOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn a capture into a material atlas and an asset that renders.
+    """Turn a capture into a material atlas and a renderable asset.
 
     Example: materials infer photos --mesh room.glb --out room
     """

@@ -101,12 +101,12 @@ class InferOptions(AssetOptions):
 class InferReport:
     """Report of a run.
 
-    ``seen_share``, ``seen_of_visible``: observed shares of the surface and of the visible surface;
-    ``seconds``: time by stage; ``memory_mb``: peak of the process's resident memory up to the end of each
-    stage. Empty unless requested: ``light``, a :class:`~model.reconstruction.light.options.LightReport` with
-    the recovered lights; ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`; ``poses``,
-    the corrections of poses; ``albedo_level``, a
-    :class:`~model.reconstruction.level.albedo_level.LevelReport`.
+    ``seen_share``, ``seen_of_visible``: share of texels with an observation, among all texels and among those
+    on triangles visible in some view; ``seconds``: time by stage; ``memory_mb``: peak of the process's
+    resident memory up to the end of each stage. Empty unless requested: ``light``, a
+    :class:`~model.reconstruction.light.options.LightReport` as a dictionary, with the recovered lights;
+    ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`; ``poses``, the corrections of
+    poses; ``albedo_level``, a :class:`~model.reconstruction.level.albedo_level.LevelReport` as a dictionary.
     """
 
     name: str = ""

@@ -49,9 +49,11 @@ the second full weight."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
-    """Confidence (N, 3) of D, S and R of surfels from the photographed share of their hemisphere.
+    """Confidence (N, 3) of D, S and R of surfels; ``photographed`` (N,) is the photographed share, in [0, 1],
+    of their hemisphere.
 
-    D scales with the irradiance; S and R already have a prior whose weight grows with missing evidence.
+    An error of the irradiance changes D in proportion, so D needs a larger share than S and R, whose prior
+    already gains weight as evidence falls.
     """
     of_d = _ramp(photographed, D_EVIDENCE)
     of_s = _ramp(photographed, S_EVIDENCE)

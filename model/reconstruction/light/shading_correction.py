@@ -54,8 +54,8 @@ def shading_correction(
     """Correction u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected albedo, exp(-u) times Ld the
     corrected shading.
 
-    ``region`` (N,): smooth regions; ``predicted`` (N, 3): the network's albedo; ``confidence`` (N,) in the
-    light, in [0, 1]; ``is_diffuse`` (N,): mask of surfels whose diffuse albedo is known.
+    ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
+    ``confidence`` (N,) in the light, in [0, 1]; ``is_diffuse`` (N,): mask of lit surfels that are not metal.
     """
     log_albedo, log_network = _log(albedo), _log(predicted)
     confident = confidence * is_diffuse

@@ -251,7 +251,10 @@ def plant(
 
 
 def leaf_blade(length: float, width: float, droop: float, rows: int = 7) -> Shape:
-    """A pointed leaf from the origin along +x, folded along its midrib."""
+    """A pointed leaf from the origin along +x, folded along its midrib.
+
+    ``droop``: drop of the tip, as a share of ``length``.
+    """
     t = np.linspace(0, 1, rows)
     half = 0.5 * width * np.sin(np.pi * t**0.75) ** 0.8 * (1 - 0.25 * t) + 0.001
     across = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
