@@ -83,7 +83,7 @@ def test_what_a_file_holds_raises_its_limits(tmp_path: Path) -> None:
     for _ in range(2):
         budget.hold_file(path)  # counts once
     budget.spend("triangles", 110)
-    with pytest.raises(InputError, match=r"triangles = 111 or more; expected at most 110 .*\(10 and what"):
+    with pytest.raises(InputError, match=r"triangles = 111 or more; expected at most 110 .*\(10 plus an"):
         budget.spend("triangles")
     with pytest.raises(InputError, match=r"instances = 11 or more; expected at most 10 meshes placed;"):
         budget.spend("instances", 11)

@@ -114,7 +114,7 @@ def test_interrupt_and_continue_by_the_same_command(
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == EXIT_INTERRUPTED, error
-    assert "the same command goes on" in error
+    assert "the same command continues" in error
     assert not list(folder.root.glob("**/*.partial"))
     for stage in ("render", "stats", "pack"):
         assert _start(folder, stage).wait(timeout=120) == 0

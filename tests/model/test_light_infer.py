@@ -63,7 +63,7 @@ def test_atlas_has_the_walls_albedos_whatever_was_predicted(tmp_path: Path) -> N
     assert walls_found(found) > 0.7
     told_of_the_end = {stage for stage, done, total in told if done == total}
     assert set(report.seconds) - told_of_the_end == {"statistics", "write maps"}  # within predict
-    assert {("light", 1, 11), ("export", 1, 5), ("trace", 0, 1)} <= set(told)
+    assert {("light", 1, 11), ("lights", 0, 1), ("export", 1, 4), ("trace", 0, 1)} <= set(told)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95
     # Roughness is less certain: the untrained network predicts gloss where matte explains as much.
