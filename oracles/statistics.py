@@ -144,10 +144,14 @@ def statistics_vectorized(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
     """As :func:`statistics_by_loops`, with the margin (H, W) of each pixel's closest decision.
 
-    The margin is the minimum over all views of the projection's distance in pixels to the image's border or,
-    with test of depth or nearest fetch, to a pixel's border; and, times 20 because their float32 errors are
-    smaller, of |n . omega|, of the differences between relative depth differences and their tolerance, and of
-    the difference in cost between the last chosen and the first rejected view.
+    The margin is the minimum, over all views, of
+
+    - the projection's distance in pixels to the image's border (to the pixel's border if depth is tested or
+      colours are fetched from the nearest pixel);
+    - with bilinear fetches, the distance of the weights' sum from its limit;
+    - times 20, because their float32 errors are smaller: |n . omega| (normal, unit direction to the camera),
+      the gap between relative depth error and tolerance, and the cost gap between the last chosen and the
+      first rejected view.
     """
     own = views[index]
     height, width = own.color.shape[:2]

@@ -211,9 +211,10 @@ def assign_materials(
     """Assignments for the slots of one placed asset; unchanged slots are absent.
 
     ``palette`` is the list of material packages in a fixed order. A class is drawn first, then one of its
-    materials, so that large classes do not dominate. A slot among ``foreign_slots`` (asset id, slot) for
-    which no material fits gets one without textures; other such slots keep their material. Slots with bakes
-    of one material (``baked_from``) get the same assignment.
+    materials, so that large classes do not dominate. ``foreign_slots`` (asset id, slot) must not keep their
+    material (it has an image of another split or is a placeholder): if none fits, they get one without
+    textures. Other slots that none fits keep theirs. Slots with bakes of one material (``baked_from``) get
+    the same assignment.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)

@@ -52,8 +52,8 @@ def original_camera(path: Path) -> AssetCamera:
 def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) -> Camera:
     """An asset's camera at another width; the aspect is kept to the nearest pixel unless a height is given.
 
-    A height keeps the horizontal field of view and the vertical centre: some reference images are square
-    although their scene is wide.
+    With ``height_px``, the image is cropped or extended vertically about its centre, and the horizontal field
+    of view is unchanged: some reference images are square although the scene file's camera is not.
     """
     if height_px is not None:
         scale = width_px / camera.width_px

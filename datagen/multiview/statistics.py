@@ -7,6 +7,8 @@ the colours of the best are fetched at p's projections, and each channel is sort
 median of an even number of colours is the mean of the middle two. Pixels without a surface (nothing hit, an
 emitter, or less than half covered by reflecting surface), and pixels whose point is visible in no view, get
 their own colour and the count 0.
+
+Functions marked *traced* take and return Dr.Jit arrays.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Combines the figures of all shards into the contents of the page's sections, as plain data."""
+"""Combines the statistics of all shards into the contents of the report's sections, as plain data."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Writes the report's folder: verification, figures of every shard, the page.
+"""Writes the report's folder: verification, measured values of every shard, the page.
 
 index.html report.css *.js    the page
-data/summary.js data/views.js figures, and one line per view
+data/summary.js data/views.js measured values, and one line per view
 data/predictions.js           errors of predicted maps by method and view
 configurations/<id>.js        cameras and names, loaded when a view of that configuration is opened
 thumbnails/<id>/<view>.jpg

@@ -26,9 +26,9 @@ _SEED = 0x62616C
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
-    """Lamps, windows and, if light from outside is far, the sky, with their photographed radiance.
+    """Lamps, windows and, if light from outside depends on direction only, the sky, with their radiance.
 
-    Lamps that the geometry names are taken from it.
+    Lamps that the geometry declares have its surfaces; others are smooth regions found to emit.
     """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)

@@ -74,8 +74,10 @@ class Recovered:
 
 @dataclass(frozen=True)
 class Prior:
-    """Normal priors of ln D_g, with means ``albedo`` (G, 3), and of ln (Le / bound), with means ``brighter``
-    (S,), and their standard deviations.
+    """Normal priors for G regions and S sources.
+
+    ln D has mean ``albedo`` (G, 3); ln (Le / photographed lower bound) has mean ``brighter`` (S,), the same
+    in all channels. ``*_spread`` are the standard deviations.
     """
 
     albedo: NDArray[np.float64]
