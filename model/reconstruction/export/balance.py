@@ -38,7 +38,7 @@ of the median."""
 GAIN_SPREAD, COLOR_SPREAD = 2.0, 0.2
 """Standard deviations of the prior: of ln gain, and of its deviation from the mean over the channels."""
 MIN_SAMPLES = 100
-_BATCH = 1 << 21  # paths
+_BATCH = 1 << 19  # paths
 
 
 @dataclass(frozen=True)
@@ -60,16 +60,10 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
     lights = reconstruction.shining_lights
     if lights is None or len(samples) < MIN_SAMPLES:
         return None
-    groups = _groups(lights)
-    with tempfile.TemporaryDirectory(prefix="lights-") as folder:
-        scene = _load_scene(reconstruction, Path(folder))
-        names = _emitters(lights)
-        emitters = _Emitters(scene, [name for slot in names for name in names[slot]])
-        light = []
-        for seed, slots in enumerate(groups):
-            emitters.switch_on([name for slot in slots for name in names[slot]])
-            light.append(_radiance(scene, samples, seed))
-    transport, photographed = np.stack(light, axis=1), samples.radiance.astype(np.float64)
+    groups, names = _groups(lights), _emitters(lights)
+    emitters = [[name for slot in slots for name in names[slot]] for slots in groups]
+    transport = _transport(reconstruction, samples, emitters)
+    photographed = samples.radiance.astype(np.float64)
     floor = FLOOR * float(np.median(luminance(photographed)))
     is_fitted = np.random.default_rng(0).permutation(len(photographed)) % 2 == 0
     trial = _solved(transport[is_fitted], photographed[is_fitted], floor)
@@ -101,6 +95,24 @@ def _emitters(lights: FoundLights) -> dict[str, list[str]]:
         is_lit = (max(rectangle.radiance) > 0 for rectangle in patch.rectangles)
         names[patch.slot] = [f"{patch.slot}-{number}" for number, lit in enumerate(is_lit) if lit]
     return names if lights.environment is None else {**names, SKY: [SKY]}
+
+
+def _transport(
+    reconstruction: Reconstruction, samples: RadianceSamples, groups: Sequence[Sequence[str]]
+) -> NDArray[np.float64]:
+    """Radiance (N, K, 3) of the samples in the light of each of K groups of emitters."""
+    import drjit as dr
+
+    with tempfile.TemporaryDirectory(prefix="lights-") as folder:
+        scene = _load_scene(reconstruction, Path(folder))
+        emitters = _Emitters(scene, [name for group in groups for name in group])
+        found = []
+        for seed, group in enumerate(groups):
+            emitters.switch_on(group)
+            found.append(_radiance(scene, samples, seed))
+    del scene, emitters
+    dr.flush_malloc_cache()  # the exports that follow need the memory
+    return np.stack(found, axis=1)
 
 
 def _load_scene(reconstruction: Reconstruction, folder: Path) -> Any:
