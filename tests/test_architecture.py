@@ -91,7 +91,7 @@ MATRIX = {
         "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins {_ATLAS} "
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
-        "model.reconstruction.export model.reconstruction.found_lights "
+        "model.reconstruction.export "
         "model.reconstruction.infer_options model.reconstruction.pose_stage model.reconstruction.report_page "
         "model.reconstruction.stages",
         "model.reconstruction.pose_mending": "datagen.foundation datagen.geometry",

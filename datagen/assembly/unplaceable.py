@@ -78,11 +78,11 @@ def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
     if any(surfaces_for(asset, room) for room in rooms):
         return ""
     if not asset.supports:
-        return "supports is empty, as for an object that hangs or is built in; add the surfaces it stands on"
+        return "supports is empty, as for hanging or built-in objects; list the surfaces that it can stand on"
     surfaces = [s for room in rooms for s in room.support_surfaces if s.kind in asset.supports]
     kinds = ", ".join(asset.supports)
     if not surfaces:
-        return f"it stands on {kinds}, which no room has; add to its supports, or mark such surfaces"
+        return f"no room has a support of kind {kinds}; extend its supports, or mark such surfaces"
     size = (np.array(asset.maximum_m) - np.array(asset.minimum_m)) * asset.scale_range[0]
     tallest = max(s.clearance_m for s in surfaces)
     if size[2] > tallest:

@@ -111,7 +111,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
     Raises ValueError if the views show no extended surface.
     """
     cameras = [camera_row(view) for view in views]
-    low, cell_m, shape = _extent(views, cameras)
+    low, cell_m, shape = _extent(views)
     cells = [_cells_of(view, row, low, cell_m, shape) for view, row in zip(views, cameras, strict=True)]
     occupied = np.zeros(int(np.prod(shape)) * NUM_SIDES, np.bool_)
     for cell, _, _ in cells:
@@ -143,7 +143,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
         seen = list(pool.map(observe, range(len(views))))
     pixel_surfel = tuple(np.where(cell >= 0, surfel[np.maximum(cell, 0)], -1) for cell, _, _ in cells)
     pixel_weight = tuple(weight for _, weight, _ in cells)
-    return _gathered(views, cameras, grid, seen, pixel_surfel, pixel_weight)
+    return _gathered(views, grid, seen, pixel_surfel, pixel_weight)
 
 
 def camera_row(view: TracedView) -> NDArray[np.float64]:
@@ -157,20 +157,17 @@ def camera_row(view: TracedView) -> NDArray[np.float64]:
 
 
 def _extent(
-    views: Sequence[TracedView], cameras: Sequence[NDArray]
+    views: Sequence[TracedView],
 ) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
     """Corner, cell size and shape of the grid, from a sparse subset of the pixels."""
     points, footprint = [], []
-    for view, row in zip(views, cameras, strict=True):
+    for view in views:
         depth = view.geometry.depth_z_m[..., 0]
         rows, columns = np.nonzero(depth[2::5, 2::5] > 0)
         rows, columns = rows * 5 + 2, columns * 5 + 2
         z = depth[rows, columns].astype(np.float64)
-        local = np.stack(
-            [(columns + 0.5 - row[14]) / row[12] * z, (rows + 0.5 - row[15]) / row[13] * z, z], axis=1
-        )
-        points.append(local @ row[:9].reshape(3, 3).T + row[9:12])
-        footprint.append(z / row[12])
+        points.append(view.camera.unproject(np.stack([columns, rows], axis=1) + 0.5, z))
+        footprint.append(z / view.camera.fx_px)
     position = np.concatenate(points) if points else np.zeros((0, 3))
     if not len(position):
         raise ValueError("no view sees the mesh")
@@ -349,7 +346,6 @@ def _cells_of(
 
 def _gathered(
     views: Sequence[TracedView],
-    cameras: Sequence[NDArray],
     grid: CellGrid,
     seen: Sequence[tuple[NDArray, ...]],
     pixel_surfel: tuple[NDArray[np.int32], ...],
@@ -374,22 +370,18 @@ def _gathered(
     chosen = ranked[start[:-1]]  # every surfel is observed in some view
     position, normal = np.empty((num, 3), np.float32), np.empty((num, 3), np.float32)
     face = np.empty(num, np.int32)
-    for index, (of_view, row) in enumerate(zip(views, cameras, strict=True)):
+    for index, of_view in enumerate(views):
         mine = chosen[view[chosen] == index]
         at, geometry = pixel[mine], of_view.geometry
         z = geometry.depth_z_m.ravel()[at].astype(np.float64)
-        width = int(row[16])
-        local = np.stack(
-            [(at % width + 0.5 - row[14]) / row[12] * z, (at // width + 0.5 - row[15]) / row[13] * z, z],
-            axis=1,
-        )
-        position[surfel[mine]] = local @ row[:9].reshape(3, 3).T + row[9:12]
+        row, column = np.divmod(at, of_view.camera.width_px)
+        position[surfel[mine]] = of_view.camera.unproject(np.stack([column, row], axis=1) + 0.5, z)
         normal[surfel[mine]] = geometry.normal_world.reshape(-1, 3)[at]
         face[surfel[mine]] = geometry.face.ravel()[at]
     radiance = weighted_medians(observations.start, observations.radiance, observations.weight)
     pixels = np.add.reduceat(np.concatenate([part[5] for part in seen])[order], start[:-1])
     is_mixed = pixels[:, 1] > MAX_EDGE_SHARE * pixels[:, 0]
-    camera_m = np.array([row[9:12] for row in cameras], np.float32)
+    camera_m = np.array([view.camera.position_m for view in views], np.float32)
     return Surfels(
         grid, position, normal, face, radiance, is_mixed, observations, camera_m, pixel_surfel, pixel_weight
     )

@@ -95,10 +95,6 @@ class RadianceSamples:
     def __len__(self) -> int:
         return len(self.radiance)
 
-    def chosen(self, which: NDArray) -> RadianceSamples:
-        """The selected samples; ``which`` is a mask (N,) or indices."""
-        return RadianceSamples(self.origin_m[which], self.direction[which], self.radiance[which])
-
 
 @dataclass(frozen=True)
 class FoundLights:
@@ -119,16 +115,16 @@ class FoundLights:
         return not (self.windows or self.panels or any(lamp.is_lit for lamp in self.lamps))
 
     def with_gains(self, gains: Mapping[str, Color]) -> FoundLights:
-        """The lights with their radiance times the gains by slot; windows under a sky have the sky's."""
-        sky, through = self.environment, gains.get(SKY)
-        if sky is not None and through is not None:
-            sky = sky * np.array(through, np.float32)
+        """The lights with their radiance times the gains by slot; lights without one are unchanged."""
+        sky = self.environment
+        if sky is not None and SKY in gains:
+            sky = sky * np.array(gains[SKY], np.float32)
         return FoundLights(
             tuple(
                 replace(lamp, radiance=_product(lamp.radiance, gains.get(lamp.slot))) for lamp in self.lamps
             ),
             tuple(patch.times(gains.get(patch.slot)) for patch in self.panels),
-            tuple(patch.times(gains.get(patch.slot, through)) for patch in self.windows),
+            tuple(patch.times(gains.get(patch.slot)) for patch in self.windows),
             sky,
         )
 

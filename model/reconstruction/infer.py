@@ -51,7 +51,6 @@ from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.export.usd import write_usdz
-from model.reconstruction.found_lights import SKY
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
@@ -281,7 +280,7 @@ def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
         return reconstruction
     run.report.light["balance"] = {"loss_before": balance.loss_before, "loss_after": balance.loss_after}
     for row in run.report.light["lights"]:
-        row["gain"] = list(balance.gains[row["slot"] if row["slot"] in balance.gains else SKY])
+        row["gain"] = list(balance.gains[row["slot"]])
     return replace(reconstruction, lights=balance.lights)
 
 

@@ -124,7 +124,9 @@ def test_right_lights_keep_their_radiance(inferred: Path) -> None:
 
 
 def test_nothing_is_balanced_without_light_or_samples(run: Inferred) -> None:
-    assert balance.balanced(run.reconstruction, run.samples.chosen(np.arange(99))) is None
+    few = radiance_samples(photographed_room(), 72)
+    assert len(few) < balance.MIN_SAMPLES
+    assert balance.balanced(run.reconstruction, few) is None
     assert balance.balanced(replace(run.reconstruction, lights=FoundLights()), run.samples) is None
 
 

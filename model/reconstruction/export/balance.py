@@ -61,7 +61,7 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
     if lights is None or len(samples) < MIN_SAMPLES:
         return None
     groups, names = _groups(lights), _emitters(lights)
-    emitters = [[name for slot in slots for name in names[slot]] for slots in groups]
+    emitters = [[name for slot in slots for name in names.get(slot, ())] for slots in groups]
     transport = _transport(reconstruction, samples, emitters)
     photographed = samples.radiance.astype(np.float64)
     floor = FLOOR * float(np.median(luminance(photographed)))
@@ -79,13 +79,14 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
 
 
 def _groups(lights: FoundLights) -> list[list[str]]:
-    """Slots by gain, in decreasing order of power after the sky."""
+    """Slots by gain, in decreasing order of power after the sky, which windows share the gain of."""
     powers = {lamp.slot: lamp.area_m2 * sum(lamp.radiance) for lamp in lights.lamps if lamp.is_lit}
     powers |= {patch.slot: patch.area_m2 * sum(patch.radiance) for patch in lights.sending}
-    slots = [] if lights.environment is None else [SKY]
-    slots += sorted(powers, key=lambda slot: (-powers[slot], slot))
-    groups = [[slot] for slot in slots[: MAX_LIGHTS - 1]]
-    return [*groups, slots[MAX_LIGHTS - 1 :]] if len(slots) >= MAX_LIGHTS else groups
+    groups = [[slot] for slot in sorted(powers, key=lambda slot: (-powers[slot], slot))]
+    if lights.environment is not None:
+        groups.insert(0, [SKY, *(window.slot for window in lights.windows)])
+    alone, shared = groups[: MAX_LIGHTS - 1], groups[MAX_LIGHTS - 1 :]
+    return [*alone, [slot for group in shared for slot in group]] if shared else alone
 
 
 def _emitters(lights: FoundLights) -> dict[str, list[str]]:
