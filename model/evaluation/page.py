@@ -32,7 +32,7 @@ LARGEST_ERROR = 0.5
 """Error that has the last colour of the error maps' scale."""
 NOTHING = 0.88
 """Grey of pixels without an error, in [0, 1]; lighter than any colour of the scale."""
-_BAR_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 12, 92, 430
+_BAR_PX, _NAME_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 27, 12, 92, 430
 
 
 def page_html(
@@ -227,7 +227,7 @@ def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> 
         if kind in method.by_kind["merged"]
     }
     largest = max([*errors.values(), 1e-6])
-    group = _BAR_PX * len(methods) + _GROUP_GAP_PX
+    group = max(_BAR_PX * len(methods), _NAME_PX) + _GROUP_GAP_PX
     height = 26 + group * len(kinds)
     longest = _CHART_PX - _LABEL_PX - 44
     parts = [f'<text x="0" y="13" font-weight="600">{LETTERS[name]}, {name.replace("_", " ")}</text>']

@@ -32,6 +32,7 @@ tr.paper td { color: var(--soft); font-style: italic; }
 .pictures tr th:first-child { text-align: right; vertical-align: middle; color: var(--ink); }
 .pictures img { display: block; min-width: 160px; border-radius: 4px; }
 .cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(17.5rem, 1fr)); gap: 1.1rem; }
+.cards:not(:has(> :nth-child(5))) { grid-template-columns: repeat(auto-fill, minmax(26rem, 1fr)); }
 figure { margin: 0; } figure img { width: 100%; display: block; border-radius: 6px; }
 figcaption { font-size: 12.5px; padding: .3rem .1rem 0; } figcaption b { color: var(--ink); font-weight:
   600; }
