@@ -58,7 +58,7 @@ _MEASURES = 4
 """Revision of the measures: figures of another revision are measured again."""
 _RECONSTRUCTION = 13
 """Revision of ``infer``: maps of another revision are computed again."""
-_MATERIALS_FROM_LIGHT = 7
+_MATERIALS_FROM_LIGHT = 8
 """Further revision of materials from light, in addition to ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Further revision of photographs with faults."""

@@ -213,6 +213,28 @@ def test_known_materials_are_found(metal: bool) -> None:
     assert found.residual.max() < 1e-4
 
 
+def test_textured_metal_costs_no_more_than_plain_metal() -> None:
+    """Tiles of S 0.8 and 0.17 in one segment, as reflectance under changing reflections bins them."""
+    _, weight, diffuse, ls0, ls1 = observations(60, True, 5)
+    s = np.where(np.arange(60) % 2, 0.8, 0.17)[:, None, None]
+    radiance = (s * ls0[:, :, 2] + ls1[:, :, 2]).astype(np.float32)
+    costs = segment_costs(np.array([0, 60], np.int64), radiance, weight, diffuse, ls0, ls1, 0.4)
+    assert costs.metal[0, 2] < 1e-4
+    assert min(costs.metal[0, 1], costs.metal[0, 3], costs.dielectric[0].min()) > 0.01
+
+
+@pytest.mark.parametrize(("albedo", "becomes_metal"), [(0.15, True), (0.05, False)])
+def test_metal_spreads_to_dark_segments_of_its_region(albedo: float, becomes_metal: bool) -> None:
+    levels = len(ROUGHNESS_LEVELS)
+    dielectric = np.full((3, levels, len(SPECULAR_LEVELS)), 0.1, np.float32)
+    colors = np.repeat([0.8, albedo, 0.15], 3 * levels).reshape(3, levels, 3).astype(np.float32)
+    costs = Costs(dielectric, np.full((3, levels), 0.01, np.float32), colors)
+    prior = np.full((3, 3), 0.04), np.full(3, 0.6)
+    region, size = np.array([0, 0, 1]), np.full(3, 100)
+    found = decide(costs, *prior, np.ones(3), np.full(3, 8), region, size, PriorWeights())
+    assert found.is_metal.tolist() == [True, becomes_metal, False]  # the last is in no region with metal
+
+
 def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, views: int = 4) -> SolvedSegments:
     """Of one segment whose hypotheses cost ``dielectric`` (levels, speculars), and metal of S 0.9 ``metal``;
     a network that says S 0.04, R 0.6."""

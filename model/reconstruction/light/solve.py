@@ -8,7 +8,8 @@ albedo of each point follows in closed form from its observations,
 
 and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
 ln 51 at the capture's exposure, plus priors on the network's S and R. Alternative hypotheses are matte (S =
-0, R = 1) and metal (D = 0 and a coloured S, the median of (L - Ls1) / Ls0).
+0, R = 1) and metal: D = 0 and a coloured S of each point, the mean of L - Ls1 over that of Ls0, so that metal
+with a texture costs no more than a dielectric with one.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ MAX_RESIDUAL = 0.2
 """Maximum residual of an observation: larger ones indicate faulty visibility or light."""
 MIN_METAL = 0.2
 """Minimum specular albedo of metal, mean over channels."""
+MIN_DARK_METAL = 0.1
+"""Minimum specular albedo of segments to which metal spreads, such as the dark tiles of a metal floor."""
 
 
 MIN_EVIDENCE = 0.05
@@ -157,10 +160,11 @@ def decide(
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
     unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # networks rarely predict metal, but then reliably
     metal = costs.metal + of_r
-    metal = np.where(costs.metal_albedo.mean(axis=2) < MIN_METAL, np.inf, metal)
+    mean_albedo = costs.metal_albedo.mean(axis=2)
+    metal = np.where(mean_albedo < MIN_DARK_METAL, np.inf, metal)
     metal_level = metal.argmin(axis=1)
     advantage = best - metal[rows, metal_level]
-    is_metal = advantage > weights.metal * doubt * unlike
+    is_metal = (advantage > weights.metal * doubt * unlike) & (mean_albedo[rows, metal_level] >= MIN_METAL)
     share = np.bincount(group, size * is_metal) / np.maximum(np.bincount(group, size), 1)
     is_metal |= (share[group] >= METAL_SHARE) & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
@@ -219,24 +223,29 @@ def _encoded(value, exposure):
 
 @compiled
 def _cost(first, last, radiance, target, weight, diffuse, ls0, ls1, level, specular, is_metal, exposure):
-    """Mean capped residual of a segment's points for one roughness level and specular albedo (3,)."""
+    """Mean capped residual of a segment's points for one roughness level, and for one specular albedo or, of
+    metal, the best one of each point and channel.
+    """
     total, sum_weight = np.float32(0), np.float32(0)
     num = radiance.shape[1]
     for point in range(first, last):
         for channel in range(3):
-            s = specular[channel]
-            albedo = np.float32(0)
-            if not is_metal:
-                above, below = np.float32(0), np.float32(0)
-                for o in range(num):
-                    w = weight[point, o]
-                    spec = s * ls0[point, o, level, channel] + ls1[point, o, level, channel]
-                    above += w * (radiance[point, o, channel] - spec)
-                    below += w
-                scale = (1 - s) * diffuse[point, channel] * below
-                if scale > 0:
-                    albedo = min(max(above / scale, np.float32(0)), np.float32(MAX_ALBEDO))
-            base = (1 - s) * albedo * diffuse[point, channel]
+            s, base = specular, np.float32(0)
+            above, below = np.float32(0), np.float32(0)
+            for o in range(num):
+                w = weight[point, o]
+                rest = radiance[point, o, channel] - ls1[point, o, level, channel]
+                if is_metal:
+                    above += w * rest
+                    below += w * ls0[point, o, level, channel]
+                else:
+                    above += w * (rest - s * ls0[point, o, level, channel])
+                    below += w * (1 - s) * diffuse[point, channel]
+            if below > 0 and is_metal:
+                s = min(max(above / below, np.float32(0)), np.float32(1))
+            elif below > 0:
+                albedo = min(max(above / below, np.float32(0)), np.float32(MAX_ALBEDO))
+                base = (1 - s) * albedo * diffuse[point, channel]
             for o in range(num):
                 w = weight[point, o]
                 if w > 0:
@@ -274,28 +283,15 @@ def _costs(start, radiance, weight, diffuse, ls0, ls1, exposure, levels, specula
         for o in range(radiance.shape[1]):
             for c in range(3):
                 target[p, o, c] = _encoded(radiance[p, o, c], exposure)
-    grey = np.zeros(3, np.float32)
     for g in range(num):
         first, last = start[g], start[g + 1]
         for level in range(len(levels)):
-            for k in range(len(speculars)):
-                grey[:] = speculars[k]
+            for k, s in enumerate(speculars):
                 dielectric[g, level, k] = _cost(
-                    first, last, radiance, target, weight, diffuse, ls0, ls1, level, grey, False, exposure
+                    first, last, radiance, target, weight, diffuse, ls0, ls1, level, s, False, exposure
                 )
             _metal_albedo(first, last, radiance, weight, ls0, ls1, level, colour[g, level])
             metal[g, level] = _cost(
-                first,
-                last,
-                radiance,
-                target,
-                weight,
-                diffuse,
-                ls0,
-                ls1,
-                level,
-                colour[g, level],
-                True,
-                exposure,
+                first, last, radiance, target, weight, diffuse, ls0, ls1, level, np.float32(0), True, exposure
             )
     return dielectric, metal, colour

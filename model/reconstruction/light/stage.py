@@ -30,6 +30,7 @@ from model.reconstruction.light.confidence import (
     trust_in_inferred,
     trust_in_normals,
 )
+from model.reconstruction.light.metal_texture import textured_specular_albedo
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
@@ -116,14 +117,16 @@ def materials_from_light(
                 segments = solve_points(lit, points, shading, segmentation, exposure, options)
     report.num_segments, report.num_metal = len(segments.roughness), int(segments.is_metal.sum())
     with report.step("specular"):
-        specular = _specular_parts(lit, segments, segment, options)
+        specular_albedo, specular = _specular_parts(lit, segments, segment, options)
     with report.step("correction"):
         sure = np.ones(len(surfels))
         if doubt_at is not None:
             sure = sureness(doubt_at(surfels.position_m, surfels.normal), lit.diffuse)
         inferred = lamps.share(lit, region) if lamps is not None else np.zeros(len(surfels))
         lit = replace(lit, hidden=np.maximum(lit.hidden, inferred))
-        solved, albedo = _solved_surfels(lit, segments, segmentation, specular, sure, inferred, options)
+        solved, albedo = _solved_surfels(
+            lit, segments, segmentation, specular_albedo, specular, sure, inferred, options
+        )
     with report.step("maps"):
         found: list[dict[str, NDArray]] = [{} for _ in views]
         for place, (index, view, view_maps) in enumerate(zip(order, ordered, predicted, strict=True)):
@@ -140,27 +143,31 @@ def _packed(view_maps: dict[str, NDArray]) -> NDArray:
 
 def _specular_parts(
     lit: Lit, segments: SolvedSegments, segment: NDArray, options: LightOptions
-) -> NDArray[np.float32]:
-    """S Ls0 + Ls1 (M, 3) of every observation."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """S (N, 3) of the surfels, and S Ls0 + Ls1 (M, 3) of every observation."""
     surfels = lit.surfels
     owner = surfels.surfel_of_observation()
+    roughness = segments.roughness[segment]
     shading = lit.baker.specular(
         surfels.position_m[owner],
         surfels.observations.normal,
         surfels.directions(owner, surfels.observations.view),
-        segments.roughness[segment][owner],
+        roughness[owner],
         options.specular_rays,
         _SEED,
     )
     known = np.maximum(shading.known, MIN_KNOWN)[:, None]
+    shading = replace(shading, ls0=shading.ls0 / known, ls1=shading.ls1 / known)
     s = segments.specular_albedo[segment]
-    return ((s[owner] * shading.ls0 + shading.ls1) / known).astype(np.float32)
+    s = textured_specular_albedo(surfels, s, roughness, segments.is_metal[segment], shading)
+    return s, (s[owner] * shading.ls0 + shading.ls1).astype(np.float32)
 
 
 def _solved_surfels(
     lit: Lit,
     segments: SolvedSegments,
     segmentation: Segmentation,
+    s: NDArray[np.float32],
     specular: NDArray[np.float32],
     sure: NDArray,
     inferred: NDArray,
@@ -168,8 +175,7 @@ def _solved_surfels(
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
     """Inputs of the views' maps, and the surfels' diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
-    s, r = segments.specular_albedo[segment], segments.roughness[segment]
-    is_metal = segments.is_metal[segment]
+    r, is_metal = segments.roughness[segment], segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
     if not options.has_prior:
         ones = np.ones_like(albedo)

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""Texture of metals: the specular albedo of single surfels, where their reflections are blurred."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.light.bake import SpecularShading
+from datagen.light.surfels import Surfels, weighted_medians
+
+SHARP, BLURRED = 0.2, 0.3
+"""Roughness up to which a surfel keeps its segment's S, since cells do not resolve sharp reflections, and
+from which on it has an S of its own."""
+SEGMENT_VIEWS = 2.0
+"""Number of observations of a surfel whose weight the segment's S has."""
+_UNSEEN_WEIGHT = 0.05  # weight of lobes without photographed light; the maximum is 1.05
+
+
+def textured_specular_albedo(
+    surfels: Surfels,
+    specular_albedo: NDArray[np.float32],
+    roughness: NDArray[np.float32],
+    is_metal: NDArray[np.bool_],
+    shading: SpecularShading,
+) -> NDArray[np.float32]:
+    """S (N, 3) of the surfels: of metals the median over observations of (L - Ls1) / Ls0.
+
+    ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments,
+    ``shading`` that of all M observations at these, as if all of its light were known.
+    """
+    observations = surfels.observations
+    owner = surfels.surfel_of_observation()
+    rows = np.flatnonzero(is_metal[owner])
+    num = np.bincount(owner[rows], minlength=len(surfels))
+    start = np.concatenate([[0], np.cumsum(num)]).astype(np.int64)
+    ratio = (observations.radiance[rows] - shading.ls1[rows]) / np.maximum(shading.ls0[rows], 1e-9)
+    weight = observations.weight[rows] * (_UNSEEN_WEIGHT + shading.photographed[rows])
+    medians = weighted_medians(start, ratio.astype(np.float32), weight.astype(np.float32))
+    blurred = np.clip((roughness - SHARP) / (BLURRED - SHARP), 0, 1)
+    share = (blurred * num / (num + SEGMENT_VIEWS))[:, None]
+    textured = share * np.clip(medians, 0, 1) + (1 - share) * specular_albedo
+    return np.where(is_metal[:, None], textured, specular_albedo).astype(np.float32)
