@@ -32,8 +32,7 @@ class ImportWords:
     ] = False
     category: Annotated[str, typer.Option(help="Category of an object; guessed if left out.")] = ""
     classes: Annotated[
-        tuple[str, ...],
-        typer.Option("--class", help="Material class, repeatable; guessed if left out."),
+        tuple[str, ...], typer.Option("--class", help="Material class, repeatable; guessed if left out.")
     ] = ()
     up: Annotated[str, typer.Option(help="Axis that points up in the file: auto, y or z.")] = "auto"
     unit_scale: Annotated[
@@ -44,8 +43,7 @@ class ImportWords:
     ] = None
     dielectric: Annotated[str, typer.Option(help="Transparent materials: refuse or replace.")] = "refuse"
     dielectric_as: Annotated[
-        tuple[str, ...],
-        typer.Option(help="MATERIAL=REPLACEMENT for one transparent material, repeatable."),
+        tuple[str, ...], typer.Option(help="MATERIAL=REPLACEMENT for one transparent material, repeatable.")
     ] = ()
     missing: Annotated[str, typer.Option(help="Missing files: refuse or replace.")] = "refuse"
     annotations: Annotated[

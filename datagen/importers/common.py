@@ -22,10 +22,7 @@ MissingPolicy = Literal["refuse", "replace"]
 UpAxis = Literal["auto", "y", "z"]
 ImportKind = Literal["auto", "environment", "object", "material"]
 
-EVALUATION_SCENES = {
-    "veach-ajar": "Veach, Ajar",
-    "dining-room": "The Breakfast Room",
-}
+EVALUATION_SCENES = {"veach-ajar": "Veach, Ajar", "dining-room": "The Breakfast Room"}
 """Test scenes of the method's paper, by folder name and title: always imported as ``evaluation_only``."""
 
 OPAL_ALBEDO = 0.7

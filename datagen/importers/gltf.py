@@ -15,13 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import (
-    AssetCamera,
-    EnvironmentAsset,
-    ObjectAsset,
-    Part,
-    SlotMaterial,
-)
+from datagen.formats.asset import AssetCamera, EnvironmentAsset, ObjectAsset, Part, SlotMaterial
 from datagen.formats.base import IDENTITY4, matrix4, quantized, vector3
 from datagen.formats.category_sizes import size_fault
 from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight

@@ -236,11 +236,7 @@ class GltfMaterialConverter:
         return red, green, blue
 
     def _image(
-        self,
-        info: dict[str, Any] | None,
-        name: str,
-        encoding: str,
-        instead: str = "only its factor is used",
+        self, info: dict[str, Any] | None, name: str, encoding: str, instead: str = "only its factor is used"
     ) -> ImageSource | None:
         """The image of a texture reference, or None; records its UV set and transform."""
         if info is None:

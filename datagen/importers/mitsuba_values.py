@@ -67,10 +67,7 @@ class NodeValues:
             number = fresnel.named_ior(value) if isinstance(value, str) else float(value)
             if number is None or not (math.isfinite(number) and number > 0):
                 self.problems.add(
-                    f"{node.where}: {key}",
-                    repr(value),
-                    "a number or one of Mitsuba's names",
-                    "use a number",
+                    f"{node.where}: {key}", repr(value), "a number or one of Mitsuba's names", "use a number"
                 )
                 number = 1.5
             sides.append(number)

@@ -16,14 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import (
-    AssetCamera,
-    EnvironmentAsset,
-    MaterialClass,
-    Part,
-    SlotMaterial,
-    Texture,
-)
+from datagen.formats.asset import AssetCamera, EnvironmentAsset, MaterialClass, Part, SlotMaterial, Texture
 from datagen.formats.base import IDENTITY4, matrix4, quantized
 from datagen.formats.mitsuba.scene import MitsubaScene, SceneNode, parse_scene
 from datagen.formats.mitsuba.sensors import camera_of, guess_up

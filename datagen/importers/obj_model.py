@@ -65,11 +65,7 @@ def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
     found = _sort_lines(data, budget)
     budget.spend("triangles", max(sum(found.counts) - 2 * len(found.counts), len(found.positions) // 3))
     try:
-        positions, uvs, normals = (
-            _table(found.positions, 3),
-            _table(found.uvs, 2),
-            _table(found.normals, 3),
-        )
+        positions, uvs, normals = (_table(found.positions, 3), _table(found.uvs, 2), _table(found.normals, 3))
         indices = corner_indices(found.corners, (len(positions), len(uvs), len(normals)))
     except (ValueError, IndexError, OverflowError) as error:
         raise input_error(

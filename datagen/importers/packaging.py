@@ -22,11 +22,7 @@ RECORD_FILE = "import.json"
 
 
 def finish(
-    asset: AnyAsset,
-    files: Mapping[str, FileSource],
-    folder: Path,
-    options: ImportOptions,
-    findings: Findings,
+    asset: AnyAsset, files: Mapping[str, FileSource], folder: Path, options: ImportOptions, findings: Findings
 ) -> ImportedAsset:
     """Write, check and record the package ``folder/<id>`` (or ``.zip``); warnings become notes.
 

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.importers.channels import (
-    ColorValue,
-    ImageCache,
-    ScalarValue,
-    is_constant,
-)
+from datagen.importers.channels import ColorValue, ImageCache, ScalarValue, is_constant
 
 DEFAULT_F0 = 0.04
 _MIN_AGREEMENT = 0.2  # correlation of normals and height; matching pairs reach 0.3 to 0.96

@@ -72,12 +72,7 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) 
 
 
 def render_original(
-    path: Path,
-    width_px: int,
-    num_samples: int,
-    max_depth: int,
-    seed: int = 0,
-    height_px: int | None = None,
+    path: Path, width_px: int, num_samples: int, max_depth: int, seed: int = 0, height_px: int | None = None
 ) -> NDArray[np.float32]:
     """Render the original (H, W, 3) from its first camera by Mitsuba's path tracer with a box filter."""
     import mitsuba as mi

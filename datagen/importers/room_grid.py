@@ -31,9 +31,7 @@ def short_vector(values: NDArray | list[float]) -> Vector3:
     return x, y, z
 
 
-def surface_points(
-    triangles: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
+def surface_points(triangles: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
     """Points (P, 3) spread over ``triangles`` (M, 3, 3), their triangles (P,), and their maximum spacing.
 
     The spacing is ``0.8 * SQUARE_M``, or more if that would give too many points.

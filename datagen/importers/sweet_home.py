@@ -47,12 +47,7 @@ _FLAT = 1e-9  # a side without extent cannot be scaled to any size
 _Surface = tuple[str, ConvertedMaterial, Mesh]  # part name, material, mesh in the asset's frame
 _CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
 _PAGE = re.compile(r"https?://(?:www\.)?blendswap\.com/blends?/(?:view/)?\d+")
-_CATEGORIES = {
-    "vehicles": "vehicle",
-    "lights": "lamp",
-    "doors and windows": "door",
-    "staircases": "stairs",
-}
+_CATEGORIES = {"vehicles": "vehicle", "lights": "lamp", "doors and windows": "door", "staircases": "stairs"}
 """Object category by catalogue category; the other catalogue categories (kitchen, office) name rooms."""
 
 
@@ -72,10 +67,7 @@ StepObserver = Callable[[Step, int], None]
 
 
 def import_sweet_home(
-    path: Path,
-    out_library: Path,
-    options: ImportOptions | None = None,
-    on_step: StepObserver | None = None,
+    path: Path, out_library: Path, options: ImportOptions | None = None, on_step: StepObserver | None = None
 ) -> list[ImportedAsset]:
     """Import every possible piece of a .sh3f file; returns the records of pieces imported now or earlier.
 
