@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommand ``datagen export``; heavy modules are imported in it."""
+"""The subcommand ``datagen export``, which defers heavy imports."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def export(
     ] = None,
     neighbours: Annotated[int, typer.Option(min=1, help="Flow: number of target views per view.")] = 2,
     min_overlap: Annotated[
-        float, typer.Option(min=0, max=1, help="Flow: minimum share of a view that is visible in the other.")
+        float, typer.Option(min=0, max=1, help="Flow: minimum share of a view that the other shows.")
     ] = 0.2,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:
@@ -73,7 +73,7 @@ def export(
 
 
 class _RoomByRoom:
-    """Writer of a format that has no files for all rooms together."""
+    """Writer of a format that has only files of single rooms, by a function of an export and a room."""
 
     def __init__(self, job: Export, function: Any):
         self.job, self.function = job, function

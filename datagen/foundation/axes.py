@@ -17,7 +17,7 @@ Z_UP_FROM_Y_UP = np.array(
 
 
 def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
-    """(4, 4) transform to metres with Z up from a file whose unit is ``unit_scale`` metres.
+    """Return the (4, 4) transform to metres with Z up from a frame of the given up axis and metres per unit.
 
     Raises :class:`InputError` unless the scale is positive and finite.
     """
@@ -29,5 +29,5 @@ def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.fl
 
 
 def unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``vector`` divided by its length; a zero vector stays zero."""
+    """Return a vector (N,) divided by its length; a zero vector stays zero."""
     return vector / max(float(np.linalg.norm(vector)), 1e-30)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The registry of buffers: every per-pixel quantity of a view, looked up by name, never by index.
+"""The registry of buffers, the per-pixel quantities of a view, by name.
 
-Renderer, shards, loader, validator and viewer all use this one table. Arrays are (H, W, C) with C the number
-of channels, row 0 at the top of the image.
+Renderer, shards, loader, validator and viewer use this table. Arrays are (H, W, C) with C channels, row 0 at
+the top of the image.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Buffer:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """NumPy dtype as stored."""
+        """NumPy dtype of the stored array."""
         return np.dtype({"half": np.float16, "float": np.float32, "uint": np.uint32}[self.pixel_type])
 
     @property
@@ -162,7 +162,7 @@ MIN_COVERAGE = 0.5
 
 
 def get_buffer(name: str) -> Buffer:
-    """The buffer registered as ``name``. Raises ``KeyError`` with the known names."""
+    """Return the buffer ``name``. Raises ``KeyError``, which lists the known names, if there is none."""
     try:
         return BUFFERS[name]
     except KeyError:
@@ -170,7 +170,10 @@ def get_buffer(name: str) -> Buffer:
 
 
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Mask (H, W): True where ``depth_z_m`` and ``surface_mask``, if present, indicate a surface."""
+    """Return the mask (H, W) of surface pixels of a view, given as arrays (H, W, C) by name of buffer.
+
+    There ``depth_z_m`` is positive and ``surface_mask`` at least ``MIN_COVERAGE``, as far as present.
+    """
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)
     if "depth_z_m" in view:

@@ -56,13 +56,13 @@ class ImportWords:
     ] = ()
     allowed: Annotated[
         tuple[Path, ...],
-        typer.Option("--allow", help="Another folder from which the source may read files, repeatable."),
+        typer.Option("--allow", help="Another folder from which files may be read, repeatable."),
     ] = ()
     as_zip: Annotated[bool, typer.Option("--zip", help="Write packages as zips.")] = False
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace assets of the same id.")] = False
 
     def parse(self) -> ImportOptions:
-        """Options with checked types and choices. Raises :class:`InputError` with every fault."""
+        """Return the options with checked types and choices. Raises :class:`InputError` with all faults."""
         from pydantic import TypeAdapter, ValidationError
 
         from datagen.importers.common import ImportOptions
@@ -123,10 +123,9 @@ def import_command(
 
     options = words.parse()
 
-    def tell(asset: ImportedAsset) -> None:
-        for line in summary_lines(asset):
-            typer.echo(line)
+    def show(asset: ImportedAsset) -> None:
+        typer.echo("\n".join(summary_lines(asset)))
 
     with ImportWatch() as watch:
-        imported = import_asset(path, library, options, split=split, on_done=tell, watch=watch)
+        imported = import_asset(path, library, options, split=split, on_done=show, watch=watch)
     typer.echo(f"{len(imported)} assets imported into {library}")

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reader and writer of PLY files, the triangle meshes of asset packages.
 
-Letters: N vertices, M triangles. Packages contain binary little-endian PLY; v of a texture coordinate points
-up (see ``datagen.formats.asset``).
+Packages contain binary little-endian PLY; texture coordinate v points up (see ``datagen.formats.asset``).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _PLY_REMEDY = "export the mesh as binary little-endian PLY with triangles"
 
 
 def encode_ply(mesh: Mesh) -> bytes:
-    """Binary little-endian PLY: x y z [nx ny nz] [u v] as float, faces as uchar + int; deterministic."""
+    """Encode a mesh as binary little-endian PLY: float x y z [nx ny nz] [u v], faces of int indices."""
     names = ["x", "y", "z"]
     columns = [mesh.positions]
     if mesh.normals is not None:
@@ -63,8 +62,8 @@ def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
     """Decode PLY bytes (little-endian binary or ASCII); polygons are split into fans of triangles.
 
-    ``budget``: the budget of the enclosing import. Raises :class:`InputError` if the file is truncated, of
-    another format or without positions. Indices and finiteness are checked by :func:`inspect_mesh`.
+    ``budget``: that of the enclosing import, if any. Raises :class:`InputError` if the file is truncated, of
+    another format or without positions. Indices and finiteness are not checked (see :func:`inspect_mesh`).
     """
     if budget is None:
         budget = Budget(where)
@@ -174,7 +173,7 @@ def _read_polygons(
     where: str | Path,
     budget: Budget,
 ) -> tuple[dict[str, NDArray[Any]], int]:
-    """Faces of any size as fans of triangles, and the offset after them; the slow path."""
+    """Read faces of any size as fans of triangles; return their table and the offset of the next data."""
     triangles: list[tuple[int, int, int]] = []
     most = budget.allowed("triangles")
     try:
