@@ -27,7 +27,7 @@ class CocoFiles:
         self.ids = {name: number for number, name in enumerate(sorted(names), start=1)}
 
     def category(self, asset_id: str) -> str:
-        """Return an object's category by the library, or the id if the library does not contain the asset."""
+        """Return an asset's category if the library contains it as an object, else its id."""
         library = self.export.library
         if library is not None and asset_id in library:
             asset = library.package(asset_id).asset

@@ -42,7 +42,7 @@ def export(
     ] = None,
     neighbours: Annotated[int, typer.Option(min=1, help="Flow: number of target views per view.")] = 2,
     min_overlap: Annotated[
-        float, typer.Option(min=0, max=1, help="Flow: minimum share of a view that the other shows.")
+        float, typer.Option(min=0, max=1, help="Flow: minimum share of a view that is visible in the other.")
     ] = 0.2,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:
@@ -73,7 +73,7 @@ def export(
 
 
 class _RoomByRoom:
-    """Writer of a format that has only files of single rooms, by a function of an export and a room."""
+    """Writer of a format with separate files for each room: calls ``function(job, room)``."""
 
     def __init__(self, job: Export, function: Any):
         self.job, self.function = job, function

@@ -2,8 +2,8 @@
 """Writes exact optical flow between views, from depth and cameras: Middlebury ``.flo`` files and masks.
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
-point is in front of camera b; elsewhere 1e10, the format's value for unknown. The mask is True where the point
-is visible in b: the pixel there shows the same instance, in a plane through the point.
+point is in front of camera b; elsewhere 1e10, the format's value for unknown. The mask is True where b
+shows the point: the pixel of b shows the same instance, in a plane through the point.
 """
 
 from __future__ import annotations

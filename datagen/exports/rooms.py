@@ -33,7 +33,7 @@ MARKER = "export.json"
 
 @dataclass(frozen=True)
 class RoomView:
-    """A view of a room: the place of its files in the shard, and its record."""
+    """A view of a room: the location of its files in the shard, and its record."""
 
     place: ViewPlace
     record: ViewRecord

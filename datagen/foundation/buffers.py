@@ -170,9 +170,9 @@ def get_buffer(name: str) -> Buffer:
 
 
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Return the mask (H, W) of surface pixels of a view, given as arrays (H, W, C) by name of buffer.
+    """Return the mask (H, W) of a view's surface pixels, from its buffers (H, W, C) by name.
 
-    There ``depth_z_m`` is positive and ``surface_mask`` at least ``MIN_COVERAGE``, as far as present.
+    They have positive ``depth_z_m`` and ``surface_mask`` of at least ``MIN_COVERAGE``, each if present.
     """
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)

@@ -45,16 +45,8 @@ class Camera:
     @classmethod
     def of(cls, record: PinholeRecord, world_from_camera: ArrayLike) -> Camera:
         """Return a camera with the fields of ``record`` and the pose ``world_from_camera`` (4, 4)."""
-        return cls(
-            record.width_px,
-            record.height_px,
-            record.fx_px,
-            record.fy_px,
-            record.cx_px,
-            record.cy_px,
-            np.array(world_from_camera, dtype=np.float64),
-            record.clip_m,
-        )
+        r, pose = record, np.array(world_from_camera, dtype=np.float64)
+        return cls(r.width_px, r.height_px, r.fx_px, r.fy_px, r.cx_px, r.cy_px, pose, r.clip_m)
 
     @property
     def position_m(self) -> NDArray[np.float64]:
@@ -83,16 +75,8 @@ class Camera:
     def scaled(self, width_px: int, height_px: int) -> Camera:
         """Return the camera at another resolution, with the intrinsics scaled per axis."""
         sx, sy = width_px / self.width_px, height_px / self.height_px
-        return Camera(
-            width_px,
-            height_px,
-            self.fx_px * sx,
-            self.fy_px * sy,
-            self.cx_px * sx,
-            self.cy_px * sy,
-            self.world_from_camera,
-            self.clip_m,
-        )
+        fx, fy, cx, cy = self.fx_px * sx, self.fy_px * sy, self.cx_px * sx, self.cy_px * sy
+        return Camera(width_px, height_px, fx, fy, cx, cy, self.world_from_camera, self.clip_m)
 
     def project(self, points_world: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Project world points (..., 3) to pixel coordinates (..., 2) and depths (...).
@@ -110,7 +94,7 @@ class Camera:
         return pixels, z
 
     def unproject(self, pixels: ArrayLike, depth_z_m: ArrayLike) -> NDArray[np.float64]:
-        """Return the world points (..., 3) at pixel coordinates (..., 2) and depths (...) along the axis."""
+        """Return the world points (..., 3) at pixel coordinates (..., 2) and depths (...) in metres."""
         pixels = np.asarray(pixels, dtype=np.float64)
         z = np.asarray(depth_z_m, dtype=np.float64)
         x = (pixels[..., 0] - self.cx_px) / self.fx_px * z

@@ -160,7 +160,7 @@ def _is_repeatable(hint: Any) -> bool:
 
 
 def _shown(name: str, hint: Any, default: Any) -> inspect.Parameter:
-    """Return a parameter for typer: tuples of any length become lists, values with a parser strings."""
+    """Return a parameter for typer: tuples become lists, and values with a parser become strings."""
     if get_origin(hint) is Annotated:
         kind, *extras = get_args(hint)
         if any(isinstance(extra, ParameterInfo) and extra.parser is not None for extra in extras):

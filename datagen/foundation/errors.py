@@ -32,17 +32,9 @@ class Problem:
     remedy: str = ""
 
     def __str__(self) -> str:
-        text = f"{self.where}: "
-        field, got = _shortened(self.field), _shortened(self.got)
-        if field and got:
-            text += f"{field} = {got}"
-        else:
-            text += field or got
-        if self.expected:
-            text += f"; expected {self.expected}"
-        if self.remedy:
-            text += f"; {self.remedy}"
-        return text
+        found = " = ".join(_shortened(text) for text in (self.field, self.got) if text)
+        expected = self.expected and f"expected {self.expected}"
+        return "; ".join([f"{self.where}: {found}", *filter(None, (expected, self.remedy))])
 
 
 def _reworded_if_empty(problem: Problem) -> Problem:
@@ -63,7 +55,7 @@ def _reworded_if_empty(problem: Problem) -> Problem:
 
 
 class InputError(ValueError):
-    """Exception for bad input, with every problem of it, so that a user can fix all at once."""
+    """Exception for bad input that lists every problem, so that a user can fix all at once."""
 
     def __init__(self, *problems: Problem):
         if not problems:

@@ -118,14 +118,10 @@ def decode_view(
     except OSError as error:
         raise InputError(Problem(where, "", str(error), "a readable EXR file", _READ_REMEDY)) from None
     pixels = decode_channels(data, where, num_threads)
-    wanted = (
-        tuple(names)
-        if names is not None
-        else tuple(name for name, buffer in BUFFERS.items() if all(c in pixels for c in buffer.exr_channels))
-    )
+    complete = [name for name, buffer in BUFFERS.items() if all(c in pixels for c in buffer.exr_channels)]
     result = {}
     problems = Problems(where)
-    for name in wanted:
+    for name in complete if names is None else names:
         buffer = get_buffer(name)
         missing = [c for c in buffer.exr_channels if c not in pixels]
         if missing:

@@ -20,13 +20,13 @@ ItemT = TypeVar("ItemT")
 
 
 def digest(*key: int | str) -> bytes:
-    """Return the SHA-256 of a key. Its parts have types and lengths: ("a", "bc") and ("ab", "c") differ."""
+    """Return the SHA-256 of the parts of a key, with their types and lengths as separators."""
     text = "".join(f"{type(part).__name__}:{len(str(part))}:{part};" for part in key)
     return hashlib.sha256(text.encode()).digest()
 
 
 def weighted_item(items: Sequence[ItemT], weights: Sequence[float], number: float) -> ItemT:
-    """Return the item that a uniform ``number`` in [0, 1) selects with probabilities as the weights.
+    """Return the item that a uniform ``number`` in [0, 1) selects, with probabilities by ``weights``.
 
     Raises ``ValueError`` unless a weight is positive.
     """

@@ -76,7 +76,7 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
 
 
 def visible_faces(traced: TracedCapture) -> NDArray[np.bool_]:
-    """Return the mask (M,) of triangles that are visible in a view or, by random rays, from its surfaces."""
+    """Return the mask (M,) of triangles visible in a view or hit by random rays from visible surfaces."""
     found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)  # stays False for the outside of walls
     points, normals = [], []
     for view in traced.views:

@@ -75,7 +75,7 @@ def read_annotations(path: Path | None) -> Annotations:
 
 @dataclass(frozen=True)
 class RoomPlaces:
-    """Annotations of a room; ``floor_m``: height of the main floor, None if no space is enclosed."""
+    """Derived annotations of a room; ``floor_m``: height of the main floor, None if no space is enclosed."""
 
     floor_m: float | None
     support_surfaces: tuple[SupportSurface, ...] = ()

@@ -52,13 +52,13 @@ def conductor_fresnel(cos_i: NDArray, eta: NDArray, k: NDArray) -> NDArray[np.fl
 
 
 def conductor_mean(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """Return a conductor's reflectance (C,) under diffuse light, 2 * integral of F(c) c dc over [0, 1]."""
+    """Return a conductor's reflectance (C,) under diffuse light: 2 * integral of F(c) c over cosines c."""
     cosine = (np.arange(2000) + 0.5) / 2000
     return 2 * (conductor_fresnel(cosine, eta, k) * cosine[:, None]).mean(axis=0)
 
 
 def schlick_s_of_mean(mean: NDArray) -> NDArray[np.float64]:
-    """Return S whose reflectance under diffuse light, S + (1 - S) / 21 by Schlick, is ``mean``; in [0, 1].
+    """Return S in [0, 1] whose reflectance under diffuse light, S + (1 - S) / 21 by Schlick, is ``mean``.
 
     Schlick's reflectance is 1 at grazing angles for any S, that of a dimmed metal is not; equal means
     preserve the light of a room, equal F0 would not.
@@ -81,7 +81,7 @@ def dielectric_fresnel(cos_i: NDArray, ior: float) -> NDArray[np.float64]:
 
 
 def diffuse_fresnel(ior: float) -> float:
-    """Return a dielectric's reflectance under diffuse light, 2 * integral of F(c) c dc (error 1e-6)."""
+    """Return a dielectric's reflectance under diffuse light: 2 * integral of F(c) c over cosines c."""
     cosine = (np.arange(20000) + 0.5) / 20000
     return float(2 * (dielectric_fresnel(cosine, ior) * cosine).mean())
 

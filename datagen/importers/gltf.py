@@ -26,6 +26,7 @@ from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.gltf import TRIANGLE_MODES, GltfFile, PlacedNode, triangles_of
 from datagen.foundation.meshes.mesh import (
     Mesh,
+    bounds,
     flat_shaded,
     inspect_mesh,
     with_sound_normals,
@@ -198,7 +199,7 @@ class _GltfImporter:
         for piece in self.pieces:
             by_root.setdefault(piece.root, []).append(piece)
         roots = list(by_root)
-        boxes = [_bounds(by_root[r]) for r in roots]
+        boxes = [bounds([piece.mesh for piece in by_root[r]]) for r in roots]
         low, high = (np.stack(side) for side in zip(*boxes, strict=True))
         leader = {r: r for r in roots}
 
@@ -225,7 +226,7 @@ class _GltfImporter:
         title = (self.options.title if is_alone else "") or name.replace("_", " ").replace(
             "-", " "
         ).capitalize()
-        low, high = _bounds(pieces)
+        low, high = bounds([piece.mesh for piece in pieces])
         size = high - low
         kind = self.options.kind
         if kind == "auto":
@@ -385,10 +386,3 @@ class _GltfImporter:
             else:
                 found.append(PointLight(name=name, position_m=position, intensity=value))
         return found
-
-
-def _bounds(pieces: list[_Piece]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    points = [p.mesh.positions for p in pieces]
-    low = np.min([p.min(axis=0) for p in points], axis=0).astype(np.float64)
-    high = np.max([p.max(axis=0) for p in points], axis=0).astype(np.float64)
-    return low, high

@@ -152,7 +152,7 @@ class _MaterialImporter:
         return finish(asset, self.textures.files, out_library / "materials", self.options, self.findings)
 
     def scalars(self) -> tuple[ScalarValue, ScalarValue]:
-        """Return roughness and metalness."""
+        """Return roughness and metalness, as images or constants."""
         packed, rough, metal = self.one("arm"), self.one("roughness"), self.one("metalness")
         roughness: ScalarValue = 0.5
         metallic: ScalarValue = 0.0

@@ -51,7 +51,7 @@ class MeshSource:
 def import_mesh_file(
     path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
 ) -> list[ImportedAsset]:
-    """Convert an OBJ, PLY or STL file to packages below ``out_library``, as :func:`import_gltf`.
+    """Convert an OBJ, PLY or STL file to packages below ``out_library``, as :func:`import_gltf` does.
 
     Raises :class:`InputError` for damaged files, for referenced files that are missing or outside the allowed
     folders, and for an unknown licence.

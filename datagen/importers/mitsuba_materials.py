@@ -73,7 +73,7 @@ class MaterialConverter(NodeValues):
         self._drafts: dict[int, Draft] = {}
 
     def draft(self, node: SceneNode) -> Draft:
-        """Return the draft of a BSDF, which is the same object for the same node."""
+        """Return the draft of a BSDF; repeated calls for a node return the same object."""
         if id(node) not in self._drafts:
             self.start_material()
             draft = self._convert(node, node.id)

@@ -57,7 +57,7 @@ def local_transform(node: SceneNode) -> NDArray[np.float64]:
 
 
 def transformed_uv(uv: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return UVs (N, 2), v upwards, under a texture transform (3, 3) for v downwards."""
+    """Apply a texture transform (3, 3) for v downwards to UVs (N, 2) with v upwards."""
     down = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1).astype(np.float64)
     moved = down @ matrix[:2, :2].T + matrix[:2, 2]
     return np.stack([moved[:, 0], 1 - moved[:, 1]], axis=1).astype(np.float32)

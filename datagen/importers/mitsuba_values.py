@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -35,14 +34,6 @@ COPY_IT = "copy it there, or name its folder with --allow"
 _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 
-@dataclass
-class _Textures:
-    """UV transforms (3, 3) of a material's textures; ``has_plain``: whether a texture has none."""
-
-    matrices: list[NDArray[np.float64]] = field(default_factory=list)
-    has_plain: bool = False
-
-
 class NodeValues:
     """Reads parameters of a scene's BSDF nodes; the caller raises the collected ``problems``."""
 
@@ -56,7 +47,7 @@ class NodeValues:
 
     def start_material(self) -> None:
         """Discard UV transforms and notes of the previous material."""
-        self._textures = _Textures()
+        self._uv_matrices: list[NDArray[np.float64] | None] = []
         self.notes: list[str] = []
 
     def ior(self, node: SceneNode) -> float:
@@ -150,28 +141,20 @@ class NodeValues:
         return ImageSource(path, "linear" if is_raw else "srgb")
 
     def _note_matrix(self, node: SceneNode) -> None:
-        matrix = node.get("to_uv")
-        if matrix is None:
-            self._textures.has_plain = True
-        else:
-            flat = np.eye(3)
+        matrix, flat = node.get("to_uv"), np.eye(3)
+        if matrix is not None:
             flat[:2, :2], flat[:2, 2] = matrix[:2, :2], matrix[:2, 3]
-            self._textures.matrices.append(flat)
+        self._uv_matrices.append(None if matrix is None else flat)
 
     def common_matrix(self, node: SceneNode) -> NDArray[np.float64] | None:
         """Return the UV transform (3, 3) of all textures of the material; None if none has ``to_uv``."""
-        matrices = self._textures.matrices
-        if not matrices:
+        first = next((m for m in self._uv_matrices if m is not None), None)
+        if first is None:
             return None
-        same = all(np.allclose(m, matrices[0]) for m in matrices)
-        if not same or (self._textures.has_plain and not np.allclose(matrices[0], np.eye(3))):
-            self.problems.add(
-                node.where,
-                "textures with different to_uv",
-                "one UV transform per material",
-                "bake them to one layout",
-            )
-        return matrices[0]
+        if not all(np.allclose(np.eye(3) if m is None else m, first) for m in self._uv_matrices):
+            expected, remedy = "one UV transform per material", "bake them to one layout"
+            self.problems.add(node.where, "textures with different to_uv", expected, remedy)
+        return first
 
 
 def rgb_of(value: Any) -> Color:
@@ -183,7 +166,7 @@ def rgb_of(value: Any) -> Color:
 
 
 def checkerboard(color0: Color, color1: Color) -> BakedSource:
-    """Return a tile of Mitsuba's checkerboard: ``color0`` where u and v are in the same half of [0, 1]."""
+    """Return a tile of Mitsuba's checkerboard: ``color0`` if u, v are in the same half, else ``color1``."""
     side = CHECKER_TILE_PX
     half = np.arange(side) >= side // 2
     is_first = half[:, None] == half[None, :]

@@ -23,7 +23,7 @@ RECORD_FILE = "import.json"
 def finish(
     asset: AnyAsset, files: Mapping[str, FileSource], folder: Path, options: ImportOptions, findings: Findings
 ) -> ImportedAsset:
-    """Write and check the package ``folder/<id>`` (or ``.zip``); its record has warnings as notes.
+    """Write, check and record the package ``folder/<id>`` (or ``.zip``); warnings become notes.
 
     Raises :class:`InputError` for faults of the package, and if it exists without ``options.overwrite``.
     """

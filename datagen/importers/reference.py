@@ -33,7 +33,7 @@ _DARK_SHARE = 0.01  # pixels below this share of the mean are too dark for a rat
 
 
 def load_original(path: Path, *, optimize: bool = False) -> Any:
-    """Load a scene by Mitsuba, with Mitsuba's BSDFs; without ``optimize``, one mesh per shape is kept."""
+    """Load a scene file with Mitsuba and its BSDFs; without ``optimize``, each shape keeps its mesh."""
     import mitsuba as mi
 
     file = path / "scene.xml" if path.is_dir() else path
@@ -41,7 +41,7 @@ def load_original(path: Path, *, optimize: bool = False) -> Any:
 
 
 def original_camera(path: Path) -> AssetCamera:
-    """Return the first camera of a scene file, in the scene's frame. Raises :class:`InputError` if none."""
+    """Return a scene file's first camera, in the scene's frame. Raises :class:`InputError` without any."""
     file = path / "scene.xml" if path.is_dir() else path
     sensors = parse_scene(file).all_of("sensor")
     if not sensors:

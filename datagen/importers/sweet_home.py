@@ -26,7 +26,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import IMAGE_SUFFIXES
-from datagen.foundation.meshes.mesh import Mesh, with_sound_normals, without_degenerate
+from datagen.foundation.meshes.mesh import Mesh, bounds, with_sound_normals, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.importers.annotate import read_annotations
@@ -170,13 +170,7 @@ class _SweetHomeImporter:
             find_image = _ImageFinder(self.catalogue, piece, Path(scratch))
             phongs = self._phong_materials(piece, model, findings)
             converter = PhongConverter(
-                self._label(piece),
-                self.options,
-                findings,
-                find_image,
-                hints,
-                self.known,
-                budget,
+                self._label(piece), self.options, findings, find_image, hints, self.known, budget
             )
             pieces = self._surfaces(piece, model, phongs, converter, findings)
             meshes = [mesh for _, _, mesh in pieces]
@@ -186,7 +180,7 @@ class _SweetHomeImporter:
             for name, material, mesh in pieces:
                 files[f"meshes/{name}.ply"] = encode_ply(mesh)
                 parts.append(part_of(name, material.slot, mesh))
-            low, high = _bounds(meshes)
+            low, high = bounds(meshes)
             asset = ObjectAsset(
                 id=asset_id,
                 title=piece.name,
@@ -293,7 +287,7 @@ class _SweetHomeImporter:
             findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat transparent panes left out")
         if not pieces:
             raise input_error(self._label(piece), got="no visible surface", expected="at least one")
-        low, high = _bounds([mesh for _, _, mesh in pieces])
+        low, high = bounds([mesh for _, _, mesh in pieces])
         shift = np.eye(4)
         shift[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
@@ -371,8 +365,8 @@ def _with_outer_panes(pieces: list[_Surface], panes: list[_Surface]) -> tuple[li
     """
     if not pieces or not panes:
         return panes + pieces, []
-    low, high = _bounds([mesh for _, _, mesh in pieces])
-    all_low, all_high = _bounds([mesh for _, _, mesh in pieces + panes])
+    low, high = bounds([mesh for _, _, mesh in pieces])
+    all_low, all_high = bounds([mesh for _, _, mesh in pieces + panes])
     slack = _OUTER * (all_high - all_low)
     kept, removed = list(pieces), list[_Surface]()
     for pane in panes:
@@ -380,9 +374,3 @@ def _with_outer_panes(pieces: list[_Surface], panes: list[_Surface]) -> tuple[li
         is_outer = ((points.min(axis=0) < low - slack) | (points.max(axis=0) > high + slack)).any()
         (kept if is_outer else removed).append(pane)
     return kept, removed
-
-
-def _bounds(meshes: list[Mesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    low = np.min([m.positions.min(axis=0) for m in meshes], axis=0).astype(np.float64)
-    high = np.max([m.positions.max(axis=0) for m in meshes], axis=0).astype(np.float64)
-    return low, high

@@ -181,7 +181,7 @@ class PhongConverter:
         return None
 
     def _cut_out(self, image: ImageSource, phong: PhongMaterial, slot: str) -> ScalarValue | None:
-        """Return the opacity by the alpha of the colour image or by ``map_d``; None if opaque."""
+        """Return the opacity from the alpha of the colour image or ``map_d``; None if opaque."""
         mask: ImageSource | None = None
         pixels = self.cache.pixels(image.file)
         if pixels.shape[2] in (2, 4):

@@ -66,10 +66,10 @@ class PlacedNode:
 
 
 class GltfFile:
-    """An open document, to be used as a context, which finally removes temporary files of images.
+    """An open document, used as a context manager, which removes temporary image files at exit.
 
-    The context converts Python errors, which malformed documents cause in many places, to
-    :class:`InputError`. Referenced files must be in the document's folder or in the ``allowed`` folders.
+    It converts Python errors, which malformed documents cause in many places, to :class:`InputError`.
+    Referenced files must be in the document's folder or in the ``allowed`` folders.
     """
 
     def __init__(self, path: Path, budget: Budget | None = None, allowed: Sequence[Path] = ()):
@@ -88,13 +88,8 @@ class GltfFile:
             raise input_error(self.path, "asset.version", repr(version), "2.0", "export it as glTF 2.0")
         required = {str(name) for name in self._list("extensionsRequired")} - KNOWN_EXTENSIONS
         if required:
-            raise input_error(
-                path,
-                "extensionsRequired",
-                ", ".join(sorted(required)),
-                "known extensions",
-                "export it without them",
-            )
+            got = ", ".join(sorted(required))
+            raise self.error("extensionsRequired", got, "known extensions", "export it without them")
 
     def __enter__(self) -> GltfFile:
         return self
@@ -146,7 +141,7 @@ class GltfFile:
             is_binary = self.path.suffix.lower() == ".glb"
             got = "a .glb without its JSON chunk" if is_binary else "a .gltf without its JSON"
             expected = f"an intact {self.path.suffix} file"
-            raise input_error(self.path, "", got, expected, "export the file again")
+            raise self.error("", got, expected)
         try:
             text = data.decode("utf-8")
         except UnicodeDecodeError:
@@ -181,7 +176,7 @@ class GltfFile:
     # data
 
     def resource(self, uri: str, user: str) -> bytes | Path:
-        """Return the content of a data URI, or the path of the file that it names, which may be missing."""
+        """Return the content of a data URI, or the path of another URI's file, which may be missing."""
         if uri.startswith("data:"):
             try:
                 return base64.b64decode(uri.split(",", 1)[1], validate=True)
@@ -200,12 +195,8 @@ class GltfFile:
                 content = self.resource(str(entry["uri"]), f"buffers[{index}].uri")
             if isinstance(content, Path):
                 if not content.is_file():
-                    raise self.error(
-                        f"buffers[{index}].uri",
-                        f"{entry['uri']!r} (no such file)",
-                        "the buffer",
-                        "restore it",
-                    )
+                    got = f"{entry['uri']!r} (no such file)"
+                    raise self.error(f"buffers[{index}].uri", got, "the buffer", "restore it")
                 self.budget.hold_file(content)
                 content = content.read_bytes()
             if len(content) < int(entry.get("byteLength", 0)):
@@ -216,7 +207,7 @@ class GltfFile:
         return self._buffers[index]
 
     def view(self, index: object) -> tuple[memoryview, int]:
-        """Return the decompressed bytes of buffer view ``index`` and its stride in bytes (0: none)."""
+        """Return the decompressed bytes of buffer view ``index`` and its stride in bytes (0: packed)."""
         entry = self.item("bufferViews", index, "accessors")
         stride = int(entry.get("byteStride", 0))
         packed = meshopt_of(entry)

@@ -6,6 +6,7 @@ N is the number of vertices, M of triangles. Texture coordinate v points up (see
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +61,7 @@ class Mesh:
         return areas
 
     def uv_per_m(self) -> float | None:
-        """Return the median of the triangles' sqrt(UV area / area), weighted by area; None without UVs."""
+        """Return the area-weighted median of UV units per metre on the triangles; None without UVs."""
         if self.uv is None:
             return None
         corners = self.uv.astype(np.float64)[self.faces]
@@ -74,6 +75,12 @@ class Mesh:
         order = np.argsort(density)
         cumulative = np.cumsum(weight[order])
         return float(density[order][np.searchsorted(cumulative, 0.5 * cumulative[-1])])
+
+
+def bounds(meshes: Sequence[Mesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and highest coordinates (3,) of all vertices of ``meshes``."""
+    low = np.min([m.positions.min(axis=0) for m in meshes], axis=0).astype(np.float64)
+    return low, np.max([m.positions.max(axis=0) for m in meshes], axis=0).astype(np.float64)
 
 
 @dataclass(frozen=True)

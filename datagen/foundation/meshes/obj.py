@@ -20,7 +20,7 @@ _BLOCK = 1 << 16  # lines split into words at once, which take ten times the mem
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read a file; each distinct (position, uv, normal) is a vertex. Raises :class:`InputError`."""
+    """Read an OBJ file; vertices are distinct (position, uv, normal). Raises :class:`InputError` if bad."""
     budget = budget or Budget(path)
     try:
         budget.hold_file(path)

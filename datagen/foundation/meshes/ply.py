@@ -81,19 +81,18 @@ def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> 
     else:
         raise input_error(where, "format", form, "binary_little_endian", _PLY_REMEDY)
     vertex = tables.get("vertex", {})
-    if not all(name in vertex for name in "xyz"):
+
+    def columns(*names: str) -> NDArray[np.float32] | None:
+        if not all(name in vertex for name in names):
+            return None
+        return np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
+
+    positions = columns(*"xyz")
+    if positions is None:
         raise input_error(where, "element vertex", sorted(vertex), "properties x, y and z", _PLY_REMEDY)
     faces = tables.get("face", {}).get("vertex_indices", np.zeros((0, 3), np.int32))
-    normals = None
-    if all(name in vertex for name in ("nx", "ny", "nz")):
-        normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=1).astype(np.float32)
-    uv = None
-    for names in _UV_NAMES:
-        if all(name in vertex for name in names):
-            uv = np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
-            break
-    positions = np.stack([vertex[name] for name in "xyz"], axis=1).astype(np.float32)
-    mesh = Mesh(positions, faces.astype(np.int32).reshape(-1, 3), normals, uv)
+    uv = next((found for names in _UV_NAMES if (found := columns(*names)) is not None), None)
+    mesh = Mesh(positions, faces.astype(np.int32).reshape(-1, 3), columns("nx", "ny", "nz"), uv)
     budget.spend("triangles", mesh.weight, Path(where).name)
     return mesh
 
