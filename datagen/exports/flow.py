@@ -3,7 +3,7 @@
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
 point is in front of camera b; elsewhere 1e10, the format's value for unknown. The mask is True where b
-shows the point: the pixel of b shows the same instance, in a plane through the point.
+shows the point, that is, a surface of the same instance in a plane through the point.
 """
 
 from __future__ import annotations

@@ -114,6 +114,14 @@ class Budget:
             self._files.add(real)
             self.hold(real.stat().st_size)
 
+    def read_file(self, path: Path, expected: str = "a readable file") -> bytes:
+        """Read a file and add its size as input. Raises :class:`InputError` if it cannot be read."""
+        try:
+            self.hold_file(path)
+            return path.read_bytes()
+        except OSError as error:
+            raise input_error(path, got=error.strerror or error, expected=expected) from None
+
     def allowed(self, what: LimitName) -> int:
         """Return the limit of ``what``, including its allowance for the size of the input."""
         return int(getattr(self.limits, what) + _PER_BYTE.get(what, 0.0) * self._held)

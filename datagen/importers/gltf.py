@@ -25,6 +25,7 @@ from datagen.foundation.errors import InputError, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.gltf import TRIANGLE_MODES, GltfFile, PlacedNode, triangles_of
 from datagen.foundation.meshes.mesh import (
+    SINGULAR,
     Mesh,
     bounds,
     flat_shaded,
@@ -152,7 +153,7 @@ class _GltfImporter:
         )
         mesh = self._mesh(primitive, material, label)
         matrix = self.asset_from_source @ placed.scene_from_node
-        if abs(np.linalg.det(matrix[:3, :3])) < 1e-15:
+        if abs(np.linalg.det(matrix[:3, :3])) < SINGULAR:
             self.findings.approximate(f"{label}: scaled to zero, left out")
             return None
         if np.linalg.det(matrix[:3, :3]) < 0:  # a mirroring node reverses the winding

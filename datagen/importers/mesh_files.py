@@ -90,13 +90,13 @@ def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, find
 
 
 def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Budget) -> MeshSource:
-    data = _bytes_of(path, budget)
+    data = budget.read_file(path)
     model = read_obj_model(data, path, budget)
     stated: dict[str, PhongMaterial] = {}
     for library in model.libraries:
         file = named_file(path.parent, library, path, "mtllib", options.allowed)
         if file.is_file():
-            stated.update(read_mtl(_bytes_of(file, budget), file))
+            stated.update(read_mtl(budget.read_file(file), file))
         elif options.missing == "refuse":
             raise input_error(path, "mtllib", f"{library!r} (no such file)", "its materials", RESTORE_IT)
         else:
@@ -126,7 +126,7 @@ def _material_of(
             remedy = "convert or restore it" if file.is_file() else "restore it, or --missing replace"
             raise input_error(path, f"{name}: map_Kd", got, "a PNG or JPEG image", remedy)
         else:
-            image = (kind, _bytes_of(file, budget))
+            image = (kind, budget.read_file(file))
     is_metal = phong.illumination == 3 and max(phong.diffuse) < 0.04 < max(phong.specular)
     exponent = min(max(phong.exponent, 0.0), _MAX_EXPONENT)
     return GlbMaterial(
@@ -152,7 +152,7 @@ def _read_ply(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 
 
 def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Budget) -> MeshSource:
-    data = _bytes_of(path, budget)
+    data = budget.read_file(path)
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + _STL_RECORD.itemsize * count:
         budget.spend("triangles", count, path.name)
@@ -186,14 +186,6 @@ def _smoothed(mesh: Mesh, budget: Budget) -> Mesh:
     corners = np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
     uv = mesh.uv[mesh.faces.ravel()] if mesh.uv is not None else None
     return compacted(Mesh(positions[faces.ravel()], corners, normals.astype(np.float32), uv))
-
-
-def _bytes_of(path: Path, budget: Budget) -> bytes:
-    try:
-        budget.hold_file(path)
-        return path.read_bytes()
-    except OSError as error:
-        raise input_error(path, got=error.strerror or error, expected="a readable file") from None
 
 
 READERS: dict[str, Callable[[Path, ImportOptions, Findings, Budget], MeshSource]] = {

@@ -26,7 +26,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
-from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, welded, without_degenerate
+from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
@@ -176,7 +176,7 @@ class _SceneImporter:
                     )
                 return
         transform = outer @ local_transform(node)
-        if abs(np.linalg.det(transform[:3, :3])) < 1e-15:
+        if abs(np.linalg.det(transform[:3, :3])) < SINGULAR:
             self.problems.add(
                 f"{node.where}: to_world", "a singular matrix", "an invertible one", "correct it"
             )

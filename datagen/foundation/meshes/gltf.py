@@ -197,8 +197,7 @@ class GltfFile:
                 if not content.is_file():
                     got = f"{entry['uri']!r} (no such file)"
                     raise self.error(f"buffers[{index}].uri", got, "the buffer", "restore it")
-                self.budget.hold_file(content)
-                content = content.read_bytes()
+                content = self.budget.read_file(content)
             if len(content) < int(entry.get("byteLength", 0)):
                 raise self.error(
                     f"buffers[{index}]", f"{len(content)} bytes", f"{entry.get('byteLength')} bytes"
@@ -312,8 +311,7 @@ class GltfFile:
             if isinstance(content, Path):
                 if not (content.suffix.lower() == ".ktx2" and content.is_file()):
                     return content
-                self.budget.hold_file(content)
-                content = content.read_bytes()
+                content = self.budget.read_file(content)
         else:
             content = bytes(self.view(entry.get("bufferView"))[0])
         kind = str(entry.get("mimeType", ""))

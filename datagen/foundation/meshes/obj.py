@@ -22,11 +22,7 @@ _BLOCK = 1 << 16  # lines split into words at once, which take ten times the mem
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
     """Read an OBJ file; vertices are distinct (position, uv, normal). Raises :class:`InputError` if bad."""
     budget = budget or Budget(path)
-    try:
-        budget.hold_file(path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise input_error(path, got=error.strerror or error, expected="a readable OBJ file") from None
+    data = budget.read_file(path, "a readable OBJ file")
     positions: list[bytes] = []
     uvs: list[bytes] = []
     normals: list[bytes] = []

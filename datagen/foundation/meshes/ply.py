@@ -51,12 +51,7 @@ def encode_ply(mesh: Mesh) -> bytes:
 def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
     """Read a PLY file. Raises :class:`InputError` as :func:`decode_ply` and for an unreadable file."""
     budget = budget or Budget(path)
-    try:
-        budget.hold_file(path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise input_error(path, got=error.strerror or error, expected="a readable PLY file") from None
-    return decode_ply(data, path, budget)
+    return decode_ply(budget.read_file(path, "a readable PLY file"), path, budget)
 
 
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
