@@ -24,7 +24,7 @@ UpAxis = Literal["auto", "y", "z"]
 ImportKind = Literal["auto", "environment", "object", "material"]
 
 EVALUATION_SCENES = {"veach-ajar": "Veach, Ajar", "dining-room": "The Breakfast Room"}
-"""Test scenes of the method's paper, by folder name and title: always imported as ``evaluation_only``."""
+"""Test scenes of the reconstruction method's paper, by folder: title; they are ``evaluation_only``."""
 
 RESTORE_IT = "restore it, or import with --missing replace"
 OPAL_ALBEDO = 0.7

@@ -140,7 +140,7 @@ def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, I
         quad = points[first[:, None] + np.arange(4)]
         even = area_vectors(quad[:, [0, 1, 2]]), area_vectors(quad[:, [0, 2, 3]])
         odd = area_vectors(quad[:, [1, 2, 3]]), area_vectors(quad[:, [1, 3, 0]])
-        # a concave quadrangle has one diagonal whose halves face the same way
+        # only one diagonal splits a concave quadrilateral into triangles of equal winding
         is_odd = (even[0] * even[1]).sum(axis=1) < 0
         is_odd &= (odd[0] * odd[1]).sum(axis=1) > 0
         split = np.where(is_odd[:, None], [1, 2, 3, 1, 3, 0], [0, 1, 2, 0, 2, 3])

@@ -31,7 +31,7 @@ F0_PER_SPECULAR = 0.08
 """F0 of a non-metal at Ks = 1; Ks = 0.5, the default in Blender and Disney's model, gives 0.04."""
 MIN_F0, MAX_ALBEDO = 0.02, 0.9
 _METAL_F0 = (0.3, 0.95)  # range of metals; a "metal" below it is painted
-_INVISIBLE = 0.02  # surfaces with less opacity are invisible aids of the program
+_INVISIBLE = 0.02  # less opaque surfaces are auxiliary and not shown by the program
 _OPAQUE = 0.999
 _MIRROR_F0 = 0.9
 _LEFT_OUT = (

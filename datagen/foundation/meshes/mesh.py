@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SINGULAR = 1e-15  # smaller determinants belong to flattening transforms
-LYING_COSINE = 0.01  # a shading normal within 0.6 degrees of its triangle's plane is useless
+LYING_COSINE = 0.01  # a normal within 0.6 degrees of its triangle's plane cannot be used for shading
 
 
 def area_vectors(corners: NDArray[np.float64]) -> NDArray[np.float64]:
