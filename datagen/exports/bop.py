@@ -3,8 +3,8 @@
 
 Lengths are in millimetres; camera axes are as in this project: x right, y down, z forward. BOP's poses are
 rigid, so each scale of an object is a separate model. ``boxes3d.json`` contains every object's box in the
-world, in metres, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels, ``bbox_obj`` the
-whole silhouette.
+world, in metres, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels, ``bbox_obj`` all
+projected vertices.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.exports.rooms import Export, Room, RoomView
+from datagen.exports.rooms import Export, Room, RoomView, pixel_box
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.configuration import PlacedAsset
 from datagen.foundation.errors import input_error
@@ -23,11 +23,11 @@ from datagen.foundation.meshes.mesh import Mesh, joined
 from datagen.foundation.meshes.ply import decode_ply, encode_ply
 
 ModelKey = tuple[str, tuple[float, float, float]]
-"""Id of an asset, and its scale along each axis."""
+"""Id of an asset and its scale along each axis."""
 
 
 def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
-    """Rigid ``world_from_object`` (4, 4), and the scale along each of the object's axes.
+    """Return an object's rigid ``world_from_object`` (4, 4) and its scale along each of its axes.
 
     Raises :class:`InputError` for a sheared or mirrored object.
     """
@@ -42,7 +42,7 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
 
 
 class BopFiles:
-    """Numbers the models of an export and writes one scene per room; :meth:`finish` writes the models."""
+    """Writer of one scene per room and, by :meth:`finish`, of the models, which it numbers."""
 
     def __init__(self, export: Export):
         self.export = export
@@ -56,7 +56,7 @@ class BopFiles:
         return placed.asset, pose_and_scale(placed)[1]
 
     def mesh(self, key: ModelKey) -> Mesh:
-        """The mesh of a model in metres at its scale, in the asset's frame."""
+        """Return the mesh of a model at its scale, in the asset's frame, in metres."""
         asset_id, scale = key
         if asset_id not in self.meshes:
             package = self.library.package(asset_id)
@@ -77,10 +77,10 @@ class BopFiles:
         objects = {
             name: (*pose_and_scale(placed), self.key(placed)) for name, placed in room.objects().items()
         }
-        corners = {name: self.mesh(key).positions.astype(np.float64) for name, (_, _, key) in objects.items()}
+        vertices = {name: self.mesh(o[2]).positions.astype(np.float64) for name, o in objects.items()}
         boxes = []
         for name, (pose, scale, key) in objects.items():
-            low, high = corners[name].min(0), corners[name].max(0)
+            low, high = vertices[name].min(0), vertices[name].max(0)
             boxes.append(
                 {
                     "instance": name,
@@ -98,7 +98,7 @@ class BopFiles:
         )
         tables: dict[str, dict[str, Any]] = {"scene_camera": {}, "scene_gt": {}, "scene_gt_info": {}}
         for image, view in enumerate(room.views):
-            camera_entry, poses, infos = self.view(folder, image, view, objects, corners)
+            camera_entry, poses, infos = self.view(folder, image, view, objects, vertices)
             for table, entry in zip(tables.values(), (camera_entry, poses, infos), strict=True):
                 table[str(image)] = entry
         for name, table in tables.items():
@@ -110,9 +110,12 @@ class BopFiles:
         image: int,
         view: RoomView,
         objects: dict[str, tuple[NDArray[np.float64], tuple[float, float, float], ModelKey]],
-        corners: dict[str, NDArray[np.float64]],
+        vertices: dict[str, NDArray[np.float64]],
     ) -> tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]:
-        """Write a view's images; returns its entries in the tables of cameras, poses and boxes."""
+        """Write a view's images, and return its camera, poses and boxes as entries of the scene's tables.
+
+        ``objects``: pose, scale and model by name; ``vertices``: their mesh vertices (N, 3) by name.
+        """
         camera = view.camera
         buffers = view.read("beauty", "depth_z_m", "instance_id")
         depth_mm = buffers["depth_z_m"][..., 0].astype(np.float64) * 1e3
@@ -138,24 +141,26 @@ class BopFiles:
                     "obj_id": self.numbers[key],
                 }
             )
-            pixels, depth = camera.project(corners[name] @ pose[:3, :3].T + pose[:3, 3])
+            pixels, depth = camera.project(vertices[name] @ pose[:3, :3].T + pose[:3, 3])
             infos.append(
                 {
                     "bbox_obj": _box(pixels[:, 0], pixels[:, 1]) if depth.min() > 0 else [-1, -1, -1, -1],
-                    "bbox_visib": _box_of(mask),
+                    "bbox_visib": pixel_box(mask),
                     "px_count_visib": int(mask.sum()),
                     "px_count_valid": int((mask & (depth_mm > 0)).sum()),
                 }
             )
-        rotation, place = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-        lens = [camera.fx_px, 0.0, camera.cx_px, 0.0, camera.fy_px, camera.cy_px, 0.0, 0.0, 1.0]
-        lens[2], lens[5] = lens[2] - 0.5, lens[5] - 0.5  # BOP's origin is the centre of the first pixel
-        entry = {"cam_K": lens, "depth_scale": unit_mm}
-        entry |= {"cam_R_w2c": rotation.ravel().tolist(), "cam_t_w2c": (1e3 * place).tolist()}
+        cx, cy = camera.cx_px - 0.5, camera.cy_px - 0.5  # BOP's origin is the centre of the first pixel
+        entry = {
+            "cam_K": [camera.fx_px, 0.0, cx, 0.0, camera.fy_px, cy, 0.0, 0.0, 1.0],
+            "depth_scale": unit_mm,
+            "cam_R_w2c": camera.camera_from_world[:3, :3].ravel().tolist(),
+            "cam_t_w2c": (1e3 * camera.camera_from_world[:3, 3]).tolist(),
+        }
         return entry, poses, infos
 
     def finish(self) -> None:
-        """Write the models in millimetres, and their metadata."""
+        """Write the models in millimetres, and their sizes."""
         infos: dict[str, Any] = {}
         for key, number in self.numbers.items():
             mesh = self.mesh(key).transformed(np.diag([1e3, 1e3, 1e3, 1.0]))
@@ -174,8 +179,3 @@ class BopFiles:
 def _box(x: NDArray, y: NDArray) -> list[int]:
     left, top = int(np.floor(x.min())), int(np.floor(y.min()))
     return [left, top, int(np.ceil(x.max())) - left, int(np.ceil(y.max())) - top]
-
-
-def _box_of(mask: NDArray[np.bool_]) -> list[int]:
-    rows, columns = np.nonzero(mask)
-    return _box(np.array([columns.min(), columns.max() + 1]), np.array([rows.min(), rows.max() + 1]))

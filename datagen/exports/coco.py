@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
-Masks are run-length encoded in COCO's compressed form: lengths of runs down the columns, beginning with
-background, each as the difference from the length two before it, in groups of five bits.
+Masks are in COCO's compressed run-length encoding: the lengths of runs along the columns, beginning with the
+background, each minus the length two runs before, in groups of five bits.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.exports.rooms import Export, Room, RoomView
+from datagen.exports.rooms import Export, Room, RoomView, pixel_box
 from datagen.formats.asset import ObjectAsset
 
 
 class CocoFiles:
-    """Writes images and collects the annotations of all rooms; :meth:`finish` writes the annotations."""
+    """Writer of images and, by :meth:`finish`, of the annotations of all rooms."""
 
     def __init__(self, export: Export):
         self.export = export
@@ -27,7 +27,7 @@ class CocoFiles:
         self.ids = {name: number for number, name in enumerate(sorted(names), start=1)}
 
     def category(self, asset_id: str) -> str:
-        """An object's category from the library or, if the library lacks it, its asset's id."""
+        """Return an asset's category if the library contains it as an object, else its id."""
         library = self.export.library
         if library is not None and asset_id in library:
             asset = library.package(asset_id).asset
@@ -52,21 +52,18 @@ class CocoFiles:
                 annotations.append({"id": len(annotations) + 1, "image_id": image_id, **entry})
 
     def annotations_of(self, room: Room, view: RoomView, ids: NDArray) -> list[dict[str, Any]]:
-        """Annotations of the objects with at least one pixel in ``ids`` (H, W), in the order of ids."""
+        """Return annotations of the objects whose instance ids occur in ``ids`` (H, W), in order of ids."""
         objects, found = room.objects(), []
         for number in np.unique(ids[ids > 0]):
             name = view.record.instances[str(number)]
             if name not in objects:
                 continue  # a part of the environment
             mask = ids == number
-            rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-            left, top = int(columns[0]), int(rows[0])
-            box = [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1]
             asset = objects[name].asset
             found.append(
                 {
                     "category_id": self.ids[self.category(asset)],
-                    "bbox": box,
+                    "bbox": pixel_box(mask),
                     "area": int(mask.sum()),
                     "segmentation": run_lengths(mask),
                     "iscrowd": 0,
@@ -85,7 +82,7 @@ class CocoFiles:
 
 
 def run_lengths(mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """A mask (H, W) as COCO's compressed run lengths."""
+    """Encode a mask (H, W) as COCO's compressed run lengths."""
     flat = mask.ravel(order="F")
     changes = np.flatnonzero(np.diff(flat)) + 1
     counts = np.diff(np.concatenate([[0], changes, [flat.size]])).tolist()

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""The subcommand ``datagen export``; heavy modules are imported in it."""
+"""The subcommand ``datagen export``, which defers heavy imports."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from datagen.foundation.progress import Bars
-
-if TYPE_CHECKING:
-    from datagen.exports.rooms import Export
 
 FORMATS = {
     "hypersim": "folders like Hypersim's: an HDF5 file per frame and quantity (extra `export`)",
@@ -61,28 +59,18 @@ def export(
         paths = _library_paths(folder, library)
         opened = stack.enter_context(Library(paths)) if paths else None
         job = Export(rooms, out, opened, neighbours, min_overlap)
-        write = _writer(layout, job)
+        writer: Any = getattr(import_module(f"datagen.exports.{layout}"), _WRITERS[layout])
+        files = writer(job) if isinstance(writer, type) else None
+        add = partial(writer, job) if files is None else files.add
         claim_folder(out, layout, folder, {"split": split or "all"})
         with Bars("configurations") as bars:
             for number, room in enumerate(rooms):
                 bars.tell(layout, number, len(rooms))
-                write.add(room)
+                add(room)
             bars.tell(layout, len(rooms), len(rooms))
-        write.finish()
+        if files is not None:
+            files.finish()
     typer.echo(f"{out}: {job.num_files} files written")
-
-
-class _RoomByRoom:
-    """Writer of a format that has no files for all rooms together."""
-
-    def __init__(self, job: Export, function: Any):
-        self.job, self.function = job, function
-
-    def add(self, room: Any) -> None:
-        self.function(self.job, room)
-
-    def finish(self) -> None:
-        """Do nothing."""
 
 
 _WRITERS = {
@@ -92,12 +80,7 @@ _WRITERS = {
     "bop": "BopFiles",
     "flow": "export_flow",
 }
-"""The writer in each format's module: a class with ``add`` and ``finish``, or a function of a room."""
-
-
-def _writer(layout: str, job: Export) -> Any:
-    writer = getattr(import_module(f"datagen.exports.{layout}"), _WRITERS[layout])
-    return writer(job) if isinstance(writer, type) else _RoomByRoom(job, writer)
+"""The writer in each format's module: a class with ``add`` and ``finish``, or a function that adds a room."""
 
 
 def _library_paths(folder: Path, library: list[str] | None) -> list[Path]:

@@ -2,8 +2,8 @@
 """Writes exact optical flow between views, from depth and cameras: Middlebury ``.flo`` files and masks.
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
-point is in front of camera b; elsewhere 1e10, the format's value for unknown. The mask contains points
-visible in b: the pixel there shows the same instance, and the point is in the plane of its surface.
+point is in front of camera b; elsewhere 1e10, the format's value for unknown. The mask is True where b
+shows the point, that is, a surface of the same instance in a plane through the point.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.images import encode_png
 
 UNKNOWN = 1e10
-_COARSE = 8
+_COARSE = 8  # step between pixels for the choice of views
 # relative to distance: half floats store normals to 1e-3, and pixels are 1e-3 to 3e-3 wide
 _PLANE_TOLERANCE = 4e-3
 _NAMES = ("depth_z_m", "normal_world", "instance_id")
@@ -31,7 +31,10 @@ def flow_between(
     buffers_b: dict[str, NDArray],
     step: int = 1,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Flow (h, w, 2) of every ``step``-th pixel of view a, and mask (h, w) of points visible in view b."""
+    """Return the flow (h, w, 2) in pixels from view a to b, and the mask (h, w) of points visible in b.
+
+    h and w count every ``step``-th row and column of view a. Buffers are as stored, by name.
+    """
     depth = buffers_a["depth_z_m"][::step, ::step, 0].astype(np.float64)
     pixels = camera_a.pixel_centers()[::step, ::step]
     points = camera_a.unproject(pixels, depth)
@@ -53,13 +56,13 @@ def flow_between(
 
 
 def encode_flo(flow: NDArray[np.float32]) -> bytes:
-    """Flow (H, W, 2) in Middlebury's format: "PIEH", width, height, then u and v by row."""
+    """Encode flow (H, W, 2) in Middlebury's format: "PIEH", width, height, then u and v by row."""
     height, width = flow.shape[:2]
     return b"PIEH" + struct.pack("<ii", width, height) + flow.astype("<f4").tobytes()
 
 
 def decode_flo(data: bytes) -> NDArray[np.float32]:
-    """Flow (H, W, 2) of a ``.flo`` file. Raises :class:`ValueError` for other data."""
+    """Decode a ``.flo`` file to flow (H, W, 2). Raises ``ValueError`` for other data."""
     if data[:4] != b"PIEH":
         raise ValueError("not a .flo file")
     width, height = struct.unpack_from("<ii", data, 4)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Writes folders in the layout of Apple's Hypersim: HDF5 files with one array, ``dataset``, each.
+"""Writes folders in the layout of Apple's Hypersim: HDF5 files with one array each, ``dataset``.
 
 A room is a scene, and its views with the same intrinsics are one camera trajectory (``cam_00``). As in
 Hypersim, cameras look along -z with y up, ``depth_meters`` is the distance from the camera's centre, and
@@ -27,7 +27,7 @@ _BUFFERS = (
 
 
 def encode_hdf5(array: NDArray) -> bytes:
-    """An HDF5 file with the compressed array ``dataset``. Raises :class:`InputError` without h5py."""
+    """Encode an HDF5 file with the compressed array ``dataset``. Raises :class:`InputError` without h5py."""
     try:
         import h5py
     except ImportError:
@@ -40,7 +40,7 @@ def encode_hdf5(array: NDArray) -> bytes:
 
 
 def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
-    """Matrix (3, 3) from (u, v, 1), with u to the right and v up in [-1, 1], to a camera ray, -z forward."""
+    """Return the (3, 3) matrix from (u, v, 1), u right and v up in [-1, 1], to a camera ray, -z forward."""
     half_width, half_height = camera.width_px / 2, camera.height_px / 2
     x = [half_width / camera.fx_px, 0.0, (half_width - camera.cx_px) / camera.fx_px]
     y = [0.0, half_height / camera.fy_px, (camera.cy_px - half_height) / camera.fy_px]
@@ -48,7 +48,7 @@ def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
 
 
 def projection(camera: Camera) -> NDArray[np.float64]:
-    """OpenGL's projection matrix (4, 4) for points in the camera's frame, -z forward."""
+    """Return OpenGL's projection matrix (4, 4) for points in the camera's frame, -z forward."""
     width, height, depth = camera.width_px, camera.height_px, _FAR_M - _NEAR_M
     return np.array(
         [
@@ -61,11 +61,11 @@ def projection(camera: Camera) -> NDArray[np.float64]:
 
 
 class HypersimFiles:
-    """Writes scenes; :meth:`finish` writes the table of intrinsics."""
+    """Writer of one scene per room and, by :meth:`finish`, of the table of all intrinsics."""
 
     def __init__(self, export: Export):
         self.export = export
-        self.lenses: list[tuple[str, str, Camera]] = []
+        self.trajectories: list[tuple[str, str, Camera]] = []  # scene, trajectory, first camera
 
     def add(self, room: Room) -> None:
         """Write a room as a scene: frames by trajectory, cameras, unit of length."""
@@ -73,16 +73,16 @@ class HypersimFiles:
         trajectories: dict[tuple[float, ...], list[RoomView]] = {}
         for view in room.views:
             c = view.camera
-            lens = (c.width_px, c.height_px, c.fx_px, c.fy_px, c.cx_px, c.cy_px)
-            trajectories.setdefault(lens, []).append(view)
+            intrinsics = (c.width_px, c.height_px, c.fx_px, c.fy_px, c.cx_px, c.cy_px)
+            trajectories.setdefault(intrinsics, []).append(view)
         for number, views in enumerate(trajectories.values()):
             label = f"cam_{number:02d}"
-            self.lenses.append((name, label, views[0].camera))
+            self.trajectories.append((name, label, views[0].camera))
             positions = np.stack([view.camera.position_m for view in views])
-            turns = np.stack([view.camera.world_from_camera[:3, :3] @ _FLIP for view in views])
+            rotations = np.stack([view.camera.world_from_camera[:3, :3] @ _FLIP for view in views])
             detail = f"{name}/_detail/{label}/camera_keyframe_"
             self.export.write(f"{detail}positions.hdf5", encode_hdf5(positions))
-            self.export.write(f"{detail}orientations.hdf5", encode_hdf5(turns))
+            self.export.write(f"{detail}orientations.hdf5", encode_hdf5(rotations))
             self.export.write(f"{detail}frame_indices.hdf5", encode_hdf5(np.arange(len(views))))
             for frame, view in enumerate(views):
                 self.frame(f"{name}/images/scene_{label}", frame, view)
@@ -90,7 +90,7 @@ class HypersimFiles:
         self.export.write(f"{name}/_detail/metadata_scene.csv", text.encode())
 
     def frame(self, folder: str, frame: int, view: RoomView) -> None:
-        """Write every quantity of a view."""
+        """Write the quantities of a view as frame number ``frame`` below ``folder``."""
         camera, buffers = view.camera, view.read(*_BUFFERS)
         depth = buffers["depth_z_m"][..., 0].astype(np.float64)
         points = camera.unproject(camera.pixel_centers(), depth)
@@ -127,13 +127,13 @@ class HypersimFiles:
         fields += [f"M_cam_from_uv_{r}{c}" for r in range(3) for c in range(3)]
         fields += [f"M_proj_{r}{c}" for r in range(4) for c in range(4)]
         lines = [",".join(fields)]
-        for scene, label, camera in self.lenses:
+        for scene, label, camera in self.trajectories:
             numbers = [*cam_from_uv(camera).ravel().tolist(), *projection(camera).ravel().tolist()]
             lines.append(",".join(map(str, (scene, label, camera.width_px, camera.height_px, *numbers))))
         self.export.write("metadata_camera_parameters.csv", ("\n".join(lines) + "\n").encode())
 
 
 def _with_minus_one(ids: NDArray) -> NDArray[np.int32]:
-    """Ids (H, W) with -1 instead of 0 for none, as in Hypersim."""
+    """Return ids (H, W, 1) as (H, W) with -1 instead of 0 for none, as in Hypersim."""
     values = ids[..., 0].astype(np.int64)
     return np.where(values == 0, -1, values).astype(np.int32)

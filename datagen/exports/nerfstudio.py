@@ -2,7 +2,7 @@
 """Writes a folder per room with ``transforms.json``, for nerfstudio, instant-ngp and Gaussian splatting.
 
 Cameras look along -z with y up (OpenGL); the world has Z up and is in metres. All images of a room have one
-exposure, since a radiance field would reproduce changes of it. Depth is along the optical axis, as 16-bit PNG
+exposure, since a radiance field would reproduce its changes. Depth is along the optical axis, as 16-bit PNG
 in units of ``depth_unit_scale_factor`` metres; ``points.ply`` contains coloured surface points to initialise
 splats.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from datagen.exports.rooms import Export, Room, picture
 from datagen.foundation.images import encode_png
 
-_OPENGL_FROM_OURS = np.diag([1.0, -1.0, -1.0, 1.0])
+_OPENGL_FROM_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 _POINTS = 200_000
 
 
@@ -44,12 +44,12 @@ def export_nerfstudio(export: Export, room: Room) -> None:
                 "fl_y": camera.fy_px,
                 "cx": camera.cx_px,
                 "cy": camera.cy_px,
-                "transform_matrix": (camera.world_from_camera @ _OPENGL_FROM_OURS).tolist(),
+                "transform_matrix": (camera.world_from_camera @ _OPENGL_FROM_CAMERA).tolist(),
             }
         )
         rows, columns = np.nonzero((depth > 0) & (buffers["surface_mask"][..., 0] > 0.5))
-        few = min(len(rows), _POINTS // len(room.views))
-        chosen = generator.choice(len(rows), few, replace=False)
+        count = min(len(rows), _POINTS // len(room.views))
+        chosen = generator.choice(len(rows), count, replace=False)
         rows, columns = rows[chosen], columns[chosen]
         points.append(camera.unproject(np.stack([columns, rows], -1) + 0.5, depth[rows, columns]))
         colors.append(shown[rows, columns])

@@ -33,7 +33,7 @@ MARKER = "export.json"
 
 @dataclass(frozen=True)
 class RoomView:
-    """A view of a room."""
+    """A view of a room: the location of its files in the shard, and its record."""
 
     place: ViewPlace
     record: ViewRecord
@@ -43,13 +43,13 @@ class RoomView:
         return self.record.camera.camera()
 
     def read(self, *names: str) -> dict[str, NDArray]:
-        """Stored buffers (H, W, C), by name."""
+        """Read buffers (H, W, C) as stored, by name."""
         return decode_view(read_member(self.place, self.place.exr), names, num_threads=1)
 
 
 @dataclass(frozen=True)
 class Room:
-    """A configuration and its views."""
+    """A configuration and its views, read from a shard on first use."""
 
     shard: Path
     split: Split
@@ -72,7 +72,7 @@ class Room:
         return float(np.median([view.record.exposure for view in self.views]))
 
     def objects(self) -> dict[str, PlacedAsset]:
-        """Objects by the name of their instance in the views' records."""
+        """Return the placed objects by instance name, as in the views' records."""
         return {placed.name: placed for placed in self.configuration.objects}
 
 
@@ -91,7 +91,7 @@ class Export:
         yield from self.rooms
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file of the export; it appears whole or not at all."""
+        """Write ``data`` atomically to file ``name`` of the export."""
         path = self.out / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_bytes_atomically(path, data)
@@ -111,21 +111,31 @@ class Export:
         self.write(name, encode_png(picture(beauty, exposure)))
 
     def need_library(self, format_name: str) -> Library:
-        """The library. Raises :class:`InputError` if there is none."""
+        """Return the library. Raises :class:`InputError` for ``format_name`` if there is none."""
         if self.library is None:
             remedy = "name the folders of its assets with --library"
             raise input_error(format_name, got="no library", expected="the objects' meshes", remedy=remedy)
         return self.library
 
 
+def pixel_box(mask: NDArray[np.bool_]) -> list[int]:
+    """Return the box [left, top, width, height], in pixels, of the True pixels of ``mask`` (H, W)."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    left, top = int(columns[0]), int(rows[0])
+    return [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1]
+
+
 def picture(beauty: NDArray, exposure: float) -> NDArray[np.uint8]:
-    """An 8-bit sRGB image (H, W, 3) of linear radiance times ``exposure``."""
+    """Convert linear radiance (H, W, 3) times ``exposure`` to an 8-bit sRGB image."""
     shown = srgb_from_linear(np.clip(beauty.astype(np.float32) * exposure, 0.0, 1.0))
     return (255.0 * shown + 0.5).astype(np.uint8)
 
 
 def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[Room]:
-    """Rooms of a dataset by split and ids ``only``. Raises :class:`InputError` for unknown ids or none."""
+    """Return a dataset's rooms of ``split`` (None: all) whose configurations are in ``only`` (empty: all).
+
+    Raises :class:`InputError` for unknown ids or if there are no such rooms.
+    """
     opened = Dataset(dataset)
     known = {shard.configuration: shard for shard in opened.index.shards}
     for name in only:
@@ -142,12 +152,12 @@ def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[
 
 
 def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
-    """Make ``out`` a folder of this export; an earlier one of the same format may be overwritten.
+    """Create ``out`` and mark it as an export; an earlier export to the same format may be overwritten.
 
-    Raises :class:`InputError` for a folder with other contents.
+    ``command``: options for the marker. Raises :class:`InputError` for a folder with other contents.
     """
     marker = out / MARKER
-    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_ours(marker, format_name)):
+    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_export(marker, format_name)):
         expected = f"a new or empty folder, or an earlier export to {format_name}"
         raise input_error(out, "--out", "other contents", expected, "choose another --out")
     out.mkdir(parents=True, exist_ok=True)
@@ -155,7 +165,7 @@ def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, 
     write_bytes_atomically(marker, (json.dumps(note, indent=2) + "\n").encode())
 
 
-def _is_ours(marker: Path, format_name: str) -> bool:
+def _is_export(marker: Path, format_name: str) -> bool:
     try:
         return json.loads(marker.read_text(encoding="utf-8")).get("layout") == format_name
     except (OSError, ValueError, AttributeError):

@@ -17,9 +17,9 @@ Z_UP_FROM_Y_UP = np.array(
 
 
 def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
-    """(4, 4) transform to metres with Z up from a file whose unit is ``unit_scale`` metres.
+    """Return the (4, 4) transform to metres with Z up from a file with ``unit_scale`` metres per unit.
 
-    Raises :class:`InputError` unless the scale is positive and finite.
+    ``up``: the file's upward axis. Raises :class:`InputError` unless the scale is positive and finite.
     """
     if not (np.isfinite(unit_scale) and unit_scale > 0):
         raise input_error("unit scale", got=unit_scale, expected="a positive number of metres per unit")
@@ -29,5 +29,5 @@ def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.fl
 
 
 def unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``vector`` divided by its length; a zero vector stays zero."""
+    """Return a vector (N,) divided by its length; a zero vector stays zero."""
     return vector / max(float(np.linalg.norm(vector)), 1e-30)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Resource limits for untrusted files: one budget per import, charged by every reader.
+"""Resource limits for untrusted files: all readers of an import charge one budget.
 
 A small file can expand to a large amount of data: references that fan out, a mesh placed a million times,
 compressed zeros. Each limit applies to the expanded data and grows with the actual size of the file, so that
@@ -47,7 +47,7 @@ _NOUNS: dict[LimitName, str] = {
 
 @dataclass(frozen=True)
 class Limits:
-    """Maximum during an import of each count that a budget charges.
+    """Upper limits of the amounts that one import may use.
 
     A mesh counts as many triangles as it has faces or, if more, a third of its vertices.
     """
@@ -74,7 +74,7 @@ class Limits:
 
     @classmethod
     def from_environment(cls) -> Limits:
-        """Defaults overridden by ``LIMITS_VARIABLE``. Raises :class:`InputError` for a bad name or value."""
+        """Return the limits of ``LIMITS_VARIABLE``, else defaults. Raises :class:`InputError` if invalid."""
         changes: dict[str, int] = {}
         names = [item.name for item in fields(cls)]
         for entry in filter(None, os.environ.get(LIMITS_VARIABLE, "").split(",")):
@@ -89,8 +89,8 @@ class Limits:
 class Budget:
     """Amounts that the import of the file ``where`` has used, and their limits.
 
-    Readers declare a file's size (:meth:`hold`) and charge their output before they allocate it
-    (:meth:`spend`), which raises :class:`InputError` beyond the limit.
+    Readers report the size of input by :meth:`hold`, and charge output by :meth:`spend` before they allocate
+    it.
     """
 
     def __init__(self, where: str | Path, limits: Limits | None = None):
@@ -104,34 +104,42 @@ class Budget:
             sys.setrecursionlimit(max(sys.getrecursionlimit(), calls))
 
     def hold(self, num_bytes: int) -> None:
-        """Add the size of existing input, which raises the limits of the data derived from it."""
+        """Add bytes of input; limits that depend on the size of the input increase."""
         self._held += num_bytes
 
     def hold_file(self, path: Path) -> None:
-        """Add the size of an existing file; each file counts once."""
+        """Add the size of an existing file as input; repeated calls count the file once."""
         real = path.resolve()
         if real not in self._files:
             self._files.add(real)
             self.hold(real.stat().st_size)
 
+    def read_file(self, path: Path, expected: str = "a readable file") -> bytes:
+        """Read a file and add its size as input. Raises :class:`InputError` if it cannot be read."""
+        try:
+            self.hold_file(path)
+            return path.read_bytes()
+        except OSError as error:
+            raise input_error(path, got=error.strerror or error, expected=expected) from None
+
     def allowed(self, what: LimitName) -> int:
-        """The limit of ``what``, including the increase by the size of the input."""
+        """Return the limit of ``what``, including its allowance for the size of the input."""
         return int(getattr(self.limits, what) + _PER_BYTE.get(what, 0.0) * self._held)
 
     def spend(self, what: LimitName, amount: int = 1, at: str = "") -> None:
-        """Charge ``amount`` at position ``at`` in the file. Raises :class:`InputError` beyond the limit."""
+        """Charge ``amount``; ``at``: position in the file. Raises :class:`InputError` beyond the limit."""
         total = self._spent.get(what, 0) + amount
         self._spent[what] = total
         if total > self.allowed(what):
             raise self.exceeded(what, total, at)
 
     def check_depth(self, depth: int, at: str = "") -> None:
-        """Raise :class:`InputError` if the nesting is deeper than the limit."""
+        """Raise :class:`InputError` if ``depth`` levels, at position ``at``, exceed the limit of nesting."""
         if depth > self.limits.depth:
             raise self.exceeded("depth", depth, at)
 
     def exceeded(self, what: LimitName, amount: int, at: str = "") -> InputError:
-        """The error for a limit that would be exceeded; ``amount`` is a lower bound of the actual amount."""
+        """Return the error for exceeding a limit; ``amount`` is a lower bound of the actual amount."""
         base, limit = getattr(self.limits, what), self.allowed(what)
         # with a margin of half the counted amount, since counting stopped at the limit
         needed = amount + amount // 2 - (limit - base)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The registry of buffers: every per-pixel quantity of a view, looked up by name, never by index.
+"""The registry of buffers, the per-pixel quantities of a view, by name.
 
-Renderer, shards, loader, validator and viewer all use this one table. Arrays are (H, W, C) with C the number
-of channels, row 0 at the top of the image.
+Renderer, shards, loader, validator and viewer use this table. Arrays are (H, W, C) with C channels, row 0 at
+the top of the image.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 PixelType = Literal["half", "float", "uint"]
-ColorSpace = Literal["linear_rec709", "data"]
 Stage = Literal["radiance", "ground_truth", "statistics"]
 
 
@@ -30,24 +29,27 @@ class MaterialMaps(NamedTuple):
 MATERIAL_MAPS = MaterialMaps("diffuse_albedo", "specular_albedo", "roughness")
 
 
+_RGB = ("R", "G", "B")
+_HALF_MAX = 65504.0
+_RADIANCE = "W/(m^2 sr), scene-linear"
+
+
 @dataclass(frozen=True)
 class Buffer:
-    """One buffer: its name, EXR channel suffixes, storage type, unit, closed valid range and fill value.
+    """Definition of a buffer; ``minimum`` and ``maximum`` bound its valid values, inclusively.
 
-    ``invalid`` fills pixels in which the quantity does not exist (background, emitters). ``stage`` is its
-    origin: path tracing, the ground truth of the first hit, or statistics over views. ``is_optional``: views
-    may lack it.
+    ``channels``: suffixes of its EXR channels. Pixels without the quantity (background, emitters) contain 0.
+    ``stage``: its origin, which is path tracing, the ground truth of the first hit, or statistics over views.
+    ``is_optional``: views may lack it.
     """
 
     name: str
-    channels: tuple[str, ...]
-    pixel_type: PixelType
-    unit: str
-    minimum: float
-    maximum: float
-    color_space: ColorSpace
-    invalid: float
     description: str
+    channels: tuple[str, ...] = _RGB
+    unit: str = "1"
+    maximum: float = 1.0
+    minimum: float = 0.0
+    pixel_type: PixelType = "half"
     stage: Stage = "ground_truth"
     is_optional: bool = False
 
@@ -57,7 +59,7 @@ class Buffer:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """NumPy dtype as stored."""
+        """NumPy dtype of the stored array."""
         return np.dtype({"half": np.float16, "float": np.float32, "uint": np.uint32}[self.pixel_type])
 
     @property
@@ -68,117 +70,72 @@ class Buffer:
         return tuple(f"{self.name}.{channel}" for channel in self.channels)
 
 
-_RGB = ("R", "G", "B")
-_HALF_MAX = 65504.0
-_RADIANCE = "W/(m^2 sr), scene-linear"
-
-
 def _color(name: str, stage: Stage, description: str, is_optional: bool = False) -> Buffer:
-    return Buffer(
-        name, _RGB, "half", _RADIANCE, 0.0, _HALF_MAX, "linear_rec709", 0.0, description, stage, is_optional
-    )
-
-
-def _albedo(name: str, description: str) -> Buffer:
-    return Buffer(name, _RGB, "half", "1", 0.0, 1.0, "linear_rec709", 0.0, description)
+    return Buffer(name, description, _RGB, _RADIANCE, _HALF_MAX, stage=stage, is_optional=is_optional)
 
 
 def _id(name: str, of: str) -> Buffer:
     description = f"{of} through the pixel's centre; 0 = none; names are in the view's JSON"
-    return Buffer(name, ("I",), "uint", "id", 0, 2**32 - 1, "data", 0, description)
+    return Buffer(name, description, ("I",), "id", 2**32 - 1, pixel_type="uint")
 
 
 _ALL = (
     _color("beauty", "radiance", "rendered image, denoised if the recipe enables it"),
     _color("beauty_noisy", "radiance", "the same image before the denoiser (only with keep_noisy)", True),
-    _albedo(MATERIAL_MAPS.diffuse_albedo, "diffuse albedo D at the first hit"),
-    _albedo(MATERIAL_MAPS.specular_albedo, "specular albedo S (F0) at the first hit"),
+    Buffer(MATERIAL_MAPS.diffuse_albedo, "diffuse albedo D at the first hit"),
+    Buffer(MATERIAL_MAPS.specular_albedo, "specular albedo S (F0) at the first hit"),
     Buffer(
         MATERIAL_MAPS.roughness,
-        ("Y",),
-        "half",
-        "1 (perceptual)",
-        0.0,
-        1.0,
-        "data",
-        0.0,
         "perceptual roughness R at the first hit; alpha = R^2",
+        ("Y",),
+        "1 (perceptual)",
     ),
     Buffer(
         "normal_world",
-        ("X", "Y", "Z"),
-        "half",
-        "1 (unit vector)",
-        -1.0,
-        1.0,
-        "data",
-        0.0,
         "shading normal in world space, facing the camera",
+        ("X", "Y", "Z"),
+        "1 (unit vector)",
+        minimum=-1.0,
     ),
     Buffer(
         "depth_z_m",
-        ("Z",),
-        "float",
-        "m",
-        0.0,
-        1e6,
-        "data",
-        0.0,
         "depth along the optical axis through the pixel's centre; 0 where nothing was hit",
+        ("Z",),
+        "m",
+        1e6,
+        pixel_type="float",
     ),
     Buffer(
         "surface_mask",
-        ("Y",),
-        "half",
-        "1",
-        0.0,
-        1.0,
-        "data",
-        0.0,
         "share of the pixel covered by reflecting surface; emitters and background do not count",
+        ("Y",),
     ),
     _id("instance_id", "object instance"),
     _id("material_id", "material"),
-    _color("color_min", "statistics", "per-channel minimum of the colours seen by the chosen views"),
-    _color("color_median", "statistics", "per-channel median of the colours seen by the chosen views"),
-    _color("color_max", "statistics", "per-channel maximum of the colours seen by the chosen views"),
+    _color("color_min", "statistics", "per-channel minimum of the point's colours in the chosen views"),
+    _color("color_median", "statistics", "per-channel median of the point's colours in the chosen views"),
+    _color("color_max", "statistics", "per-channel maximum of the point's colours in the chosen views"),
     Buffer(
         "observation_count",
-        ("N",),
-        "half",
-        "views",
-        0,
-        2048,
-        "data",
-        0,
         "number of views whose colours entered the statistics; 0 on the background",
-        "statistics",
+        ("N",),
+        "views",
+        2048,
+        stage="statistics",
     ),
     Buffer(
         "reflectance",
-        _RGB,
-        "half",
-        "1",
-        0.0,
-        _HALF_MAX,
-        "linear_rec709",
-        0.0,
         "pi times color_median over the irradiance that the views record; 0 where too little light arrives",
-        "statistics",
-        True,
+        maximum=_HALF_MAX,
+        stage="statistics",
+        is_optional=True,
     ),
     Buffer(
         "known_share",
-        ("Y",),
-        "half",
-        "1",
-        0.0,
-        1.0,
-        "data",
-        0.0,
         "share of the cosine-weighted hemisphere whose radiance the views record",
-        "statistics",
-        True,
+        ("Y",),
+        stage="statistics",
+        is_optional=True,
     ),
     _color("mirror_sharp", "statistics", "radiance that a surface of S = 1 and R = 0.2 would reflect", True),
     _color("mirror_broad", "statistics", "radiance that a surface of S = 1 and R = 0.5 would reflect", True),
@@ -205,7 +162,7 @@ MIN_COVERAGE = 0.5
 
 
 def get_buffer(name: str) -> Buffer:
-    """The buffer registered as ``name``. Raises ``KeyError`` with the known names."""
+    """Return the buffer ``name``. Raises ``KeyError``, which lists the known names, if there is none."""
     try:
         return BUFFERS[name]
     except KeyError:
@@ -213,7 +170,10 @@ def get_buffer(name: str) -> Buffer:
 
 
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Mask (H, W): True where ``depth_z_m`` and ``surface_mask``, if present, indicate a surface."""
+    """Return the mask (H, W) of a view's surface pixels, from its buffers (H, W, C) by name.
+
+    They have positive ``depth_z_m`` and ``surface_mask`` of at least ``MIN_COVERAGE``, each if present.
+    """
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)
     if "depth_z_m" in view:

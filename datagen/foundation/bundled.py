@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bundled data: library, recipes and a small suite, in a checkout or an installation.
+"""Paths of the bundled data (library, recipes and suites) in a checkout or an installation.
 
 The data is the repository's folder ``scenes/``, installed as ``datagen/scenes`` (setup.py).
 """
@@ -15,8 +15,8 @@ BundledKind = Literal["recipes", "suites"]
 
 
 def bundled_folder() -> Path:
-    """The folder of the bundled data. Raises :class:`InputError` if the installation lacks it."""
-    installed, checkout = _places()
+    """Return the folder of the bundled data. Raises :class:`InputError` if it does not exist."""
+    installed, checkout = _candidates()
     if (installed / "library").is_dir():
         return installed
     if (checkout / "library").is_dir() and (checkout.parent / "pyproject.toml").is_file():
@@ -25,31 +25,31 @@ def bundled_folder() -> Path:
     raise input_error(installed, "", "no such folder", "the bundled library, recipes and suites", remedy)
 
 
-def _places() -> tuple[Path, Path]:
-    """Candidate folders of the bundled data: in an installation and in a checkout."""
+def _candidates() -> tuple[Path, Path]:
+    """Return the folders of the bundled data in an installation and in a checkout, existing or not."""
     package = Path(__file__).resolve().parents[1]
     return package / "scenes", package.parent / "scenes"
 
 
 def is_bundled(package: Path) -> bool:
-    """Whether an asset package is in the bundled library, installed or in a checkout."""
-    return any(package.resolve().is_relative_to((place / "library").resolve()) for place in _places())
+    """Return whether the path of an asset package is inside the bundled library."""
+    return any(package.resolve().is_relative_to((folder / "library").resolve()) for folder in _candidates())
 
 
 def bundled_library() -> Path:
-    """Folder of the bundled library."""
+    """Return the folder of the bundled library. Raises as :func:`bundled_folder`."""
     return bundled_folder() / "library"
 
 
 def bundled_names(kind: BundledKind) -> list[str]:
-    """Names of the bundled recipes or suites, sorted."""
+    """Return the names of the bundled recipes or suites, sorted."""
     return sorted(path.stem for path in (bundled_folder() / kind).glob("*.yaml"))
 
 
 def resolve_bundled(path: Path, kind: BundledKind) -> Path:
-    """File that a command's argument names: ``path`` itself, or the bundled file with that name.
+    """Return ``path`` if it exists, else the bundled recipe or suite of that name.
 
-    Raises :class:`InputError` with the bundled names if it is neither.
+    Raises :class:`InputError`, which lists the bundled names, if neither exists.
     """
     if path.exists():
         return path
@@ -62,6 +62,6 @@ def resolve_bundled(path: Path, kind: BundledKind) -> Path:
 
 
 def object_package(name: str, folder: Path) -> Path:
-    """Path of an object package; ``name`` is ``bundled:ID`` or a path relative to ``folder``."""
+    """Return the path of an object package named ``bundled:ID`` or by a path relative to ``folder``."""
     kind, _, asset_id = name.partition(":")
     return bundled_library() / "objects" / asset_id if kind == "bundled" else folder / name

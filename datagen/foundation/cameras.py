@@ -30,7 +30,7 @@ class PinholeRecord(Protocol):
 class Camera:
     """A pinhole camera without distortion. ``world_from_camera`` is a rigid (4, 4) float64 matrix.
 
-    ``clip_m``: near and far limit of the visible ``depth_z_m``; None = everything in front.
+    ``clip_m``: nearest and farthest visible depth along the optical axis; None: no limits.
     """
 
     width_px: int
@@ -44,26 +44,18 @@ class Camera:
 
     @classmethod
     def of(cls, record: PinholeRecord, world_from_camera: ArrayLike) -> Camera:
-        """Camera with the fields of a file's record and the pose ``world_from_camera`` (4, 4)."""
-        return cls(
-            record.width_px,
-            record.height_px,
-            record.fx_px,
-            record.fy_px,
-            record.cx_px,
-            record.cy_px,
-            np.array(world_from_camera, dtype=np.float64),
-            record.clip_m,
-        )
+        """Return a camera with the fields of ``record`` and the pose ``world_from_camera`` (4, 4)."""
+        r, pose = record, np.array(world_from_camera, dtype=np.float64)
+        return cls(r.width_px, r.height_px, r.fx_px, r.fy_px, r.cx_px, r.cy_px, pose, r.clip_m)
 
     @property
     def position_m(self) -> NDArray[np.float64]:
-        """Centre of projection in world space, (3,)."""
+        """Centre of projection (3,) in world space, in metres."""
         return self.world_from_camera[:3, 3]
 
     @property
     def forward(self) -> NDArray[np.float64]:
-        """Unit optical axis in world space, (3,)."""
+        """Unit vector (3,) of the optical axis in world space."""
         return self.world_from_camera[:3, 2]
 
     @property
@@ -77,27 +69,19 @@ class Camera:
 
     @property
     def fov_x_rad(self) -> float:
-        """Full horizontal field of view, as if the principal point were centred."""
+        """Horizontal field of view in radians, for a centred principal point."""
         return float(2 * np.arctan(0.5 * self.width_px / self.fx_px))
 
     def scaled(self, width_px: int, height_px: int) -> Camera:
-        """The same camera at another resolution (intrinsics scaled per axis)."""
+        """Return the camera at another resolution, with the intrinsics scaled per axis."""
         sx, sy = width_px / self.width_px, height_px / self.height_px
-        return Camera(
-            width_px,
-            height_px,
-            self.fx_px * sx,
-            self.fy_px * sy,
-            self.cx_px * sx,
-            self.cy_px * sy,
-            self.world_from_camera,
-            self.clip_m,
-        )
+        fx, fy, cx, cy = self.fx_px * sx, self.fy_px * sy, self.cx_px * sx, self.cy_px * sy
+        return Camera(width_px, height_px, fx, fy, cx, cy, self.world_from_camera, self.clip_m)
 
     def project(self, points_world: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Project world points (..., 3) to pixel coordinates (..., 2) and depth_z_m (...).
+        """Project world points (..., 3) to pixel coordinates (..., 2) and depths (...).
 
-        Points at or behind the camera's plane get NaN coordinates and their (non-positive) depth.
+        Depths are along the optical axis, in metres. Coordinates are NaN where the depth is not positive.
         """
         points = np.asarray(points_world, dtype=np.float64)
         local = points @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
@@ -110,7 +94,7 @@ class Camera:
         return pixels, z
 
     def unproject(self, pixels: ArrayLike, depth_z_m: ArrayLike) -> NDArray[np.float64]:
-        """World points (..., 3) at pixels (..., 2) and depth_z_m (...), the inverse of :meth:`project`."""
+        """Return the world points (..., 3) at pixel coordinates (..., 2) and depths (...) in metres."""
         pixels = np.asarray(pixels, dtype=np.float64)
         z = np.asarray(depth_z_m, dtype=np.float64)
         x = (pixels[..., 0] - self.cx_px) / self.fx_px * z
@@ -120,12 +104,12 @@ class Camera:
         return points
 
     def pixel_centers(self) -> NDArray[np.float64]:
-        """Coordinates (u, v) of every pixel's centre, (H, W, 2)."""
+        """Return the coordinates (u, v) of every pixel's centre, (H, W, 2)."""
         u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
         return np.stack([u, v], axis=-1)
 
     def ray_directions(self) -> NDArray[np.float64]:
-        """Unit world directions through every pixel's centre, (H, W, 3)."""
+        """Return unit vectors (H, W, 3) in world space from the camera through every pixel's centre."""
         ends = self.unproject(self.pixel_centers(), np.ones((self.height_px, self.width_px)))
         directions = ends - self.position_m
         unit: NDArray[np.float64] = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -135,9 +119,9 @@ class Camera:
 def look_at(
     position_m: ArrayLike, target_m: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)
 ) -> NDArray[np.float64]:
-    """``world_from_camera`` (4, 4) of a camera at ``position_m`` that looks at ``target_m``.
+    """Return ``world_from_camera`` (4, 4) of a camera at ``position_m`` that looks at ``target_m``.
 
-    Raises ``ValueError`` if both coincide; if the view is along ``up``, another axis defines the roll.
+    If it looks along ``up``, another axis defines the roll. Raises ``ValueError`` if the points coincide.
     """
     position, target = np.asarray(position_m, dtype=np.float64), np.asarray(target_m, dtype=np.float64)
     forward = target - position
@@ -146,7 +130,7 @@ def look_at(
         raise ValueError(f"camera position and target coincide at {position.tolist()}")
     forward /= length
     right = np.cross(forward, np.asarray(up, dtype=np.float64))
-    if np.linalg.norm(right) < 1e-8:  # looking straight along `up` leaves the roll free
+    if np.linalg.norm(right) < 1e-8:
         right = np.cross(forward, [0.0, 1.0, 0.0] if abs(forward[1]) < 0.9 else [1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colour encodings, each with its inverse. Linear means linear Rec.709/sRGB primaries, D65."""
+"""Colour encodings with their inverses, and exposure. Linear colours have Rec.709 primaries and D65."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; part of the network's in
 
 
 def srgb_from_linear(linear: NDArray[Any]) -> NDArray[Any]:
-    """sRGB-encode linear values; negative input is clamped to 0, values above 1 stay above 1."""
+    """Encode linear values as sRGB; negative input is clamped to 0, values above 1 stay above 1."""
     linear = np.maximum(linear, 0.0)
     return np.where(
         linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(np.maximum(linear, 1e-12), 1 / 2.4) - 0.055
@@ -29,13 +29,13 @@ def linear_from_srgb(srgb: NDArray[Any]) -> NDArray[Any]:
 
 
 def luminance(linear_rgb: NDArray[Any]) -> NDArray[Any]:
-    """Rec.709 luminance of (..., 3) linear colours, as (...)."""
+    """Return the Rec.709 luminance (...) of linear colours (..., 3)."""
     luminances: NDArray[Any] = linear_rgb @ LUMINANCE_WEIGHTS.astype(linear_rgb.dtype)
     return luminances
 
 
 def log_from_linear(linear: NDArray[Any]) -> NDArray[Any]:
-    """Encode [0, 1] to [-1, 1] by 2 (ln(x + 0.01) - ln 0.01) / (ln 1.01 - ln 0.01) - 1; input is clipped."""
+    """Encode linear values x, clipped to [0, 1], as 2 ln(1 + 100 x) / ln 101 - 1, in [-1, 1]."""
     x = np.clip(linear, 0.0, 1.0)
     span = np.log(1 + _LOG_EPSILON) - np.log(_LOG_EPSILON)
     encoded: NDArray[Any] = 2 * (np.log(x + _LOG_EPSILON) - np.log(_LOG_EPSILON)) / span - 1
@@ -50,9 +50,9 @@ def linear_from_log(encoded: NDArray[Any]) -> NDArray[Any]:
 
 
 def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
-    """Factor that maps the 95th percentile of an image's luminance to 0.9.
+    """Return the factor that maps the 95th percentile of an image's luminance to 0.9.
 
-    ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for ignored pixels. 1.0 for a black or empty image.
+    ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for ignored pixels. A black or empty image gives 1.0.
     """
     values = luminance(np.asarray(linear_rgb, dtype=np.float64))
     if valid_mask is not None:
@@ -70,13 +70,13 @@ MAX_DARK_CLIPPED_SHARE = 0.1  # for images that would look dark otherwise
 
 
 def photographic_exposure(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
-    """Exposure factor for display, which limits clipped highlights and dark medians.
+    """Return an exposure factor for display.
 
-    As :func:`exposure_for`, but lower if more than :data:`MAX_CLIPPED_SHARE` of the pixels would have a
-    channel above 1, as under a warm lamp or in the sun. If the median luminance is then below
-    :data:`MIN_MEDIAN`, as in a room with sky-lit blinds and window sill, the exposure is raised to reach it,
-    with at most :data:`MAX_DARK_CLIPPED_SHARE` of clipped pixels. ``linear_rgb`` (..., 3); ``valid_mask``
-    (...): False for ignored pixels, such as lamps and windows.
+    The factor of :func:`exposure_for` is lowered if more than :data:`MAX_CLIPPED_SHARE` of the pixels would
+    have a channel above 1, as under a warm lamp or in the sun. If the median luminance is then below
+    :data:`MIN_MEDIAN`, as in a room with sky-lit blinds, the factor is raised to reach it, with at most
+    :data:`MAX_DARK_CLIPPED_SHARE` of clipped pixels. ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for
+    ignored pixels, such as lamps and windows.
     """
     exposure = exposure_for(linear_rgb, valid_mask)
     colors = np.asarray(linear_rgb, dtype=np.float64)
@@ -93,7 +93,7 @@ def photographic_exposure(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | N
 
 
 def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray[Any] | None = None) -> float:
-    """Share of pixels of ``linear_rgb`` (..., 3) with a channel above 1 after scaling by ``exposure``.
+    """Return the share of pixels of ``linear_rgb`` (..., 3) with a channel above 1 at ``exposure``.
 
     ``valid_mask`` (...): False for ignored pixels; 0 if all are ignored.
     """
@@ -103,7 +103,7 @@ def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray
 
 
 def color_of_temperature(kelvin: float) -> tuple[float, float, float]:
-    """Linear Rec.709 colour, of luminance 1, of a black body at 1667 to 25000 K (fit of Kim et al. 2002)."""
+    """Return a black body's linear Rec.709 colour of luminance 1, clamped to 1667 to 25000 K (Kim 2002)."""
     t = min(max(kelvin, 1667.0), 25000.0)
     if t < 4000:
         x = -0.2661239e9 / t**3 - 0.2343589e6 / t**2 + 0.8776956e3 / t + 0.179910

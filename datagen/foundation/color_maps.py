@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The colour map of all scalar images."""
+"""The colour map of all images of scalars."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def cividis() -> list[list[int]]:
-    """256 sRGB colours [red, green, blue], 0 to 255, for values 0 to 1; suited to the colour-blind."""
+    """Return the cividis colour map for values 0 to 1: 256 sRGB colours [red, green, blue], 0 to 255."""
     from matplotlib import colormaps
 
     colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]

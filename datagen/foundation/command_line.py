@@ -52,7 +52,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 
 def run_command(app: Callable[[], object]) -> None:
-    """Run a command, and exit with a message instead of a traceback for the user's errors.
+    """Run a command; errors that the user can correct print a message instead of a traceback.
 
     Exit codes: 2 for bad input, including inaccessible files; 1 for a full disk and, silently, a broken pipe.
     """
@@ -83,10 +83,10 @@ def run_function(function: Callable[..., None]) -> None:
 
 
 def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
-    """Typer class of a command whose removed subcommands, the keys of ``moved``, name their replacements."""
+    """Return a Typer group class that reports the replacements (values) of removed subcommands (keys)."""
 
     class Group(TyperGroup):
-        """Command whose removed subcommands raise :class:`InputError` with their replacement."""
+        """Group that raises :class:`InputError` for a removed subcommand, with its replacement."""
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args and args[0] in moved:
@@ -98,9 +98,9 @@ def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
 
 
 def with_options(verb: Callable[..., T]) -> Callable[..., T]:
-    """Wrap ``verb`` for typer: each field of its parameters that are dataclasses becomes an option.
+    """Wrap the function ``verb`` for typer: fields of its dataclass parameters become options.
 
-    Fields without a typer annotation keep their defaults. ``tuple[X, ...]`` is a repeatable option.
+    Fields without a typer annotation keep their defaults; ``tuple[X, ...]`` is a repeatable option.
     """
     hints = get_type_hints(verb, include_extras=True)
     shown: list[inspect.Parameter] = []
@@ -131,7 +131,7 @@ def with_options(verb: Callable[..., T]) -> Callable[..., T]:
 
 
 def _options_of(kind: type) -> list[tuple[str, Any, Any]]:
-    """Name, annotation and default of each option of a dataclass."""
+    """Return the name, annotation and default of each field of a dataclass that declares an option."""
     hints = get_type_hints(kind, include_extras=True)
     return [
         (
@@ -145,7 +145,7 @@ def _options_of(kind: type) -> list[tuple[str, Any, Any]]:
 
 
 def declared_options(kind: type) -> dict[str, tuple[str, float | None]]:
-    """Command-line name and minimum (or None) of each option of a dataclass, by field name."""
+    """Return the command-line name and minimum (or None) of a dataclass's options, by field name."""
     found = {}
     for name, hint, _ in _options_of(kind):
         (option,) = (extra for extra in get_args(hint)[1:] if isinstance(extra, OptionInfo))
@@ -160,7 +160,7 @@ def _is_repeatable(hint: Any) -> bool:
 
 
 def _shown(name: str, hint: Any, default: Any) -> inspect.Parameter:
-    """The parameter in typer's terms: lists for tuples of any length, text for values with a parser."""
+    """Return a parameter for typer: tuples become lists, and values with a parser become strings."""
     if get_origin(hint) is Annotated:
         kind, *extras = get_args(hint)
         if any(isinstance(extra, ParameterInfo) and extra.parser is not None for extra in extras):

@@ -9,10 +9,9 @@ _UNBOUNDED = 100_000  # characters; tables and lines use as much of it as they n
 
 
 def table_console() -> Console:
-    """A console on standard output.
+    """Return a console on standard output that prints square brackets as text, not as styles.
 
-    In a pipe or a file nothing is cut or wrapped, so that ids stay complete; square brackets are text, not
-    styles.
+    Lines to a pipe or a file are neither cut nor wrapped, so ids stay complete.
     """
     console = Console(markup=False)
     return console if console.is_terminal else Console(width=_UNBOUNDED, markup=False)

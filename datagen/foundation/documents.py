@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Parsers of untrusted JSON and XML, which check the size of the tree before it takes memory."""
+"""Parsers of untrusted JSON and XML that limit the number of values and the depth of nesting."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _OPENING = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{\]}]', re.S)
 
 
 def parse_json(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
-    """Parse JSON. Raises :class:`InputError` for invalid JSON, too many values or too deep nesting."""
-    # an upper bound: every value but the first follows one of these, which strings may contain too
+    """Parse JSON. Raises :class:`InputError` for invalid JSON, too many values or too many levels."""
+    # an upper bound: every value but the first follows one of these characters, also in strings
     count = 1 + text.count(",") + text.count("[") + text.count("{")
     budget.spend("values", count, "document")
     try:
@@ -37,7 +37,7 @@ def _depth(text: str) -> int:
 
 
 class _Counter(ElementTree.TreeBuilder):
-    """Tree builder that charges elements and levels to a budget."""
+    """Tree builder that charges elements to a budget and checks their depth."""
 
     def __init__(self, budget: Budget):
         super().__init__()
@@ -59,7 +59,7 @@ def parse_xml(
 ) -> ElementTree.Element:
     """Parse an XML document to its root element.
 
-    Raises :class:`InputError` for invalid XML, a DOCTYPE or entities, too many elements, or too deep nesting.
+    Raises :class:`InputError` for invalid XML, a DOCTYPE or entities, too many elements or levels.
     """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can read other files or fill the memory
         raise input_error(where, "", "a DOCTYPE or ENTITY", "plain XML", "remove it")

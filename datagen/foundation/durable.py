@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Files that are whole or absent, even after a power failure: content, name and folder are synced in order.
+"""Writing of files that are complete or absent even after a power failure.
 
-A rename alone survives a crash of the process, not of the machine: a file system may keep the new name and
-lose the content, or lose the name although a later file that depends on it exists.
+Content is synced before its name, and its name before those of later files: after a crash of the machine, a
+file system may otherwise have the new name without the content, or a later file without an earlier one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until a folder's names are on disk, if the file system can."""
+    """Wait until a folder's entries are on disk; some file systems do not support this."""
     if _IS_WINDOWS:
         return
     try:
@@ -36,7 +36,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_tree(root: Path) -> None:
-    """Wait until everything below a folder, and the folder itself, is on disk."""
+    """Wait until a folder and all its files and subfolders are on disk."""
     for folder, _, names in os.walk(root):
         for name in names:
             sync_file(Path(folder, name))
@@ -44,7 +44,7 @@ def sync_tree(root: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder and its missing parents, and wait until their names are on disk."""
+    """Create a folder and its missing parents, and wait until their entries are on disk."""
     if folder.is_dir():
         return
     make_folder(folder.parent)
@@ -53,7 +53,7 @@ def make_folder(folder: Path) -> None:
 
 
 def publish(partial: Path, target: Path) -> None:
-    """Rename a finished file or folder, replacing an existing file, and wait until it is on disk."""
+    """Sync a file or folder, rename it to ``target``, replacing an existing file, and sync its name."""
     if partial.is_dir():
         sync_tree(partial)
     else:
@@ -63,7 +63,7 @@ def publish(partial: Path, target: Path) -> None:
 
 
 def publish_first(partial: Path, target: Path) -> None:
-    """Publish a finished file as a hard link. Raises ``FileExistsError`` if ``target`` exists."""
+    """Sync a file and hard-link it as ``target``. Raises ``FileExistsError`` if ``target`` exists."""
     sync_file(partial)
     os.link(partial, target)
     sync_folder(target.parent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Transfer functions between stored values of photographs and radiance."""
+"""Names of the transfer functions between radiance and the stored values of photographs."""
 
 from __future__ import annotations
 

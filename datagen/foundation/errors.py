@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error type for bad input, which states position, value found, value expected and remedy."""
+"""The exception for bad input, whose message states position, value found, value expected and remedy."""
 
 from __future__ import annotations
 
@@ -32,21 +32,13 @@ class Problem:
     remedy: str = ""
 
     def __str__(self) -> str:
-        text = f"{self.where}: "
-        field, got = _shortened(self.field), _shortened(self.got)
-        if field and got:
-            text += f"{field} = {got}"
-        else:
-            text += field or got
-        if self.expected:
-            text += f"; expected {self.expected}"
-        if self.remedy:
-            text += f"; {self.remedy}"
-        return text
+        found = " = ".join(_shortened(text) for text in (self.field, self.got) if text)
+        expected = self.expected and f"expected {self.expected}"
+        return "; ".join([f"{self.where}: {found}", *filter(None, (expected, self.remedy))])
 
 
 def _reworded_if_empty(problem: Problem) -> Problem:
-    """The problem, reworded if its file is empty, which parsers report as a syntax error."""
+    """Return ``problem``, or one that states that its file is empty, which parsers report as bad syntax."""
     if isinstance(problem, str):  # torch rebuilds a worker's error from its text
         return problem
     try:
@@ -63,7 +55,7 @@ def _reworded_if_empty(problem: Problem) -> Problem:
 
 
 class InputError(ValueError):
-    """Bad input. Carries every problem, so that a user can fix all of them at once."""
+    """Exception for bad input that lists every problem, so that a user can fix all at once."""
 
     def __init__(self, *problems: Problem):
         if not problems:
@@ -80,23 +72,23 @@ class InputError(ValueError):
 def input_error(
     where: str | Path, field: str = "", got: object = "", expected: str = "", remedy: str = ""
 ) -> InputError:
-    """Shorthand for an :class:`InputError` with a single problem."""
+    """Return an :class:`InputError` with a single :class:`Problem` of these fields."""
     return InputError(Problem(where, field, str(got), expected, remedy))
 
 
 class Problems(list[Problem]):
-    """Problems of one source, named ``where``, to be raised together."""
+    """List of the problems of one source, ``where``, which are raised together."""
 
     def __init__(self, where: str | Path):
         super().__init__()
         self.where = where
 
     def add(self, field: str = "", got: object = "", expected: str = "", remedy: str = "") -> None:
-        """Append a problem."""
+        """Append a :class:`Problem` of the source."""
         self.append(Problem(self.where, field, str(got), expected, remedy))
 
 
 def raise_problems(problems: Sequence[Problem]) -> None:
-    """Raise an :class:`InputError` with all problems, if there are any."""
+    """Raise an :class:`InputError` with all ``problems`` unless there are none."""
     if problems:
         raise InputError(*problems)

@@ -20,7 +20,7 @@ from datagen.foundation.buffers import BUFFERS, Buffer, get_buffer
 from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 
 MAX_SIDE_PX = 16384  # larger headers are refused before any pixel is allocated
-_MAX_COMPRESSION = 500  # of files that are no decompression bombs; halves count as floats
+_MAX_COMPRESSION = 500  # plausible decoded bytes per stored byte, with halves counted as floats
 _CLAIM_FREE_BYTES = 256 << 20
 COMPRESSIONS = {
     "none": OpenEXR.NO_COMPRESSION,
@@ -34,10 +34,10 @@ _READ_REMEDY = "make the view again (remove it and rerun), or restore the file"
 
 
 def to_storage(buffer: Buffer, array: NDArray[Any]) -> NDArray[Any]:
-    """``array`` (H, W, C) as stored: cast to the buffer's dtype, half floats clipped to their range.
+    """Return ``array`` (H, W, C) as stored: cast to the buffer's dtype, half floats clipped to their range.
 
-    Stages that compute from a view use stored values, so that a resumed run equals an uninterrupted one.
-    Raises ``ValueError`` on a wrong shape.
+    Stages that compute from a view use stored values, so a resumed run equals an uninterrupted one. Raises
+    ``ValueError`` for a wrong shape.
     """
     if array.ndim != 3 or array.shape[2] != buffer.num_channels:
         raise ValueError(f"{buffer.name}: got shape {array.shape}, expected (H, W, {buffer.num_channels})")
@@ -47,9 +47,9 @@ def to_storage(buffer: Buffer, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", num_threads: int = 0) -> bytes:
-    """Encode buffers, (H, W, C) arrays of one size by name, as the bytes of one EXR file.
+    """Encode buffers, arrays (H, W, C) of one size by name, as the bytes of one EXR file.
 
-    Raises ``ValueError`` on unknown names or differing sizes.
+    Raises ``KeyError`` for an unknown name, ``ValueError`` for no buffers or wrong shapes.
     """
     if not buffers:
         raise ValueError("expected at least one buffer")
@@ -81,7 +81,7 @@ def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, wher
 
 
 def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
-    """(width, height) in an EXR file's header. Raises :class:`InputError` if damaged or implausible."""
+    """Return (width, height) in an EXR file's header. Raises :class:`InputError` if it is implausible."""
     OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
     try:
         with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
@@ -96,7 +96,7 @@ def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
 
 
 def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray[Any]]:
-    """Channels (H, W) of an EXR file by name. Raises :class:`InputError` if damaged or implausible."""
+    """Decode an EXR file to channels (H, W) by name. Raises :class:`InputError` if it is damaged."""
     claimed_size(data, where)
     try:
         with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
@@ -108,7 +108,7 @@ def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dic
 def decode_view(
     source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """Decode an EXR file to buffers (H, W, C) as stored (half stays float16); ``names`` None = all.
+    """Decode buffers (H, W, C) of an EXR file by name, as stored (half: float16); ``names`` None: all.
 
     Raises :class:`InputError` if the file is damaged, too large, or lacks a requested buffer.
     """
@@ -118,14 +118,10 @@ def decode_view(
     except OSError as error:
         raise InputError(Problem(where, "", str(error), "a readable EXR file", _READ_REMEDY)) from None
     pixels = decode_channels(data, where, num_threads)
-    wanted = (
-        tuple(names)
-        if names is not None
-        else tuple(name for name, buffer in BUFFERS.items() if all(c in pixels for c in buffer.exr_channels))
-    )
+    complete = [name for name, buffer in BUFFERS.items() if all(c in pixels for c in buffer.exr_channels)]
     result = {}
     problems = Problems(where)
-    for name in wanted:
+    for name in complete if names is None else names:
         buffer = get_buffer(name)
         missing = [c for c in buffer.exr_channels if c not in pixels]
         if missing:

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Remarks collected while foreign files are read."""
+"""Remarks about the files of other programs, collected while they are read."""
 
 from __future__ import annotations
 
 
 class Findings:
-    """Collects approximations and notes during an import; each sentence once, in order."""
+    """Approximations and notes of an import: distinct sentences, in order of their addition."""
 
     def __init__(self) -> None:
         self._approximations: dict[str, None] = {}
         self._notes: dict[str, None] = {}
 
     def approximate(self, sentence: str) -> str:
-        """Add a sentence about content that is converted only roughly, and return it."""
+        """Add a sentence about content that is approximated or left out, and return it."""
         self._approximations[sentence] = None
         return sentence
 

@@ -24,7 +24,7 @@ _REPLACE = "replace the file"
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Pixels (H, W, C) of a PNG or JPEG (uint8 or uint16, as stored) or an EXR (float32).
+    """Read pixels (H, W, C) of a PNG or JPEG (uint8 or uint16, as stored) or an EXR (float32).
 
     Raises :class:`InputError` for a missing, corrupt or oversized file and for other formats.
     """
@@ -39,20 +39,18 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
-    """(width, height) in the header of an EXR, or of another of ``formats`` (Pillow's names).
+    """Return (width, height) in the header of an EXR file or of one in Pillow's ``formats``.
 
     Raises :class:`InputError` for a missing or unreadable file.
     """
+    if not path.is_file():  # a pipe would block for ever
+        raise input_error(path, got="no such file", expected="an image", remedy="correct its name")
     if path.suffix.lower() == ".exr":
         from datagen.foundation.exr import claimed_size
 
-        if not path.is_file():
-            raise input_error(path, got="no such file", expected="an image", remedy="correct its name")
         return claimed_size(path.read_bytes(), path)
     from PIL import Image
 
-    if not path.is_file():  # a pipe would block for ever
-        raise input_error(path, got="no such file", expected="an image", remedy="correct its name")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # sizes are checked here
@@ -64,14 +62,14 @@ def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -
 
 
 def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
-    """Unsigned integer pixels scaled to [0, 1]; float pixels unchanged."""
+    """Return pixels as float32; unsigned integers are scaled to [0, 1]."""
     if pixels.dtype.kind == "u":
         return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     return pixels.astype(np.float32)
 
 
 def encode_png(pixels: NDArray[Any]) -> bytes:
-    """Deterministic PNG bytes of uint8 or uint16 pixels, (H, W) or (H, W, 1), (H, W, 3) or (H, W, 4)."""
+    """Encode uint8 or uint16 pixels, (H, W) or (H, W, C) with C of 1, 3 or 4, as PNG; deterministic."""
     import cv2
 
     orders = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}
@@ -83,9 +81,9 @@ def encode_png(pixels: NDArray[Any]) -> bytes:
 
 
 def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[Any]:
-    """Pixels (H, W, C) as stored of an image in one of ``formats``, recognised by content, not by name.
+    """Read pixels (H, W, C), as stored, of an image in one of Pillow's ``formats``, recognised by content.
 
-    Sizes and chunk lengths are checked first, since OpenCV trusts the headers of damaged files. Raises
+    Sizes and chunk lengths are checked first, since OpenCV does not validate headers. Raises
     :class:`InputError` for a missing, corrupt or oversized file.
     """
     import cv2
@@ -114,7 +112,7 @@ def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[
 
 
 def _has_whole_chunks(png: bytes) -> bool:
-    """Whether every chunk of a PNG, up to IEND, is complete."""
+    """Return whether every chunk of a PNG file, up to IEND, is complete."""
     position = len(_PNG_SIGNATURE)
     while position + 12 <= len(png):
         length, kind = struct.unpack_from(">I4s", png, position)

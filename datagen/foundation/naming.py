@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ids and file names derived from foreign names."""
+"""Ids and file names derived from arbitrary names."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from datagen.foundation.transliteration import transliterated
 
 
 def slug(text: str) -> str:
-    """A name that is valid as an id and as a file name: lower-case letters, digits, '_' and '-'.
+    """Convert ``text`` to a valid id and file name of lower-case ASCII letters, digits, '_' and '-'.
 
-    Other alphabets are transliterated.
+    Text without such characters gives ``unnamed``.
     """
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", transliterated(text))
     cleaned = re.sub(r"[^a-z0-9_-]+", "-", words.lower()).strip("-_")
@@ -19,10 +19,10 @@ def slug(text: str) -> str:
 
 
 def unique(name: str, taken: set[str] | dict[str, object]) -> str:
-    """``name``, or ``name_2``, ``name_3``, ... if it is taken."""
+    """Return ``name`` if it is not in ``taken``, else a free one of ``name_2``, ``name_3``, ..."""
     if name not in taken:
         return name
-    last, step = 1, 1  # a search by bisection: trying every number is quadratic in the names
+    last, step = 1, 1  # bisection, since trying every number is quadratic in the names
     while f"{name}_{last + step}" in taken:
         last, step = last + step, 2 * step
     while step > 1:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks that file names in untrusted files refer to permitted targets. All readers use these checks.
+"""Checks that file names in untrusted files refer to permitted files.
 
 A name is relative to the folder of its file and must stay inside, even when links are followed. Absolute
 names and names with ``..`` need folders that the user allows explicitly.
@@ -62,9 +62,9 @@ def named_file(
     allowed: Sequence[Path] = (),
     remedy: str = "copy the file there",
 ) -> Path:
-    """Path of the file ``name`` in ``field`` of the file ``where``, as :func:`fault_of` resolves it.
+    """Return the path of the file ``name``, resolved as by :func:`fault_of`; it may be missing.
 
-    Raises :class:`InputError` if the name is refused.
+    Raises :class:`InputError` if the name, found in ``field`` of the file ``where``, is refused.
     """
     real, fault = fault_of(folder, name, allowed)
     if real is None:
@@ -74,9 +74,9 @@ def named_file(
 
 
 def inside(root: Path, path: Path) -> Path:
-    """``path``, checked to stay below ``root`` when links are followed and to be no pipe, device or folder.
+    """Return ``path``, a regular or missing file inside ``root`` with links followed.
 
-    A missing file passes. Raises :class:`InputError` if a check fails.
+    Raises :class:`InputError` for any other path.
     """
     try:
         name = str(path.relative_to(root))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Resources used by this process: peak memory since a reset, and processor time."""
+"""Resources used by this process: peak memory and processor time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def forget_peak() -> None:
-    """Reset the peak; if the system cannot, the peak since process start remains."""
+    """Reset the peak of :func:`peak_mb`; unsupported systems keep the peak since process start."""
     with suppress(OSError):
         _CLEAR.write_text("5")
 
 
 def peak_mb() -> float:
-    """Peak of resident memory since the reset, in MB."""
+    """Return the peak resident memory since :func:`forget_peak`, in MB of 2^20 bytes."""
     with suppress(OSError):
         for line in _STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):
@@ -28,13 +28,12 @@ def peak_mb() -> float:
 
 
 def process_peak_mb() -> float:
-    """Peak of resident memory since process start, in MB."""
-
+    """Return the peak resident memory since process start, in MB of 2^20 bytes."""
     unit = 2**20 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 def processor_s() -> float:
-    """Processor time in seconds of this process and of its finished child processes."""
+    """Return the processor time in seconds of this process and of its finished child processes."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system

@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from rich.progress import Task
 
 Progress = Callable[[str, int, int], None]
-"""Called with (stage, done, total), like :meth:`Bars.tell`."""
+"""Function of (stage, finished steps, total steps), such as :meth:`Bars.tell`."""
 
 SILENCE_S = 30.0
 
 
 class Bars:
-    """A progress bar for each stage with its rate and the time left, on a terminal.
+    """Context that shows the progress of stages: on a terminal, bars with rate and time left.
 
-    Elsewhere, as in the log of a job: a line at the start of each stage after the first, every 30 seconds,
-    and at the end. ``unit`` names the counted items; with ``is_transient`` a stage's bar disappears when the
-    next begins. With ``is_quiet`` nothing is shown.
+    Elsewhere, as in the log of a job, it prints a line at the start of each stage after the first, every 30
+    seconds, and at the end. ``unit`` names the counted items; with ``is_transient`` a stage's bar disappears
+    when the next begins. With ``is_quiet`` nothing is shown.
     """
 
     def __init__(self, unit: str = "", *, is_transient: bool = False, is_quiet: bool = False):
@@ -32,7 +32,7 @@ class Bars:
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
         self._first: dict[str, tuple[int, float]] = {}  # stage -> steps already done at its first report
-        self._stage, self._line, self._said_at = "", "", time.monotonic()
+        self._stage, self._line, self._printed_at = "", "", time.monotonic()
 
     def __enter__(self) -> Bars:
         if not self.is_quiet and self._console.is_terminal:
@@ -56,7 +56,7 @@ class Bars:
     def __exit__(self, *exception: object) -> None:
         if self._bars is None:
             if exception[0] is None and self._line:
-                self._say_line()
+                self._print_line()
             return
         if exception[0] is not None:  # a stalled bar would distract from the error
             for task in self._unfinished():
@@ -67,7 +67,7 @@ class Bars:
         return [task for task in self._bars.tasks if not task.finished]
 
     def tell(self, stage: str, done: int, total: int, note: str = "") -> None:
-        """Report ``done`` of ``total`` steps of a stage; its rate excludes steps done at the first report."""
+        """Show ``done`` of ``total`` steps of a stage; its rate excludes steps done at the first call."""
         if self.is_quiet:
             return
         now = time.monotonic()
@@ -75,7 +75,7 @@ class Bars:
         rate = f"{(done - first) / (now - begun) * 3600:,.0f}/h" if done > first and now > begun else ""
         if self._bars is None:
             counted = f"{done} of {total} {self.unit}".rstrip()
-            self._tell_in_lines(stage, ", ".join(text for text in (counted, rate, note) if text), now)
+            self._show_in_lines(stage, ", ".join(text for text in (counted, rate, note) if text), now)
             return
         if stage not in self._tasks:
             if self.is_transient:
@@ -85,17 +85,17 @@ class Bars:
             self._tasks[stage] = self._bars.add_task(stage, total=total, completed=done, rate="", note="")
         self._bars.update(self._tasks[stage], completed=done, total=total, rate=rate, note=note)
 
-    def _tell_in_lines(self, stage: str, figures: str, now: float) -> None:
+    def _show_in_lines(self, stage: str, figures: str, now: float) -> None:
         is_next = self._stage not in ("", stage)
         self._stage, self._line = stage, f"{stage}: {figures}"
-        if is_next or now - self._said_at >= SILENCE_S:
-            self._say_line()
+        if is_next or now - self._printed_at >= SILENCE_S:
+            self._print_line()
 
-    def _say_line(self) -> None:
+    def _print_line(self) -> None:
         self.say(f"{time.strftime('%H:%M:%S')} {self._line}")
-        self._line, self._said_at = "", time.monotonic()
+        self._line, self._printed_at = "", time.monotonic()
 
     def say(self, text: str) -> None:
-        """Print a line, above the bars if there are any."""
+        """Print a line, above any bars, unless ``is_quiet``."""
         if not self.is_quiet:
             self._console.print(text, highlight=False, markup=False, soft_wrap=True)

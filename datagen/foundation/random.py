@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Random numbers that depend on their key alone, not on order, workers, hash seeds or NumPy's version.
+"""Random numbers that depend only on their key, not on order, workers, hash seeds or NumPy's version.
 
 Every draw of a configuration comes from a :class:`Draws` keyed by (recipe seed, configuration, purpose,
 index). Only NumPy's raw Philox stream is used, whose bits NumPy guarantees forever; ``Generator``'s
@@ -20,15 +20,15 @@ ItemT = TypeVar("ItemT")
 
 
 def digest(*key: int | str) -> bytes:
-    """SHA-256 of a key; the parts are typed and length-prefixed, so ("a", "bc") and ("ab", "c") differ."""
+    """Return the SHA-256 of the parts of a key, with their types and lengths as separators."""
     text = "".join(f"{type(part).__name__}:{len(str(part))}:{part};" for part in key)
     return hashlib.sha256(text.encode()).digest()
 
 
 def weighted_item(items: Sequence[ItemT], weights: Sequence[float], number: float) -> ItemT:
-    """Item drawn by weight, where ``number`` in [0, 1) is the random number.
+    """Return the item that a uniform ``number`` in [0, 1) selects, with probabilities by ``weights``.
 
-    Raises ``ValueError`` unless some weight is positive.
+    Raises ``ValueError`` unless a weight is positive.
     """
     cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
     if not cumulative[-1] > 0:
@@ -45,50 +45,50 @@ class Draws:
         self._bits = np.random.Philox(key=int.from_bytes(digest(*key)[:16], "little"))
 
     def units(self, *shape: int) -> NDArray[np.float64]:
-        """Uniform numbers in [0, 1), of the given shape."""
+        """Return an array of ``shape`` of uniform numbers in [0, 1)."""
         count = math.prod(shape)
         raw = np.atleast_1d(self._bits.random_raw(count)) if count else np.zeros(0, np.uint64)
         return ((raw >> np.uint64(11)).astype(np.float64) * 2.0**-53).reshape(shape)
 
     def unit(self) -> float:
-        """One uniform number in [0, 1)."""
+        """Return one uniform number in [0, 1)."""
         return float(self.units(1)[0])
 
     def uniform(self, low: float, high: float) -> float:
-        """A uniform number in [low, high]."""
+        """Return a uniform number in [low, high]."""
         return low + (high - low) * self.unit()
 
     def log_uniform(self, low: float, high: float) -> float:
-        """A number in [low, high] with uniform logarithm; both bounds are positive."""
+        """Return a number in [low, high] whose logarithm is uniform; both bounds are positive."""
         return math.exp(self.uniform(math.log(low), math.log(high)))
 
     def normal(self) -> float:
-        """A standard normal number (Box-Muller)."""
+        """Return a standard normal number (Box-Muller)."""
         u, v = self.units(2).tolist()
         return math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
 
     def integer(self, low: int, high: int) -> int:
-        """A uniform integer in [low, high], both included."""
+        """Return a uniform integer in [low, high], both included."""
         return min(low + int(self.unit() * (high - low + 1)), high)
 
     def chance(self, probability: float) -> bool:
-        """True with the given probability."""
+        """Return True with the given probability."""
         return self.unit() < probability
 
     def choice(self, items: Sequence[ItemT]) -> ItemT:
-        """One of the items, uniformly."""
+        """Return one of the items, with equal probabilities."""
         return items[self.integer(0, len(items) - 1)]
 
     def weighted(self, items: Sequence[ItemT], weights: Sequence[float]) -> ItemT:
-        """One of the items with probability proportional to its weight; some weight must be positive."""
+        """Return an item with probability proportional to its weight; raises as :func:`weighted_item`."""
         return weighted_item(items, weights, self.unit())
 
     def shuffled(self, items: Sequence[ItemT]) -> list[ItemT]:
-        """The items in random order."""
+        """Return the items in random order."""
         return [items[i] for i in np.argsort(self.units(len(items)), kind="stable").tolist()]
 
     def sphere(self, count: int) -> NDArray[np.float64]:
-        """Directions uniform on the unit sphere, (count, 3)."""
+        """Return unit vectors (count, 3), uniform on the sphere."""
         u = self.units(count, 2)
         z = 1.0 - 2.0 * u[:, 0]
         radius = np.sqrt(np.maximum(0.0, 1.0 - z * z))

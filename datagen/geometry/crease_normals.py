@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.foundation.meshes.mesh import Mesh, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
 
-CREASE_RAD = np.radians(40.0)  # minimum angle between the triangle normals at a crease
+CREASE_RAD = np.radians(40.0)  # minimum angle between the normals of the triangles at a crease
 _MAX_AROUND = 128  # maximum number of triangles at a vertex
 
 
@@ -16,12 +16,11 @@ def with_normals(mesh: Mesh) -> Mesh:
 
     Vertices are split at creases; faces keep their order. The normal of a triangle's corner is the
     area-weighted mean over the triangles at the same vertex whose normals differ by less than ``CREASE_RAD``
-    from the triangle's: large flat walls stay flat next to narrow bevels.
+    from the triangle's own, so large flat walls stay flat next to narrow bevels.
     """
     if mesh.normals is not None:
         return mesh
-    corners = mesh.triangles().astype(np.float64)
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = area_vectors(mesh.triangles())
     unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
     vertex = welded(mesh)[1][mesh.faces].ravel()
     order = np.argsort(vertex, kind="stable")  # corners by vertex; corner k is of face k // 3
@@ -38,11 +37,7 @@ def with_normals(mesh: Mesh) -> Mesh:
     length = np.linalg.norm(total, axis=1, keepdims=True)
     normals = np.where(length > 1e-30, total / np.maximum(length, 1e-300), np.repeat(unit, 3, axis=0))
     coded = np.round((normals + 1) * 511).astype(np.int64)
-    keys = (
-        ((mesh.faces.ravel().astype(np.int64) << 30) | (coded[:, 0] << 20))
-        | (coded[:, 1] << 10)
-        | coded[:, 2]
-    )
+    keys = (mesh.faces.ravel().astype(np.int64) << 30) | (coded @ [1 << 20, 1 << 10, 1])
     _, first, split = np.unique(keys, return_index=True, return_inverse=True)
     source = mesh.faces.ravel()[first]
     return Mesh(

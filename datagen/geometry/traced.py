@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Traces rays through the pixel centres of a capture's views: depth, normals and triangles of its mesh.
+"""Depth, normals and triangles of a capture's mesh at the pixel centres of its views, by ray tracing.
 
-Stored buffers of rendered captures are not used, since the mesh may be coarser than the rendered room.
+Buffers of rendered captures are not used, since the mesh may be coarser than the rendered room.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.cameras import Camera
-from datagen.foundation.meshes.mesh import Mesh, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
 from datagen.geometry.crease_normals import with_normals
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """The mesh at the pixel centres of a view.
+    """The first surfaces that rays through the pixel centres of a view hit.
 
     ``depth_z_m`` (H, W, 1), 0 where nothing is hit; ``normal_world`` (H, W, 3), unit, facing the camera, 0
     where nothing is hit; ``surface_mask`` (H, W, 1), 1 on surfaces that do not emit, else 0; ``face`` (H, W),
-    index of the triangle, -1 where nothing is hit; ``is_front`` (H, W), whether the triangle appears
-    counter-clockwise.
+    index of the triangle, -1 where nothing is hit; ``is_front`` (H, W), True where the triangle
+    appears counter-clockwise.
     """
 
     depth_z_m: NDArray[np.float32]
@@ -61,7 +61,7 @@ def mesh_scene(mesh: Mesh) -> mi.Scene:
 
 
 class TracedGeometry:
-    """A capture's ``mesh``, with normals, and the Mitsuba ``scene`` that contains it."""
+    """A capture's ``mesh``, with normals added if it has none, and the Mitsuba ``scene`` that contains it."""
 
     def __init__(self, geometry: CaptureGeometry):
         mesh = with_normals(geometry.mesh)
@@ -70,7 +70,7 @@ class TracedGeometry:
         self._emits = geometry.emitter_mask()
 
     def trace_view(self, camera: Camera, valid_mask: NDArray[np.bool_] | None = None) -> ViewGeometry:
-        """Trace the pixel centres of ``camera``; outside ``valid_mask`` (H, W), nothing counts as hit."""
+        """Trace the pixel centres of ``camera``; pixels outside ``valid_mask`` (H, W) count as misses."""
         import drjit as dr
         import mitsuba as mi
 
@@ -103,9 +103,9 @@ class TracedGeometry:
 def reachable_faces(
     geometry: TracedGeometry, position_m: NDArray, normal: NDArray, num_rays: int = 400_000
 ) -> NDArray[np.bool_]:
-    """Mask (M,) of the triangles hit by cosine-distributed rays from random ones of the points (N, 3).
+    """Return the mask (M,) of triangles hit by random rays from the points ``position_m`` (N, 3).
 
-    ``normal`` (N, 3) is the axis of each point's distribution.
+    Their directions are cosine-distributed about the points' unit normals, ``normal`` (N, 3).
     """
     import mitsuba as mi
 
@@ -128,9 +128,9 @@ def reachable_faces(
 
 
 def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
-    """Sign (M,) of each triangle's outer side: 1 if more pixels show its front than its back, -1 if fewer.
+    """Return a sign (M,) per triangle: 1 if more pixels show its front than its back, -1 if fewer.
 
-    The sign corrects a wrong winding. Triangles without a majority get the sign of most other triangles.
+    Its product with the normal points to the visible side. Without a majority, it is that of most triangles.
     """
     balance = np.zeros(num_faces, dtype=np.int64)
     for view in views:
@@ -142,9 +142,8 @@ def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.floa
 
 
 def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Unit normals (M, 3) of the triangles, multiplied by the signs ``sides`` (M,) if given."""
-    corners = mesh.triangles()
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    """Return the unit normals (M, 3) of the triangles, multiplied by the signs ``sides`` (M,) if given."""
+    cross = area_vectors(mesh.triangles())
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
     if sides is not None:
         normal *= sides[:, None]
@@ -152,10 +151,10 @@ def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArra
 
 
 def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.int32]:
-    """Index (M,) of each triangle's smooth region.
+    """Return the index (M,) of each triangle's smooth region.
 
-    Triangles that share an edge belong to the same region if their normals differ by less than
-    ``max_angle_rad``. Vertices at equal positions count as one.
+    Triangles that share an edge belong to one region if their normals differ by less than ``max_angle_rad``,
+    for either winding. Vertices at equal positions count as one.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -169,6 +168,6 @@ def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.i
     same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     a, b = face[same], face[same + 1]
     normals = face_normals(mesh).astype(np.float64)
-    smooth = np.abs((normals[a] * normals[b]).sum(axis=1)) > np.cos(max_angle_rad)  # whatever the winding
+    smooth = np.abs((normals[a] * normals[b]).sum(axis=1)) > np.cos(max_angle_rad)
     graph = coo_array((np.ones(int(smooth.sum())), (a[smooth], b[smooth])), shape=(num, num))
     return connected_components(graph, directed=False)[1].astype(np.int32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads a capture's views and traces its mesh in them: the input of all later stages of a reconstruction."""
+"""Reading of a capture's views and ray tracing of its mesh, the input of all stages of a reconstruction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from datagen.multiview.statistics import StatisticsView
 
 @dataclass(frozen=True)
 class TracedView:
-    """A view of a capture, with the mesh at its pixel centres (``geometry``).
+    """A view of a capture, with the surfaces at its pixel centres (``geometry``).
 
     ``color`` (H, W, 3), linear radiance; ``valid_mask`` (H, W), False at pixels without a photographed value;
     ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None if there is no such pixel;
@@ -76,8 +76,8 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
 
 
 def visible_faces(traced: TracedCapture) -> NDArray[np.bool_]:
-    """Mask (M,) of the triangles visible in a view or from a visible surface, not the outside of walls."""
-    found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)
+    """Return the mask (M,) of triangles visible in a view or hit by random rays from visible surfaces."""
+    found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)  # stays False for the outside of walls
     points, normals = [], []
     for view in traced.views:
         hit = np.flatnonzero(view.geometry.face.ravel() >= 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Derivation of support surfaces, camera regions and positions of ceiling lamps from a room's triangles.
+"""Support surfaces, camera regions and slots of ceiling lamps, derived from a room's triangles.
 
 docs/importing.md describes the heuristics; a YAML file of :class:`Annotations` overrides their results.
 Frame: metres, Z up. Surfaces are rasterised in squares of side ``square_m``.
@@ -29,7 +29,7 @@ from datagen.formats.asset import (
 from datagen.formats.base import StrictModel, quantized, read_yaml
 from datagen.formats.lights import AreaLight, Light
 from datagen.foundation.findings import Findings
-from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.mesh import Mesh, area_vectors
 from datagen.importers.room_grid import MIN_CELL_M, RoomGrid, rectangles, short_vector, surface_points
 
 _STANDING_ROOM_M = 0.12  # minimum free height above a support
@@ -52,7 +52,7 @@ class Annotations(StrictModel):
     replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
 
     def over(self, places: RoomPlaces, openings: tuple[Opening, ...]) -> dict[str, Any]:
-        """Fields of an environment, by name: the given lists, else those of ``places`` and ``openings``."""
+        """Return fields of an environment by name: the user's, else those of ``places`` and ``openings``."""
         derived = {
             "support_surfaces": places.support_surfaces,
             "camera_regions": places.camera_regions,
@@ -62,15 +62,20 @@ class Annotations(StrictModel):
         given = {name: getattr(self, name) for name in derived}
         return {name: derived[name] if value is None else value for name, value in given.items()}
 
+    def corrected(self, slot: str, material: SlotMaterial) -> SlotMaterial:
+        """Return the material of a slot with the user's classes, where given."""
+        given = {"classes": self.classes, "replaceable_by": self.replaceable_by}
+        return material.model_copy(update={k: v[slot] for k, v in given.items() if slot in v})
+
 
 def read_annotations(path: Path | None) -> Annotations:
-    """Annotations of a YAML file, empty for None. Raises :class:`InputError` for an invalid file."""
+    """Read annotations from a YAML file; None: empty. Raises :class:`InputError` for an invalid file."""
     return Annotations() if path is None else read_yaml(Annotations, path)
 
 
 @dataclass(frozen=True)
 class RoomPlaces:
-    """Derived annotations; ``floor_m``: height of the main floor, None without an enclosed space."""
+    """Derived annotations of a room; ``floor_m``: height of the main floor, None if no space is enclosed."""
 
     floor_m: float | None
     support_surfaces: tuple[SupportSurface, ...] = ()
@@ -87,14 +92,14 @@ def find_places(
     """Derive the annotations of a room from its ``triangles`` (M, 3, 3).
 
     ``classes`` (M,): class index of each triangle; those in ``seat_classes`` are upholstery. ``seeds``
-    (K, 3): points known to be inside, such as cameras; may be empty.
+    (K, 3): points inside the room, such as cameras; K may be 0.
     """
     points, owner, spacing = surface_points(triangles)
     grid = RoomGrid.build(points, seeds, max(MIN_CELL_M, 1.4 * spacing))
     if grid is None:
         return RoomPlaces(None)
     near = [h for h in _levels(triangles, grid) if abs(h - grid.floor_m) < 0.15]
-    if near:  # the largest horizontal surface there, rather than a skirting board or carpet
+    if near:  # the largest horizontal surface, rather than a skirting board or carpet
         grid = replace(grid, floor_m=near[0])
     soft = np.isin(classes, list(seat_classes))[owner] if seat_classes else np.zeros(len(owner), bool)
     surfaces = tuple(without_stairs(list(_support_surfaces(triangles, points, soft, grid, 1.25 * spacing))))
@@ -109,9 +114,9 @@ def places_of_parts(
     cameras: Sequence[AssetCamera],
     findings: Findings,
 ) -> RoomPlaces:
-    """:func:`find_places` for the parts of an environment, with its cameras as seeds.
+    """Call :func:`find_places` for the parts of an environment, with its cameras as seeds.
 
-    Parts whose main class is fabric or leather are upholstery.
+    ``meshes`` are those of the parts in the asset's frame. Fabric and leather are upholstery.
     """
     triangles = [mesh.triangles() for mesh in meshes]
     owners = np.repeat(np.arange(len(meshes)), [len(t) for t in triangles])
@@ -124,14 +129,14 @@ def places_of_parts(
 
 
 def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
-    """Whether an opening is vertical and larger than ``min_area_m2``."""
+    """Return whether an opening is vertical and larger than ``min_area_m2``."""
     normal = np.cross(opening.edge_u_m, opening.edge_v_m)
     area = float(np.linalg.norm(normal))
     return area > min_area_m2 and bool(abs(normal[2]) < 0.5 * area)
 
 
 def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
-    """Openings at the vertical area lights of window size, which scenes place in windows and doors."""
+    """Return openings at vertical rectangular lights over 0.4 m², which are usually in windows and doors."""
     found = []
     for light in lights:
         if isinstance(light, AreaLight) and light.shape == "rectangle" and is_window_sized(light, 0.4):
@@ -141,17 +146,11 @@ def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
 
 
 def slots_of(lights: tuple[Light, ...]) -> tuple[LightSlot, ...]:
-    """A light slot at every area light of ``lights``."""
+    """Return a light slot at every area light of ``lights``."""
+    areas = [light for light in lights if isinstance(light, AreaLight)]
     return tuple(
-        LightSlot(
-            name=light.name,
-            kind="area",
-            origin_m=light.origin_m,
-            edge_u_m=light.edge_u_m,
-            edge_v_m=light.edge_v_m,
-        )
-        for light in lights
-        if isinstance(light, AreaLight)
+        LightSlot(name=a.name, kind="area", origin_m=a.origin_m, edge_u_m=a.edge_u_m, edge_v_m=a.edge_v_m)
+        for a in areas
     )
 
 
@@ -162,7 +161,7 @@ def _support_surfaces(
     grid: RoomGrid,
     square_m: float,
 ) -> Iterator[SupportSurface]:
-    """Axis-aligned rectangles on horizontal triangles with free space above, largest first at each level."""
+    """Yield axis-aligned rectangles with free space above, by level, the largest of each level first."""
     from scipy import ndimage
 
     found: list[tuple[float, NDArray, NDArray]] = []  # height, origin, size
@@ -215,15 +214,15 @@ def _is_same(
     other_origin: NDArray,
     other_size: NDArray,
 ) -> bool:
-    """Whether two rectangles are overlapping layers of one surface (a floor and its tiles)."""
+    """Return whether two horizontal rectangles overlap within 5 cm of height (a floor and its tiles)."""
     common = np.minimum(origin + size, other_origin + other_size) - np.maximum(origin, other_origin)
     return abs(height - other_height) < 0.05 and bool((common > 0.1).all())
 
 
 def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
-    """The surfaces except treads, which have neighbours a step higher and a step lower beside them.
+    """Return the surfaces except treads of stairs, which have a neighbour one step higher and one lower.
 
-    Shelves have such neighbours too, but directly above and below.
+    Other levels of shelves are not neighbours, since they are directly above or below.
     """
 
     def is_step(low: SupportSurface, high: SupportSurface) -> bool:
@@ -239,12 +238,10 @@ def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
 
     kept = []
     for surface in surfaces:
-        if surface.kind != "floor":
-            above = any(is_step(surface, other) for other in surfaces)
-            below = any(is_step(other, surface) for other in surfaces)
-            if above and below:
-                continue
-        kept.append(surface)
+        above = any(is_step(surface, other) for other in surfaces)
+        below = any(is_step(other, surface) for other in surfaces)
+        if surface.kind == "floor" or not (above and below):
+            kept.append(surface)
     return kept
 
 
@@ -259,8 +256,8 @@ def _kind_of(above_floor_m: float, is_soft: bool) -> SupportKind:
 
 
 def _levels(triangles: NDArray[np.float64], grid: RoomGrid) -> list[float]:
-    """Heights of the room's horizontal surfaces, the largest total area first."""
-    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    """Return the heights of the room's horizontal surfaces, by decreasing total area."""
+    cross = area_vectors(triangles)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     # facing up or down, since windings are unreliable
     flat = (area > 1e-9) & (np.abs(cross[:, 2]) > 0.995 * 2 * area)
@@ -289,7 +286,7 @@ def _raster(
 
 
 def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
-    """Vertical bounding rectangle of a mesh (a window pane), facing the point ``inside_m`` (3,)."""
+    """Return the vertical bounding rectangle of a mesh (a window pane), facing ``inside_m`` (3,)."""
     points = mesh.positions.astype(np.float64)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     flat = points[:, :2] - points[:, :2].mean(axis=0)

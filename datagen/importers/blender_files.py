@@ -25,7 +25,7 @@ _MARK = "to_gltf: "
 
 
 def uses_draco(path: Path) -> bool:
-    """Whether a glTF file names the Draco extension and Blender's module is installed to decode it."""
+    """Return whether a glTF file uses Draco and Blender's module, which decodes it, is installed."""
     if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
         return False
     with path.open("rb") as file:
@@ -35,7 +35,7 @@ def uses_draco(path: Path) -> bool:
 def import_by_blender(
     path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
 ) -> list[ImportedAsset]:
-    """Convert a file that Blender reads to packages below ``out_library``.
+    """Convert a file that Blender reads to packages below ``out_library``, and return their records.
 
     Images outside the file's folder and ``options.allowed`` are left out. Raises :class:`InputError`
     if Blender's module is not installed or cannot read the file, and as :func:`import_gltf` does.

@@ -8,8 +8,8 @@ A *value* is a constant (float or colour), an :class:`ImageSource` (an unchanged
 from __future__ import annotations
 
 import hashlib
+import io
 import re
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ ChannelName = Literal["rgb", "r", "g", "b", "a"]
 
 @dataclass(frozen=True)
 class ImageSource:
-    """A channel read from an image file; the fields are as in :class:`datagen.formats.asset.Texture`."""
+    """A channel of an image file; the other fields are as in :class:`datagen.formats.asset.Texture`."""
 
     file: Path
     encoding: Literal["srgb", "linear"]
@@ -50,7 +50,7 @@ class ImageSource:
 
 @dataclass(frozen=True)
 class BakedSource:
-    """Computed linear values, (H, W, 3) for colours or (H, W) for scalars; ``label``: name of the file."""
+    """Computed linear values, (H, W, 3) colours or (H, W) scalars; ``label``: name for their file."""
 
     values: NDArray[np.float32]
     label: str
@@ -68,14 +68,14 @@ def is_constant(value: Value) -> bool:
 
 
 class ImageCache:
-    """Decoded images of one import; an image that several materials use is read once."""
+    """Decoded images of an import, each of which is read once."""
 
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
         self._pixels: dict[Path, NDArray] = {}
 
     def pixels(self, file: Path) -> NDArray:
-        """Pixels (H, W, C) of an image file, as :func:`read_any_image` returns them."""
+        """Return the pixels (H, W, C) of an image file as :func:`read_any_image` does."""
         if file not in self._pixels:
             if file.is_file():
                 self._budget.hold_file(file)
@@ -84,7 +84,7 @@ class ImageCache:
         return self._pixels[file]
 
     def values(self, value: Value, is_scalar: bool) -> NDArray[np.float32]:
-        """A value as a linear array: () or (3,) for constants, (H, W) or (H, W, 3) for images."""
+        """Return a value as a linear array: () or (H, W) if ``is_scalar``, else (3,) or (H, W, 3)."""
         if isinstance(value, BakedSource):
             return value.values
         if isinstance(value, ImageSource):
@@ -98,7 +98,7 @@ class ImageCache:
         *colors: ColorValue,
         scalars: tuple[ScalarValue, ...] = (),
     ) -> ColorValue:
-        """Colour computed by ``function`` from arrays of ``colors`` (..., 3), then ``scalars`` (..., 1).
+        """Compute a colour by ``function`` from arrays of ``colors`` (..., 3), then ``scalars`` (..., 1).
 
         The result has the resolution of the largest image and is baked under the name ``label``; a result
         that varies by less than half an 8-bit step is a constant.
@@ -107,7 +107,7 @@ class ImageCache:
         return cast(ColorValue, self._combined(label, function, inputs, is_scalar=False))
 
     def scalar(self, label: str, function: Callable[..., NDArray], *scalars: ScalarValue) -> ScalarValue:
-        """Scalar computed by ``function`` from arrays of ``scalars``; see :meth:`color`."""
+        """Compute a scalar by ``function`` from arrays of ``scalars``, as :meth:`color` does."""
         inputs = [(value, True) for value in scalars]
         return cast(ScalarValue, self._combined(label, function, inputs, is_scalar=True))
 
@@ -118,7 +118,7 @@ class ImageCache:
         inputs: Sequence[tuple[Value, bool]],
         is_scalar: bool,
     ) -> Value:
-        """``inputs`` are pairs of a value and whether it is a scalar."""
+        """Compute :meth:`color` or :meth:`scalar` from pairs of a value and whether it is a scalar."""
         arrays = [self.values(value, scalar) for value, scalar in inputs]
         images = [a for (v, _), a in zip(inputs, arrays, strict=True) if not is_constant(v)]
         sizes = [(a.shape[0], a.shape[1]) for a in images]
@@ -140,7 +140,7 @@ class ImageCache:
 
 
 def num_pixels(file: Path) -> int:
-    """Number of pixels stated in an image's header; 0 if it is unreadable, which decoding reports."""
+    """Return the number of pixels in an image's header; 0 if it is unreadable, which decoding reports."""
     if file.suffix.lower() in (".hdr", ".pic"):
         with file.open("rb") as stream:
             match = _HDR_SIZE.search(stream.read(4096))
@@ -153,7 +153,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Like :func:`read_image`, but also for BMP, TGA, TIFF and HDR, which packages do not support."""
+    """Read pixels as :func:`read_image` does, also of BMP, TGA, TIFF and HDR files."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2
@@ -179,7 +179,7 @@ def _resized(array: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.fl
 
 
 class TextureFiles:
-    """Texture files of a package under construction, by name; each image is added once."""
+    """Texture files of a package that is being made, by name; an image is added once."""
 
     def __init__(self, cache: ImageCache) -> None:
         self.files: dict[str, FileSource] = {}
@@ -227,11 +227,11 @@ class TextureFiles:
         return Texture(texture=self._baked[digest], encoding=source.encoding, channel=channel)
 
     def color(self, value: ColorValue) -> Color | Texture:
-        """Material channel of a colour value, whose image, if any, is added."""
+        """Convert a colour to a material channel, and add its image if it has one."""
         return self._channel(value) if not isinstance(value, tuple) else _color(np.clip(value, 0, 1))
 
     def scalar(self, value: ScalarValue) -> float | Texture:
-        """Material channel of a scalar value, whose image, if any, is added; RGB is reduced to luminance."""
+        """Convert a scalar to a material channel, and add its image, if any; RGB becomes luminance."""
         if isinstance(value, ImageSource) and value.channel == "rgb":
             grey = self._cache.pixels(value.file).shape[2] < 3
             if grey:
@@ -250,12 +250,11 @@ class TextureFiles:
 
 
 def encode_exr(pixels: NDArray) -> bytes:
-    """Half-float, ZIP-compressed EXR bytes of (H, W, 3) linear pixels."""
+    """Encode linear pixels (H, W, 3 or more) as an EXR file of half-float RGB."""
     import OpenEXR
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "image.exr"
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        rgb = np.ascontiguousarray(pixels[..., :3].clip(-65504, 65504).astype(np.float16))
-        OpenEXR.File(header, {"RGB": rgb}).write(str(path))
-        return path.read_bytes()
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    rgb = np.ascontiguousarray(pixels[..., :3].clip(-65504, 65504).astype(np.float16))
+    stream = io.BytesIO()
+    OpenEXR.File(header, {"RGB": rgb}).write(stream)
+    return stream.getvalue()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Guesses of material classes and object categories from names (see docs/importing.md).
 
-The first name with a known word decides; within a compound, later words take precedence over earlier ones
+The first name with a known word is used; within a name, later words take precedence over earlier ones
 (``WoodFloor`` is wood, ``marble_table`` stone, ``FloorTiles`` ceramic).
 """
 
@@ -109,14 +109,14 @@ REPLACEABLE: dict[MaterialClass, tuple[MaterialClass, ...]] = {
 
 
 def words_of(name: str) -> list[str]:
-    """Lower-case words of a name in CamelCase, in snake_case or separated by other characters."""
+    """Return the lower-case words of a name in CamelCase, in snake_case or with other separators."""
     return [w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
 
 
 def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
-    """Material class implied by the first of ``names`` with a known word.
+    """Return the material class implied by the first of ``names`` with a known word.
 
-    Of several words a finish decides, else the last that implies neither plaster, paper nor fabric.
+    Of several known words, the first finish is used, else the last that is not plaster, paper or fabric.
     """
     for name in names:
         words = words_of(name)
@@ -131,10 +131,10 @@ def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass
 
 
 def guess_category(*names: str) -> str:
-    """Object category implied by the first name with a known word; '' if there is none.
+    """Return the object category implied by the first name with a known word; '' if there is none.
 
-    Words after ``with`` are ignored (``chair with cushion`` is a seat); of several words the last decides
-    (``table lamp``).
+    Words after ``with`` are ignored (``chair with cushion`` is a seat); of several known words, the last is
+    used (``table lamp``).
     """
     for name in names:
         words = words_of(name)
@@ -147,9 +147,9 @@ def guess_category(*names: str) -> str:
 
 
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
-    """Supports of an object: furniture and large objects stand on the floor, small objects on furniture.
+    """Return the kinds of surface that support an object: the floor for furniture and large objects.
 
-    Objects of over 40 cm stand on the floor and, if usual for their category (a vase, a lamp), on tables.
+    Small objects stand on furniture; those over 40 cm on the floor or, if usual (a vase), also on tables.
     """
     if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:
         return ("floor",)

@@ -32,8 +32,7 @@ class ImportWords:
     ] = False
     category: Annotated[str, typer.Option(help="Category of an object; guessed if left out.")] = ""
     classes: Annotated[
-        tuple[str, ...],
-        typer.Option("--class", help="Material class, repeatable; guessed if left out."),
+        tuple[str, ...], typer.Option("--class", help="Material class, repeatable; guessed if left out.")
     ] = ()
     up: Annotated[str, typer.Option(help="Axis that points up in the file: auto, y or z.")] = "auto"
     unit_scale: Annotated[
@@ -44,8 +43,7 @@ class ImportWords:
     ] = None
     dielectric: Annotated[str, typer.Option(help="Transparent materials: refuse or replace.")] = "refuse"
     dielectric_as: Annotated[
-        tuple[str, ...],
-        typer.Option(help="MATERIAL=REPLACEMENT for one transparent material, repeatable."),
+        tuple[str, ...], typer.Option(help="MATERIAL=REPLACEMENT for one transparent material, repeatable.")
     ] = ()
     missing: Annotated[str, typer.Option(help="Missing files: refuse or replace.")] = "refuse"
     annotations: Annotated[
@@ -58,13 +56,13 @@ class ImportWords:
     ] = ()
     allowed: Annotated[
         tuple[Path, ...],
-        typer.Option("--allow", help="Another folder from which the source may read files, repeatable."),
+        typer.Option("--allow", help="Another folder from which files may be read, repeatable."),
     ] = ()
     as_zip: Annotated[bool, typer.Option("--zip", help="Write packages as zips.")] = False
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace assets of the same id.")] = False
 
     def parse(self) -> ImportOptions:
-        """Options with checked types and choices. Raises :class:`InputError` with every fault."""
+        """Return the options with checked types and choices. Raises :class:`InputError` with all faults."""
         from pydantic import TypeAdapter, ValidationError
 
         from datagen.importers.common import ImportOptions
@@ -125,10 +123,9 @@ def import_command(
 
     options = words.parse()
 
-    def tell(asset: ImportedAsset) -> None:
-        for line in summary_lines(asset):
-            typer.echo(line)
+    def show(asset: ImportedAsset) -> None:
+        typer.echo("\n".join(summary_lines(asset)))
 
     with ImportWatch() as watch:
-        imported = import_asset(path, library, options, split=split, on_done=tell, watch=watch)
+        imported = import_asset(path, library, options, split=split, on_done=show, watch=watch)
     typer.echo(f"{len(imported)} assets imported into {library}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common parts of the importers: options, the record of an import, and provenance."""
+"""Common parts of the importers: options, records of imported assets, and provenance."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from datagen.formats.asset import MaterialClass, Provenance
-from datagen.formats.base import Positive, Slug
+from datagen.formats.asset import MaterialClass, Part, Provenance
+from datagen.formats.base import IDENTITY4, Positive, Slug, quantized
 from datagen.foundation.budget import Limits
 from datagen.foundation.errors import input_error
 from datagen.foundation.findings import Findings
+from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.paths import inside
 
 DielectricPolicy = Literal["refuse", "replace"]
@@ -22,14 +23,12 @@ MissingPolicy = Literal["refuse", "replace"]
 UpAxis = Literal["auto", "y", "z"]
 ImportKind = Literal["auto", "environment", "object", "material"]
 
-EVALUATION_SCENES = {
-    "veach-ajar": "Veach, Ajar",
-    "dining-room": "The Breakfast Room",
-}
-"""Test scenes of the method's paper, by folder name and title: always imported as ``evaluation_only``."""
+EVALUATION_SCENES = {"veach-ajar": "Veach, Ajar", "dining-room": "The Breakfast Room"}
+"""Test scenes of the reconstruction method's paper, by folder: title; they are ``evaluation_only``."""
 
+RESTORE_IT = "restore it, or import with --missing replace"
 OPAL_ALBEDO = 0.7
-"""D of the opal glass that replaces clear glass: roughly the brightness of a room behind the glass."""
+"""D of the opal glass that replaces clear glass, which is about as bright as a room behind the glass."""
 _LICENSE_FILES = ("LICENSE.txt", "LICENSE", "LICENSE.md", "license.txt", "README.txt", "README.md")
 _MAX_LICENSE_CHARACTERS = 1 << 20
 _LICENSE_PATTERNS = (
@@ -83,15 +82,15 @@ class ImportOptions:
 
     @property
     def unit_m(self) -> float:
-        """Metres per unit of a format that states its unit."""
+        """Metres per unit of a file whose format states its unit."""
         return 1.0 if self.unit_scale is None else self.unit_scale
 
 
 @dataclass(frozen=True)
 class ImportedAsset:
-    """The record of one import: the path of the package, and all differences from the source.
+    """The record of one imported asset.
 
-    ``approximations`` state what is represented only roughly, ``notes`` the importer's decisions and other
+    ``approximations`` list approximated or omitted content, ``notes`` the importer's decisions and other
     remarks; both are sentences that begin with the name of their subject. ``contents``: the asset's size and
     numbers of parts and materials, as text.
     """
@@ -108,7 +107,7 @@ class ImportedAsset:
 
 @dataclass(frozen=True)
 class Origin:
-    """Licence and authorship as stated by files in a source's folder; '' if missing."""
+    """SPDX licence, title, author and source as stated by files in a source's folder; '' if missing."""
 
     license: str = ""
     title: str = ""
@@ -117,7 +116,7 @@ class Origin:
 
 
 def detect_origin(folder: Path) -> Origin:
-    """Licence and authorship stated by licence files or ``info.json`` in a source's folder."""
+    """Read licence and authorship from ``info.json`` or a licence file in a source's folder."""
     info = folder / "info.json"
     if info.is_file():
         inside(folder, info)
@@ -150,7 +149,7 @@ def detect_origin(folder: Path) -> Origin:
 def provenance(
     source: Path, folder: Path, options: ImportOptions, findings: Findings
 ) -> tuple[Provenance, str]:
-    """Provenance of an import and its title ('' if unknown).
+    """Return the provenance of an imported asset and its title ('' if unknown).
 
     Raises :class:`InputError` if the licence is neither given nor stated in ``folder``; it is never guessed.
     """
@@ -168,17 +167,26 @@ def provenance(
     is_known = bool(names & set(EVALUATION_SCENES)) or origin.title in EVALUATION_SCENES.values()
     if is_known and not options.evaluation_only:
         findings.note(f"{folder.name}: a test scene of the method's paper, marked evaluation_only")
-    usage: Literal["any", "evaluation_only"] = (
-        "evaluation_only" if options.evaluation_only or is_known else "any"
-    )
     return Provenance(
         license=license_id,
         author=options.author or origin.author,
         source=options.source or origin.source,
-        usage=usage,
+        usage="evaluation_only" if options.evaluation_only or is_known else "any",
     ), origin.title
 
 
+def part_of(name: str, slot: str, mesh: Mesh) -> Part:
+    """Return a part whose file ``meshes/<name>.ply`` contains ``mesh``, in the asset's frame."""
+    density = mesh.uv_per_m()
+    return Part(
+        name=name,
+        mesh=f"meshes/{name}.ply",
+        material=slot,
+        asset_from_part=IDENTITY4,
+        uv_per_m=None if density is None else quantized(density, 6),
+    )
+
+
 def mended_note(num_normals: int, num_meshes: int) -> str:
-    """Note that unusable normals were replaced."""
+    """Return the note of an import that replaced unusable normals."""
     return f"{num_normals} normals of {num_meshes} meshes were missing or in the surface's plane, replaced"

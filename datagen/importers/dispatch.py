@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common entry point of the importers (``datagen import``): the kind of source selects one."""
+"""Entry point of ``datagen import``, which selects an importer by the kind of source."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Source:
 
 
 def find_sources(path: Path) -> list[Source]:
-    """Sources at a path: a scene, a glTF file, a furniture library, a texture folder, or a folder of these.
+    """Return the sources at a path: files that an importer reads, texture folders, or a folder of these.
 
     Raises :class:`InputError` if no importer recognises a source there.
     """
@@ -67,7 +67,7 @@ def find_sources(path: Path) -> list[Source]:
 
 
 def _is_folder(path: Path, child: Path) -> bool:
-    """Whether ``child`` is a folder. Raises :class:`InputError` for a link that leads out of ``path``."""
+    """Return whether ``child`` is a folder. Raises :class:`InputError` for a link out of ``path``."""
     if not child.is_dir():
         return False
     _, fault = fault_of(path, child.name, is_folder=True)
@@ -104,7 +104,7 @@ def import_asset(
     on_done: Callable[[ImportedAsset], None] | None = None,
     watch: ImportWatch | None = None,
 ) -> list[ImportedAsset]:
-    """Import all sources at a path into the library folder ``out_library``.
+    """Import all sources at a path into the library folder ``out_library``, and return their records.
 
     ``split`` makes an object of each separate group in a glTF file; ``on_done`` is called after each asset,
     except for pieces of a furniture library, which are reported to ``watch``. An ``asset_id`` is allowed with

@@ -2,9 +2,9 @@
 """Fresnel reflectances and lobe widths for converting other renderers' materials to D, S and R.
 
 F0 is the reflectance at normal incidence, in air. ``ALPHA_BECKMANN_PER_GGX`` is the ratio of lobe widths at
-which a Beckmann lobe differs least from a GGX lobe in total variation: with x = tan^2(theta_h) / alpha^2 the
-cosine-weighted densities are 1 / (1 + x)^2 and exp(-x / s) / s, and s = 1.3123 gives the least distance,
-0.180 (0.204 at equal alpha). Equal peaks would need 1, equal medians 1.2011.
+which a Beckmann lobe differs least from a GGX lobe in total variation: with x = tan^2(theta_h) / alpha^2 of
+the GGX lobe and s the squared ratio, the cosine-weighted densities are 1 / (1 + x)^2 and exp(-x / s) / s. The
+least distance is 0.180, at s = 1.3123 (0.204 at s = 1); the medians are equal at a ratio of 1.2011.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mitsuba_plugins.variant import select_variant
 ALPHA_BECKMANN_PER_GGX = 1.1456
 AIR_IOR = 1.000277
 DIFFUSE_SHEEN = 0.0047
-"""Hemispherical albedo of a surface with S = 0 and R = 1, from Schlick's rise alone (Monte Carlo, +-2e-5)."""
+"""Hemispherical albedo of the specular lobe at S = 0 and R = 1, by Monte Carlo with an error of 2e-5."""
 
 _NAMED_IOR = {
     "vacuum": 1.0, "air": AIR_IOR, "water": 1.3330, "acetone": 1.36, "ethanol": 1.361, "bk7": 1.5046,
@@ -29,23 +29,20 @@ _NAMED_IOR = {
 
 
 def named_ior(name: str) -> float | None:
-    """Index of refraction of one of Mitsuba's named dielectrics; None for other names."""
+    """Return the index of refraction of one of Mitsuba's named dielectrics; None for other names."""
     return _NAMED_IOR.get(name.lower())
 
 
 def dielectric_f0(ior: float) -> float:
-    """F0 of a dielectric of relative index of refraction ``ior``: ((ior - 1) / (ior + 1))^2."""
+    """Return F0 of a dielectric of relative index of refraction ``ior``: ((ior - 1) / (ior + 1))^2."""
     return ((ior - 1.0) / (ior + 1.0)) ** 2
 
 
-def conductor_f0(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """F0 of a conductor in air, ((eta - 1)^2 + k^2) / ((eta + 1)^2 + k^2), per channel (C,)."""
-    eta, k = np.asarray(eta, dtype=np.float64), np.asarray(k, dtype=np.float64)
-    return ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
-
-
 def conductor_fresnel(cos_i: NDArray, eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """Unpolarised reflectance (N, C) of a conductor in air; ``cos_i`` (N,), ``eta`` and ``k`` (C,)."""
+    """Return a conductor's unpolarised reflectance (N, C) in air at cosines of incidence ``cos_i`` (N,).
+
+    ``eta`` and ``k`` (C,): real and imaginary index of refraction per channel.
+    """
     cosine = np.asarray(cos_i, dtype=np.float64)[:, None]
     index = np.asarray(eta, dtype=np.float64) + 1j * np.asarray(k, dtype=np.float64)
     inner = np.sqrt(1 - (1 - cosine**2) / index**2)
@@ -55,22 +52,22 @@ def conductor_fresnel(cos_i: NDArray, eta: NDArray, k: NDArray) -> NDArray[np.fl
 
 
 def conductor_mean(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
-    """Reflectance (C,) of a conductor under diffuse light, 2 * integral of F(c) c dc over [0, 1]."""
+    """Return a conductor's reflectance (C,) under diffuse light: 2 * integral of F(c) c over cosines c."""
     cosine = (np.arange(2000) + 0.5) / 2000
     return 2 * (conductor_fresnel(cosine, eta, k) * cosine[:, None]).mean(axis=0)
 
 
 def schlick_s_of_mean(mean: NDArray) -> NDArray[np.float64]:
-    """S for which Schlick's curve has ``mean`` under diffuse light: mean = S + (1 - S) / 21, in [0, 1].
+    """Return S in [0, 1] whose reflectance under diffuse light, S + (1 - S) / 21 by Schlick, is ``mean``.
 
-    A metal dimmed by a factor stays dim at grazing angles, where Schlick's curve rises to 1 for any S; equal
-    means preserve the light of a room, equal F0 does not.
+    Schlick's reflectance is 1 at grazing angles for any S, that of a dimmed metal is not; equal means
+    preserve the light of a room, equal F0 would not.
     """
     return np.clip((np.asarray(mean, dtype=np.float64) - 1 / 21) * 21 / 20, 0.0, 1.0)
 
 
 def dielectric_fresnel(cos_i: NDArray, ior: float) -> NDArray[np.float64]:
-    """Unpolarised reflectance (N,) of a smooth interface at ``cos_i`` (N,).
+    """Return the unpolarised reflectance (N,) of a smooth interface at cosines of incidence ``cos_i`` (N,).
 
     ``ior``: index of refraction of the transmitting side over that of the incident side.
     """
@@ -84,22 +81,22 @@ def dielectric_fresnel(cos_i: NDArray, ior: float) -> NDArray[np.float64]:
 
 
 def diffuse_fresnel(ior: float) -> float:
-    """Dielectric reflectance under diffuse light, 2 * integral of F(c) c dc over [0, 1] (error 1e-6)."""
+    """Return a dielectric's reflectance under diffuse light: 2 * integral of F(c) c over cosines c."""
     cosine = (np.arange(20000) + 0.5) / 20000
     return float(2 * (dielectric_fresnel(cosine, ior) * cosine).mean())
 
 
 def perceptual_roughness(alpha: float | NDArray, distribution: str) -> NDArray[np.float64]:
-    """R = sqrt(alpha) in [0, 1], with alpha of a ``ggx`` lobe converted to the nearest Beckmann lobe's."""
+    """Return R = sqrt(alpha) in [0, 1], with alpha of a ``ggx`` lobe converted to a Beckmann lobe's."""
     factor = ALPHA_BECKMANN_PER_GGX if distribution == "ggx" else 1.0
     return np.sqrt(np.clip(np.asarray(alpha, dtype=np.float64) * factor, 0.0, 1.0))
 
 
 def plastic_diffuse_albedo(reflectance: NDArray, ior: float, nonlinear: bool) -> NDArray[np.float64]:
-    """Hemispherical albedo of the diffuse part of a plastic, whose light enters, scatters and leaves.
+    """Return the hemispherical albedo of the diffuse component of Mitsuba's ``plastic`` BSDF.
 
-    T (1 - f) d / (1 - f d) for the inner ``reflectance`` d, where T = 1 - f_outside and f, f_outside are the
-    diffuse Fresnel reflectances from either side; without ``nonlinear`` the denominator is 1 - f, giving T d.
+    It is (1 - f_out) (1 - f_in) d / (1 - f_in d) if ``nonlinear``, else (1 - f_out) d, where d is the inner
+    ``reflectance``, and f_out and f_in are the diffuse Fresnel reflectances of the interface.
     """
     reflectance = np.asarray(reflectance, dtype=np.float64)
     entering = 1 - diffuse_fresnel(ior)
@@ -110,7 +107,7 @@ def plastic_diffuse_albedo(reflectance: NDArray, ior: float, nonlinear: bool) ->
 
 
 def conductor_preset_mean(material: str) -> tuple[float, float, float]:
-    """:func:`conductor_mean` of one of Mitsuba's named conductors (``Au``, ...); ``none`` is a mirror.
+    """Return :func:`conductor_mean` of one of Mitsuba's conductors (``Au``, ...); ``none`` is a mirror.
 
     Raises ``ValueError`` for other names.
     """

@@ -19,7 +19,7 @@ _FLOAT, _UINT = 5126, 5125
 
 @dataclass(frozen=True)
 class GlbMaterial:
-    """A material; the linear ``color`` is the factor of ``image``, (media type, bytes) in sRGB, if any."""
+    """A material whose linear ``color`` multiplies ``image``, the (media type, bytes) of an sRGB image."""
 
     color: tuple[float, float, float] = (0.8, 0.8, 0.8)
     roughness: float = 1.0
@@ -30,7 +30,7 @@ class GlbMaterial:
 
 
 def encode_glb(surfaces: Sequence[tuple[str, Mesh]], materials: Mapping[str, GlbMaterial]) -> bytes:
-    """Bytes of a .glb file with a node for each (material name, mesh), whose UVs have v upwards."""
+    """Encode a .glb file with a node for each (material name, mesh); v of the meshes' UVs points up."""
     return _Writer(materials).encode(surfaces)
 
 

@@ -15,23 +15,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import (
-    AssetCamera,
-    EnvironmentAsset,
-    ObjectAsset,
-    Part,
-    SlotMaterial,
-)
-from datagen.formats.base import IDENTITY4, matrix4, quantized, vector3
+from datagen.formats.asset import AssetCamera, EnvironmentAsset, ObjectAsset, Part, SlotMaterial
+from datagen.formats.base import matrix4, quantized, vector3
 from datagen.formats.category_sizes import size_fault
 from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight
 from datagen.foundation.axes import asset_from_source
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import InputError, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.gltf import TRIANGLE_MODES, GltfFile, PlacedNode, triangles_of
 from datagen.foundation.meshes.mesh import (
+    SINGULAR,
     Mesh,
+    bounds,
     flat_shaded,
     inspect_mesh,
     with_sound_normals,
@@ -42,13 +38,13 @@ from datagen.foundation.naming import slug, unique
 from datagen.importers import annotate
 from datagen.importers.channels import ImageCache, TextureFiles
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, provenance
+from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, part_of, provenance
 from datagen.importers.gltf_materials import GltfMaterial, GltfMaterialConverter
 from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish
 
 LUMENS_PER_WATT = 683.0
-"""glTF lights are photometric; exporters such as Blender's multiply by this factor, which is undone here."""
+"""Factor by which exporters such as Blender's convert radiometric lights to glTF's photometric units."""
 _ROOM_SIDE_M, _ROOM_HEIGHT_M = 2.5, 2.0
 _TOUCH_M = 0.005
 DRACO_REMEDY = "export it without, or install Blender's module, which decodes it (extra `blender`)"
@@ -157,7 +153,7 @@ class _GltfImporter:
         )
         mesh = self._mesh(primitive, material, label)
         matrix = self.asset_from_source @ placed.scene_from_node
-        if abs(np.linalg.det(matrix[:3, :3])) < 1e-15:
+        if abs(np.linalg.det(matrix[:3, :3])) < SINGULAR:
             self.findings.approximate(f"{label}: scaled to zero, left out")
             return None
         if np.linalg.det(matrix[:3, :3]) < 0:  # a mirroring node reverses the winding
@@ -199,12 +195,12 @@ class _GltfImporter:
         return flat_shaded(Mesh(positions, faces, None, uv))  # as the format requires without normals
 
     def groups(self) -> list[list[_Piece]]:
-        """Pieces by root node; roots whose bounding boxes touch (a pot and its lid) stay together."""
+        """Group pieces by root node; roots with touching bounding boxes (a pot and its lid) are one group."""
         by_root: dict[int, list[_Piece]] = {}
         for piece in self.pieces:
             by_root.setdefault(piece.root, []).append(piece)
         roots = list(by_root)
-        boxes = [_bounds(by_root[r]) for r in roots]
+        boxes = [bounds([piece.mesh for piece in by_root[r]]) for r in roots]
         low, high = (np.stack(side) for side in zip(*boxes, strict=True))
         leader = {r: r for r in roots}
 
@@ -231,7 +227,7 @@ class _GltfImporter:
         title = (self.options.title if is_alone else "") or name.replace("_", " ").replace(
             "-", " "
         ).capitalize()
-        low, high = _bounds(pieces)
+        low, high = bounds([piece.mesh for piece in pieces])
         size = high - low
         kind = self.options.kind
         if kind == "auto":
@@ -251,28 +247,14 @@ class _GltfImporter:
         matrix[:3, 3] = shift
         meshes = [piece.mesh.transformed(matrix) for piece in pieces]
         parts = tuple(
-            Part(
-                name=piece.name,
-                mesh=f"meshes/{piece.name}.ply",
-                material=piece.material.slot,
-                asset_from_part=IDENTITY4,
-                uv_per_m=None if (density := mesh.uv_per_m()) is None else quantized(density, 6),
-            )
-            for piece, mesh in zip(pieces, meshes, strict=True)
+            part_of(piece.name, piece.material.slot, mesh) for piece, mesh in zip(pieces, meshes, strict=True)
         )
-        slots = {piece.material.slot: self._corrected(piece.material) for piece in pieces}
+        materials = {piece.material.slot: piece.material.material for piece in pieces}
+        slots = {slot: self.annotations.corrected(slot, material) for slot, material in materials.items()}
         used = {texture.texture for slot in slots.values() for texture in slot.textures()}
         files: dict[str, Any] = {name: self.textures.files[name] for name in sorted(used)}
         files.update({part.mesh: encode_ply(mesh) for part, mesh in zip(parts, meshes, strict=True)})
         return parts, slots, files, meshes
-
-    def _corrected(self, material: GltfMaterial) -> SlotMaterial:
-        known, updates = self.annotations, {}
-        if material.slot in known.classes:
-            updates["classes"] = known.classes[material.slot]
-        if material.slot in known.replaceable_by:
-            updates["replaceable_by"] = known.replaceable_by[material.slot]
-        return material.material.model_copy(update=updates)
 
     def _write_object(
         self, pieces: list[_Piece], name: str, title: str, shift: NDArray[np.float64], out_library: Path
@@ -309,15 +291,19 @@ class _GltfImporter:
         self, pieces: list[_Piece], name: str, title: str, out_library: Path
     ) -> ImportedAsset:
         parts, slots, files, meshes = self._contents(pieces, np.zeros(3))
-        cameras, lights = self._cameras(), tuple(self._lights())
+        cameras = self._cameras()
         places = annotate.places_of_parts(meshes, parts, slots, cameras, self.findings)
-        inside = _middle(places, meshes)
-        glowing = [
+        if places.camera_regions:
+            region = places.camera_regions[0]
+            inside = (np.asarray(region.minimum_m) + np.asarray(region.maximum_m)) / 2
+        else:
+            inside = np.mean([m.positions.mean(axis=0, dtype=np.float64) for m in meshes], axis=0)
+        emitters = [
             (part.name, mesh)
             for part, mesh in zip(parts, meshes, strict=True)
             if slots[part.material].emission is not None
         ]
-        openings = (annotate.opening_of(mesh, label, inside) for label, mesh in glowing)
+        openings = (annotate.opening_of(mesh, label, inside) for label, mesh in emitters)
         windows = tuple(o for o in openings if annotate.is_window_sized(o, _OPENING_AREA_M2))
         asset = EnvironmentAsset(
             id=name,
@@ -325,14 +311,14 @@ class _GltfImporter:
             provenance=self.source,
             materials=slots,
             parts=parts,
-            lights=lights,
+            lights=tuple(self._lights()),
             cameras=cameras,
             **self.annotations.over(places, windows),
         )
         return finish(asset, files, out_library / "environments", self.options, self.findings)
 
     def _cameras(self) -> tuple[AssetCamera, ...]:
-        """Perspective cameras, 720 pixels high, as glTF states no resolution; glTF's look along -Z, +Y up."""
+        """Convert perspective cameras, at a height of 720 pixels, since glTF states no resolution."""
         found = []
         for placed in self.nodes:
             if "camera" not in placed.node:
@@ -341,10 +327,10 @@ class _GltfImporter:
             if entry.get("type") != "perspective":
                 self.findings.approximate(f"{placed.name}: orthographic camera left out")
                 continue
-            lens = entry["perspective"]
+            perspective = entry["perspective"]
             height = 720
-            width = round(height * float(lens.get("aspectRatio", 16 / 9)))
-            focal = 0.5 * height / math.tan(0.5 * float(lens["yfov"]))
+            width = round(height * float(perspective.get("aspectRatio", 16 / 9)))
+            focal = 0.5 * height / math.tan(0.5 * float(perspective["yfov"]))
             matrix = self.asset_from_source @ placed.scene_from_node @ np.diag([1.0, -1.0, -1.0, 1.0])
             matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
             found.append(
@@ -362,7 +348,7 @@ class _GltfImporter:
         return tuple(found)
 
     def _lights(self) -> list[Light]:
-        """KHR_lights_punctual: candela and lux become W/sr and W/m^2 by 683 lm/W; lights emit along -Z."""
+        """Convert KHR_lights_punctual, which emit along -Z; candela and lux become W/sr and W/m^2."""
         entries = self.file.json.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
         found: list[Light] = []
         names: set[str] = set()
@@ -371,10 +357,9 @@ class _GltfImporter:
             if use is None:
                 continue
             if not 0 <= int(use.get("light", -1)) < len(entries):
-                problem = Problem(
-                    self.file.path, f"node {placed.name!r}: light", str(use.get("light")), "an entry"
+                raise input_error(
+                    self.file.path, f"node {placed.name!r}: light", use.get("light"), "an entry"
                 )
-                raise InputError(problem)
             entry = entries[int(use["light"])]
             matrix = self.asset_from_source @ placed.scene_from_node
             strength = float(entry.get("intensity", 1.0)) / LUMENS_PER_WATT
@@ -402,17 +387,3 @@ class _GltfImporter:
             else:
                 found.append(PointLight(name=name, position_m=position, intensity=value))
         return found
-
-
-def _bounds(pieces: list[_Piece]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    points = [p.mesh.positions for p in pieces]
-    low = np.min([p.min(axis=0) for p in points], axis=0).astype(np.float64)
-    high = np.max([p.max(axis=0) for p in points], axis=0).astype(np.float64)
-    return low, high
-
-
-def _middle(places: annotate.RoomPlaces, meshes: list[Mesh]) -> NDArray[np.float64]:
-    if places.camera_regions:
-        region = places.camera_regions[0]
-        return (np.asarray(region.minimum_m) + np.asarray(region.maximum_m)) / 2
-    return np.mean([m.positions.mean(axis=0, dtype=np.float64) for m in meshes], axis=0)

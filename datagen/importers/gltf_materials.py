@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Conversion of glTF materials to D, S and R; other properties are approximated or refused by name."""
+"""Conversion of glTF materials to D, S and R; other properties are approximated or refused."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from datagen.importers.channels import (
     TextureFiles,
 )
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import OPAL_ALBEDO, ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, RESTORE_IT, ImportOptions
 from datagen.importers.pbr import DEFAULT_F0, metallic_roughness
 
 _LEFT_OUT = (
@@ -38,7 +38,7 @@ _LEFT_OUT = (
 
 @dataclass
 class GltfMaterial:
-    """A converted material, with the UV set and the UV transform (3, 3; None = identity) of its textures."""
+    """A converted material with the UV set and UV transform (3, 3; None: identity) of its textures."""
 
     slot: str
     material: SlotMaterial
@@ -47,16 +47,8 @@ class GltfMaterial:
 
 
 @dataclass
-class _Use:
-    """UV sets and transforms of the textures of one material."""
-
-    sets: set[int] = field(default_factory=set)
-    matrices: list[NDArray[np.float64]] = field(default_factory=list)
-
-
-@dataclass
 class GltfMaterialConverter:
-    """Converts the materials of one document; problems are collected for the caller to raise."""
+    """Converts the materials of a document; the caller raises its ``problems``."""
 
     file: GltfFile
     options: ImportOptions
@@ -64,18 +56,19 @@ class GltfMaterialConverter:
     cache: ImageCache
     textures: TextureFiles
     _done: dict[int, GltfMaterial] = field(default_factory=dict)
-    _use: _Use = field(default_factory=_Use)
+    _uv_sets: set[int] = field(default_factory=set)
+    _uv_matrices: list[NDArray[np.float64]] = field(default_factory=list)
     _notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.problems = Problems(self.file.path)
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
-        """Convert material ``index`` (None: glTF's default); its name and ``hints`` imply its class."""
+        """Convert material ``index`` (None: glTF's default); its name or ``hints`` imply its class."""
         key = -1 if index is None else index
         if key not in self._done:
             entry = {} if index is None else self.file.item("materials", index, "primitive.material")
-            self._use, self._notes = _Use(), []
+            self._uv_sets, self._uv_matrices, self._notes = set(), [], []
             name = str(entry.get("name") or ("default" if index is None else f"material_{index}"))
             taken = {m.slot for m in self._done.values()}
             material = self._material(entry, unique(name, taken), hints)
@@ -83,20 +76,19 @@ class GltfMaterialConverter:
         return self._done[key]
 
     def _with_uv(self, material: GltfMaterial) -> GltfMaterial:
-        use = self._use
-        if len(use.sets) > 1:
+        sets, matrices = self._uv_sets, self._uv_matrices
+        if len(sets) > 1:
             expected = "one UV set per material"
             self.problems.add(
-                f"material {material.slot!r}", f"UV sets {sorted(use.sets)}", expected, "bake to one set"
+                f"material {material.slot!r}", f"UV sets {sorted(sets)}", expected, "bake to one set"
             )
-        matrices = use.matrices
         if any(not np.allclose(m, matrices[0]) for m in matrices):
             expected = "one UV transform per material"
             self.problems.add(
                 f"material {material.slot!r}", "different texture transforms", expected, "bake them"
             )
         matrix = matrices[0] if matrices and not np.allclose(matrices[0], np.eye(3)) else None
-        return replace(material, uv_set=min(use.sets, default=0), uv_matrix=matrix)
+        return replace(material, uv_set=min(sets, default=0), uv_matrix=matrix)
 
     def _material(self, entry: dict[str, Any], name: str, hints: tuple[str, ...]) -> SlotMaterial:
         pbr, extensions = entry.get("pbrMetallicRoughness", {}), entry.get("extensions", {})
@@ -153,7 +145,7 @@ class GltfMaterialConverter:
         return factor if image is None else replace(image, channel=channel, scale=factor)
 
     def _f0(self, extensions: dict[str, Any], name: str) -> ColorValue:
-        """F0 of the dielectric part: ((ior - 1) / (ior + 1))^2, tinted, times the specular strength."""
+        """Return F0 of the dielectric part: ((ior - 1) / (ior + 1))^2 times tint and specular strength."""
         ior = float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5))
         f0 = ((ior - 1) / (ior + 1)) ** 2 if ior > 0 else 1.0
         specular = extensions.get("KHR_materials_specular")
@@ -236,13 +228,9 @@ class GltfMaterialConverter:
         return red, green, blue
 
     def _image(
-        self,
-        info: dict[str, Any] | None,
-        name: str,
-        encoding: str,
-        instead: str = "only its factor is used",
+        self, info: dict[str, Any] | None, name: str, encoding: str, instead: str = "only its factor is used"
     ) -> ImageSource | None:
-        """The image of a texture reference, or None; records its UV set and transform."""
+        """Return the image of a texture reference, if any, and record its UV set and transform."""
         if info is None:
             return None
         texture = self.file.item("textures", info.get("index"), f"material {name!r}")
@@ -258,20 +246,19 @@ class GltfMaterialConverter:
             self._missing(path, name, instead)
             return None
         transform = info.get("extensions", {}).get("KHR_texture_transform", {})
-        self._use.sets.add(int(transform.get("texCoord", info.get("texCoord", 0))))
-        self._use.matrices.append(_uv_matrix(transform))
+        self._uv_sets.add(int(transform.get("texCoord", info.get("texCoord", 0))))
+        self._uv_matrices.append(_uv_matrix(transform))
         return ImageSource(path, "srgb" if encoding == "srgb" else "linear")
 
     def _missing(self, path: Path, name: str, instead: str) -> None:
         if self.options.missing == "refuse":
-            remedy = "restore it, or import with --missing replace"
-            self.problems.add(f"material {name!r}", f"{path.name!r} (no such file)", "its image", remedy)
+            self.problems.add(f"material {name!r}", f"{path.name!r} (no such file)", "its image", RESTORE_IT)
         else:
             self._note(name, f"missing image {path.name}: {instead}")
 
 
 def _uv_matrix(transform: dict[str, Any]) -> NDArray[np.float64]:
-    """(3, 3) matrix of KHR_texture_transform, for UVs with v downwards: translation x rotation x scale."""
+    """Return the (3, 3) matrix of KHR_texture_transform, which acts on UVs with v downwards."""
     angle = float(transform.get("rotation", 0.0))
     su, sv = transform.get("scale", (1.0, 1.0))
     ou, ov = transform.get("offset", (0.0, 0.0))

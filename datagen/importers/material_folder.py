@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Import of PBR texture folders, with file names as of ambientCG or Poly Haven, as material packages.
+"""Import of PBR texture folders with the file names of ambientCG or Poly Haven as material packages.
 
 ``Wood051_1K_Color.jpg``, ``Wood051_1K-JPG_NormalGL.jpg``; ``oak_diff_1k.jpg``, ``oak_arm_1k.jpg``.
 """
@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +46,7 @@ DEFAULT_TILE_M = 1.0
 
 
 def role_of(name: str) -> str:
-    """Role of an image, such as ``roughness``, implied by its file name; '' if none is."""
+    """Return the role that an image's file name implies, such as ``roughness``; '' if none."""
     stem = _RESOLUTION.sub("", Path(name).stem).lower().replace("-", "_")
     words = stem.split("_")
     for length in (2, 1):
@@ -58,7 +57,7 @@ def role_of(name: str) -> str:
 
 
 def find_maps(folder: Path) -> dict[str, list[Path]]:
-    """Images of a folder by role, in order of name; symbolic links are included, unresolved."""
+    """Return the images of a folder by role, in order of name; symbolic links are not resolved."""
     maps: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in _IMAGES and (path.is_file() or path.is_symlink()):
@@ -69,7 +68,7 @@ def find_maps(folder: Path) -> dict[str, list[Path]]:
 
 
 def is_material_folder(folder: Path) -> bool:
-    """Whether a folder contains a colour map and at least one other map, recognised by name."""
+    """Return whether a folder contains a colour map and at least one other map, recognised by name."""
     maps = find_maps(folder) if folder.is_dir() else {}
     return "color" in maps and len(maps) > 1
 
@@ -83,12 +82,6 @@ def import_material_folder(
     licence, or a bad image.
     """
     return _MaterialImporter(folder, options or ImportOptions()).run(out_library)
-
-
-@dataclass(frozen=True)
-class _Scalars:
-    roughness: ScalarValue
-    metallic: ScalarValue
 
 
 class _MaterialImporter:
@@ -105,7 +98,7 @@ class _MaterialImporter:
         self.problems: list[Problem] = []
 
     def one(self, role: str) -> Path | None:
-        """The permitted image of a role, or None; refused or several images become problems."""
+        """Return the permitted image of a role, or None; refused or several images become problems."""
         found = []
         for path in self.maps.get(role, []):
             file, fault = fault_of(self.folder, path.name, self.options.allowed)
@@ -127,12 +120,12 @@ class _MaterialImporter:
         if "color" not in self.maps:
             expected = "a colour map (..._Color, ..._diff)"
             self.problems.append(Problem(self.folder, "color", "none", expected, "check the folder"))
-        scalars, normal, opacity = self.scalars(), self.normal(), self.one("opacity")
+        (roughness, metallic), normal, opacity = self.scalars(), self.normal(), self.one("opacity")
         raise_problems(self.problems)
         assert color is not None
         name = self.options.asset_id or slug(self.folder.name)
         base: ColorValue = ImageSource(color, "linear" if color.suffix.lower() == ".exr" else "srgb")
-        channels = metallic_roughness(self.cache, name, base, scalars.metallic, scalars.roughness)
+        channels = metallic_roughness(self.cache, name, base, metallic, roughness)
         for role in _LEFT_OUT:
             if role in self.maps:
                 self.findings.approximate(f"{name}: {role} map left out")
@@ -158,7 +151,8 @@ class _MaterialImporter:
         )
         return finish(asset, self.textures.files, out_library / "materials", self.options, self.findings)
 
-    def scalars(self) -> _Scalars:
+    def scalars(self) -> tuple[ScalarValue, ScalarValue]:
+        """Return roughness and metalness, as images or constants."""
         packed, rough, metal = self.one("arm"), self.one("roughness"), self.one("metalness")
         roughness: ScalarValue = 0.5
         metallic: ScalarValue = 0.0
@@ -170,10 +164,10 @@ class _MaterialImporter:
             metallic = ImageSource(metal, "linear", "r")
         if packed is None and rough is None:
             self.findings.approximate(f"{self.folder.name}: no roughness map, R = 0.5")
-        return _Scalars(roughness, metallic)
+        return roughness, metallic
 
     def normal(self) -> Texture | None:
-        """The normal map in OpenGL orientation; the green channel of DirectX maps is inverted."""
+        """Return the normal map in OpenGL orientation; the green channel of DirectX maps is inverted."""
         up, down, unknown = self.one("normal_gl"), self.one("normal_dx"), self.one("normal")
         path = up or down or unknown
         if path is None:

@@ -2,8 +2,8 @@
 """Import of OBJ (with MTL), PLY and STL files, by conversion to glTF.
 
 Such files state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL (``--up``). The unit is a metre if
-that gives a plausible size, else the first of centimetre, millimetre and inch that does, and the import
-reports it (``--unit-scale``).
+that gives a plausible size, else the first of centimetre, millimetre and inch that does, which a note reports
+(``--unit-scale``).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from datagen.formats.category_sizes import CATEGORY_SIZES_M
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.findings import Findings
-from datagen.foundation.meshes.mesh import Mesh, compacted, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, compacted, welded
 from datagen.foundation.meshes.ply import read_ply
 from datagen.foundation.paths import named_file
 from datagen.importers.classes import guess_category
-from datagen.importers.common import ImportedAsset, ImportOptions
+from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions
 from datagen.importers.glb import GlbMaterial, encode_glb
 from datagen.importers.gltf import import_gltf
 from datagen.importers.obj_materials import PhongMaterial, read_mtl
@@ -42,7 +42,7 @@ _MAX_EXPONENT = 1000.0
 
 @dataclass(frozen=True)
 class MeshSource:
-    """Content of a mesh file: surfaces with their material names, and the materials."""
+    """Content of a mesh file: (material name, mesh) of its surfaces, and its materials by name."""
 
     surfaces: list[tuple[str, Mesh]]
     materials: dict[str, GlbMaterial]
@@ -51,9 +51,9 @@ class MeshSource:
 def import_mesh_file(
     path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
 ) -> list[ImportedAsset]:
-    """Convert an OBJ, PLY or STL file to a package below ``out_library``.
+    """Convert an OBJ, PLY or STL file to packages below ``out_library``, as :func:`import_gltf` does.
 
-    Raises :class:`InputError` for damaged files, for named files that are missing or outside the allowed
+    Raises :class:`InputError` for damaged files, for referenced files that are missing or outside the allowed
     folders, and for an unknown licence.
     """
     options = options or ImportOptions()
@@ -69,7 +69,7 @@ def import_mesh_file(
 
 
 def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, findings: Findings) -> float:
-    """Metres per unit that give the longest side a plausible length; 1 if none of the known units does."""
+    """Return the first unit, in metres, for which the longest side is plausible; 1 if none is."""
     points = [mesh.positions for _, mesh in source.surfaces]
     low, high = np.min([p.min(0) for p in points], 0), np.max([p.max(0) for p in points], 0)
     longest = float((high - low).max())
@@ -90,16 +90,15 @@ def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, find
 
 
 def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Budget) -> MeshSource:
-    data = _bytes_of(path, budget)
+    data = budget.read_file(path)
     model = read_obj_model(data, path, budget)
     stated: dict[str, PhongMaterial] = {}
     for library in model.libraries:
         file = named_file(path.parent, library, path, "mtllib", options.allowed)
         if file.is_file():
-            stated.update(read_mtl(_bytes_of(file, budget), file))
+            stated.update(read_mtl(budget.read_file(file), file))
         elif options.missing == "refuse":
-            remedy = "restore it, or import with --missing replace"
-            raise input_error(path, "mtllib", f"{library!r} (no such file)", "its materials", remedy)
+            raise input_error(path, "mtllib", f"{library!r} (no such file)", "its materials", RESTORE_IT)
         else:
             findings.approximate(f"{library}: missing materials, their surfaces are grey")
     materials = {
@@ -112,7 +111,7 @@ def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 def _material_of(
     name: str, phong: PhongMaterial, path: Path, options: ImportOptions, findings: Findings, budget: Budget
 ) -> GlbMaterial:
-    """Convert an MTL material: roughness from the exponent, mirrors (``illum`` 3) become metals."""
+    """Convert an MTL material: roughness is from the exponent, mirrors (``illum`` 3) are metals."""
     image: tuple[str, bytes] | None = None
     for keyword, text in phong.maps.items():
         if keyword != "map_kd":
@@ -127,7 +126,7 @@ def _material_of(
             remedy = "convert or restore it" if file.is_file() else "restore it, or --missing replace"
             raise input_error(path, f"{name}: map_Kd", got, "a PNG or JPEG image", remedy)
         else:
-            image = (kind, _bytes_of(file, budget))
+            image = (kind, budget.read_file(file))
     is_metal = phong.illumination == 3 and max(phong.diffuse) < 0.04 < max(phong.specular)
     exponent = min(max(phong.exponent, 0.0), _MAX_EXPONENT)
     return GlbMaterial(
@@ -153,7 +152,7 @@ def _read_ply(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 
 
 def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Budget) -> MeshSource:
-    data = _bytes_of(path, budget)
+    data = budget.read_file(path)
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + _STL_RECORD.itemsize * count:
         budget.spend("triangles", count, path.name)
@@ -176,11 +175,11 @@ def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 
 
 def _smoothed(mesh: Mesh, budget: Budget) -> Mesh:
-    """The mesh with coincident vertices merged and normals smooth across edges of less than 60 degrees."""
+    """Return the mesh with equal vertices merged and normals smooth across edges below 60 degrees."""
     positions, joined = welded(mesh)
     faces = joined[mesh.faces]
     points = positions.astype(np.float64)
-    cross = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    cross = area_vectors(points[faces])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
     normals = creased(points, faces, unit, np.ones(len(faces), np.int64), budget).reshape(-1, 3)
@@ -189,17 +188,9 @@ def _smoothed(mesh: Mesh, budget: Budget) -> Mesh:
     return compacted(Mesh(positions[faces.ravel()], corners, normals.astype(np.float32), uv))
 
 
-def _bytes_of(path: Path, budget: Budget) -> bytes:
-    try:
-        budget.hold_file(path)
-        return path.read_bytes()
-    except OSError as error:
-        raise input_error(path, got=error.strerror or error, expected="a readable file") from None
-
-
 READERS: dict[str, Callable[[Path, ImportOptions, Findings, Budget], MeshSource]] = {
     ".obj": _read_obj,
     ".ply": _read_ply,
     ".stl": _read_stl,
 }
-"""Reader by suffix."""
+"""Reader of a file by its suffix."""

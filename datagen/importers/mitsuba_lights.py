@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Conversion of Mitsuba emitters to lights of a package.
 
-A unit of s metres leaves radiance unchanged and multiplies intensity (W/sr) by s^2.
+If the unit of a scene is s metres, radiance is kept and intensity (W/sr) is multiplied by s^2.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from datagen.foundation.findings import Findings
 from datagen.foundation.naming import unique
 from datagen.foundation.paths import fault_of
 from datagen.importers.channels import TextureFiles
-from datagen.importers.common import ImportOptions
-from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE
+from datagen.importers.common import RESTORE_IT, ImportOptions
+from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE, rgb_of
 
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""To Mitsuba's environment frame (image centre +Z, top +Y) from the project's (centre +Y, top +Z)."""
+"""Rotation (4, 4) from the project's environment frame (image centre +Y, top +Z) to Mitsuba's (+Z, +Y)."""
 
 
 @dataclass
@@ -63,7 +63,7 @@ class LightConverter:
         return name
 
     def emission_of(self, shape: SceneNode) -> tuple[float, float, float] | None:
-        """Radiance of a shape's area emitter; None if it has none."""
+        """Return the RGB radiance of a shape's area emitter; None if it has none."""
         emitters = shape.children_of("emitter")
         if not emitters:
             return None
@@ -76,7 +76,7 @@ class LightConverter:
             expected = "one radiance for the surface"
             self._refuse(emitters[0], "a textured radiance", expected, "replace it by its mean")
             return None
-        return _color(emitters[0].get("radiance", 1.0))
+        return rgb_of(emitters[0].get("radiance", 1.0))
 
     def add(self, node: SceneNode) -> None:
         """Convert an emitter without a shape and append it to ``lights``."""
@@ -91,7 +91,7 @@ class LightConverter:
         return self.matrix @ np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
 
     def _constant(self, node: SceneNode) -> Light:
-        return EnvironmentLight(name=self._name(node), radiance=_color(node.get("radiance", 1.0)))
+        return EnvironmentLight(name=self._name(node), radiance=rgb_of(node.get("radiance", 1.0)))
 
     def _envmap(self, node: SceneNode) -> Light | None:
         name = str(node.get("filename", ""))
@@ -103,8 +103,7 @@ class LightConverter:
             if self.options.missing == "replace":
                 self.findings.approximate(f"{name}: missing environment map replaced by constant radiance 1")
                 return EnvironmentLight(name=self._name(node))
-            remedy = "restore it, or import with --missing replace"
-            self._refuse(node, f"{name!r} (no such file)", "an environment map", remedy)
+            self._refuse(node, f"{name!r} (no such file)", "an environment map", RESTORE_IT)
             return None
         rotation = self._asset_from_emitter(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
         rigid = np.eye(4)
@@ -150,11 +149,11 @@ class LightConverter:
         return DirectionalLight(
             name=self._name(node),
             direction=vector3(unit_vector(direction)),
-            irradiance=_color(node.get("irradiance", 1.0)),
+            irradiance=rgb_of(node.get("irradiance", 1.0)),
         )
 
     def _daylight(self, node: SceneNode) -> Light | None:
-        """Light of a ``sky``, ``sun`` or ``sunsky``; ``scale`` is an old parameter of the first two."""
+        """Convert a ``sky``, ``sun`` or ``sunsky``; ``scale`` is an old parameter of the first two."""
         scale = None if node.type == "sunsky" else node.get("scale")
         sky_scale, sun_scale = (
             float(node.get(f"{part}_scale", 1.0) if scale is None else scale) if part in node.type else 0.0
@@ -178,7 +177,7 @@ class LightConverter:
 
     def _intensity(self, value: object) -> tuple[float, float, float]:
         factor = self.options.unit_m**2
-        red, green, blue = _color(value)
+        red, green, blue = rgb_of(value)
         return red * factor, green * factor, blue * factor
 
 
@@ -197,10 +196,10 @@ _CONVERTERS: dict[str, Callable[[LightConverter, SceneNode], Light | None]] = {
 def emitter_shape_light(
     node: SceneNode, name: str, asset_from_shape: NDArray[np.float64], radiance: tuple[float, float, float]
 ) -> Light | None:
-    """The light of an emitting rectangle, disk or sphere; None for other shapes, which become emissive parts.
+    """Return the light of an emitting rectangle, disk or sphere; None for other shapes.
 
-    A rectangle or disk emits along its local +Z; if the transform mirrors, the edges are swapped so that
-    edge_u x edge_v still points there.
+    A rectangle or disk emits along its local +Z; if the transform mirrors, the edges are swapped, so edge_u x
+    edge_v still has this direction.
     """
     linear, center = asset_from_shape[:3, :3], asset_from_shape[:3, 3]
     if node.type in ("rectangle", "disk"):
@@ -229,10 +228,3 @@ def emitter_shape_light(
             radiance=radiance,
         )
     return None
-
-
-def _color(value: object) -> tuple[float, float, float]:
-    if isinstance(value, tuple):
-        red, green, blue = (float(x) for x in value)
-        return red, green, blue
-    return (float(value),) * 3  # type: ignore[arg-type]

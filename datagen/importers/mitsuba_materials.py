@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Conversion of Mitsuba BSDFs to D, S and R; docs/importing.md describes the mapping and its errors.
 
-A BSDF first becomes a :class:`Draft` of channel values; drafts of transparent BSDFs state their
-``transparency``, to which the scene importer applies the user's policy. BSDFs without a mapping are refused.
+A BSDF is converted to a :class:`Draft` of channel values. The scene importer applies the user's policy to
+drafts with a ``transparency``. BSDFs without a mapping are refused.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from datagen.importers.channels import (
     is_constant,
 )
 from datagen.importers.common import OPAL_ALBEDO, ImportOptions
-from datagen.importers.mitsuba_values import NodeValues
+from datagen.importers.mitsuba_values import NodeValues, rgb_of
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A material before its files are written. ``uv_matrix`` (3, 3) acts on Mitsuba's (u, v), v downwards.
+    """A material before its files are written.
 
-    ``transparency``: ``thin`` transmits light straight, ``body`` refracts, ``null`` is invisible. ``height``:
-    bump map in scene units.
+    ``uv_matrix`` (3, 3) acts on UVs with v downwards. ``transparency``: ``thin`` transmits light without
+    refraction, ``body`` refracts it, ``null`` is invisible. ``height``: bump map in scene units.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Draft:
 
 
 class MaterialConverter(NodeValues):
-    """Converts BSDF nodes of one scene; problems are collected in ``problems`` and raised by the caller."""
+    """Converts a scene's BSDF nodes; the caller raises the collected ``problems``."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class MaterialConverter(NodeValues):
         self._drafts: dict[int, Draft] = {}
 
     def draft(self, node: SceneNode) -> Draft:
-        """The draft of a BSDF; a second call with the same node gives the same object."""
+        """Return the draft of a BSDF; repeated calls for a node return the same object."""
         if id(node) not in self._drafts:
             self.start_material()
             draft = self._convert(node, node.id)
@@ -106,7 +106,7 @@ class MaterialConverter(NodeValues):
     # opaque BSDFs
 
     def _diffuse(self, node: SceneNode, name: str) -> Draft:
-        """S = 0, R = 1; D is lowered by the albedo that Schlick's curve adds even at S = 0."""
+        """Convert to S = 0 and R = 1; D is reduced by the specular albedo at S = 0."""
         reflectance = self.color(node, "reflectance", 0.5)
         if isinstance(reflectance, ImageSource):
             return Draft(name, diffuse=replace(reflectance, offset=-fresnel.DIFFUSE_SHEEN))
@@ -114,7 +114,7 @@ class MaterialConverter(NodeValues):
         return Draft(name, diffuse=lowered)
 
     def _lobe_width(self, node: SceneNode, name: str) -> ScalarValue:
-        """R of a BSDF of which Mitsuba has a smooth (R = 0) and a ``rough`` variant."""
+        """Return R of a BSDF type with a smooth variant (R = 0) and a ``rough`` one."""
         return self.roughness(node, name) if node.type.startswith("rough") else 0.0
 
     def _plastic(self, node: SceneNode, name: str) -> Draft:
@@ -140,7 +140,7 @@ class MaterialConverter(NodeValues):
         roughness = self._lobe_width(node, name)
         strength = self.color(node, "specular_reflectance", 1.0)
         if "eta" in node.values or "k" in node.values:
-            eta, k = self.constant_color(node, "eta", 0.0), self.constant_color(node, "k", 1.0)
+            eta, k = rgb_of(node.get("eta", 0.0)), rgb_of(node.get("k", 1.0))
             mean = fresnel.conductor_mean(np.array(eta), np.array(k))
         else:
             try:
@@ -159,7 +159,7 @@ class MaterialConverter(NodeValues):
         return draft
 
     def _principled(self, node: SceneNode, name: str) -> Draft:
-        """D = base (1 - metal)(1 - transmission); S = lerp(F0, base, metal); R = roughness."""
+        """Convert to D = base (1 - metal)(1 - transmission), S = lerp(F0, base, metal), R = roughness."""
         base = self.color(node, "base_color", 0.5)
         metal, trans = self.scalar(node, "metallic", 0.0), self.scalar(node, "spec_trans", 0.0)
         if "eta" in node.values:
@@ -232,7 +232,7 @@ class MaterialConverter(NodeValues):
         return replace(draft, normal=replace(source, encoding="linear"))
 
     def _blendbsdf(self, node: SceneNode, name: str) -> Draft:
-        """Blend of the channels by the weight; roughness is blended as alpha, not as R."""
+        """Blend the channels of two BSDFs by the weight, and alpha instead of R."""
         first, second = self._nested(node, name, 0), self._nested(node, name, 1)
         weight = self.scalar(node, "weight", 0.5)
         if (

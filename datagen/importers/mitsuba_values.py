@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from datagen.importers.channels import (
     ScalarValue,
     Value,
 )
-from datagen.importers.common import ImportOptions
+from datagen.importers.common import RESTORE_IT, ImportOptions
 
 CHECKER_TILE_PX = 128  # a checker edge then blurs over 1/128 of a tile under bilinear filtering
 MISSING_GREY = 0.5
@@ -35,16 +34,8 @@ COPY_IT = "copy it there, or name its folder with --allow"
 _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 
-@dataclass
-class _Textures:
-    """UV transforms of one BSDF's textures; ``has_plain``: whether a texture has none."""
-
-    matrices: list[NDArray[np.float64]] = field(default_factory=list)
-    has_plain: bool = False
-
-
 class NodeValues:
-    """Reads values of the BSDF nodes of one scene; faults are collected in ``problems``."""
+    """Reads parameters of a scene's BSDF nodes; the caller raises the collected ``problems``."""
 
     def __init__(self, scene_file: Path, options: ImportOptions, findings: Findings, cache: ImageCache):
         self.scene_file = scene_file
@@ -56,28 +47,25 @@ class NodeValues:
 
     def start_material(self) -> None:
         """Discard UV transforms and notes of the previous material."""
-        self._textures = _Textures()
+        self._uv_matrices: list[NDArray[np.float64] | None] = []
         self.notes: list[str] = []
 
     def ior(self, node: SceneNode) -> float:
-        """Relative index of refraction, inside over outside."""
+        """Return the relative index of refraction of a BSDF, inside over outside."""
         sides = []
         for key, default in (("int_ior", _DEFAULT_INT_IOR), ("ext_ior", _DEFAULT_EXT_IOR)):
             value = node.get(key, default)
             number = fresnel.named_ior(value) if isinstance(value, str) else float(value)
             if number is None or not (math.isfinite(number) and number > 0):
                 self.problems.add(
-                    f"{node.where}: {key}",
-                    repr(value),
-                    "a number or one of Mitsuba's names",
-                    "use a number",
+                    f"{node.where}: {key}", repr(value), "a number or one of Mitsuba's names", "use a number"
                 )
                 number = 1.5
             sides.append(number)
         return sides[0] / sides[1]
 
     def roughness(self, node: SceneNode, name: str) -> ScalarValue:
-        """Perceptual roughness of the equivalent Beckmann lobe."""
+        """Return the perceptual roughness R of a BSDF, or of the nearest Beckmann lobe if it is GGX."""
         distribution = str(node.get("distribution", "beckmann"))
         if node.get("alpha_u") is not None or node.child("alpha_u") is not None:
             pair = self.scalar(node, "alpha_u", 0.1), self.scalar(node, "alpha_v", 0.1)
@@ -96,22 +84,14 @@ class NodeValues:
         return value
 
     def color(self, node: SceneNode, key: str, default: float) -> ColorValue:
-        """The colour parameter ``key``, constant or textured."""
+        """Return the colour parameter ``key``, constant or textured."""
         texture = node.child(key)
         if texture is not None:
             return cast(ColorValue, self.texture(texture))
-        return self.constant_color(node, key, default)
-
-    def constant_color(self, node: SceneNode, key: str, default: float) -> Color:
-        """The colour parameter ``key`` without a texture."""
-        value = node.get(key, default)
-        if isinstance(value, tuple | list):
-            red, green, blue = (float(x) for x in value)
-            return red, green, blue
-        return (float(value),) * 3
+        return rgb_of(node.get(key, default))
 
     def scalar(self, node: SceneNode, key: str, default: float) -> ScalarValue:
-        """The scalar parameter ``key``: luminance of a colour, mean of the channels of a checkerboard."""
+        """Return the scalar parameter ``key``: a colour's luminance, a checkerboard's channel mean."""
         texture = node.child(key)
         if texture is None:
             value = node.get(key, default)
@@ -124,13 +104,13 @@ class NodeValues:
         return found
 
     def texture(self, node: SceneNode) -> Value:
-        """A texture node as a value; its transform is recorded for the material."""
+        """Convert a texture node to a value, and record its UV transform for :meth:`common_matrix`."""
         if node.type == "bitmap":
             return self._bitmap(node)
         if node.type == "checkerboard":
             self._note_matrix(node)
-            first = self.constant_color(node, "color0", 0.4)
-            second = self.constant_color(node, "color1", 0.2)
+            first = rgb_of(node.get("color0", 0.4))
+            second = rgb_of(node.get("color1", 0.2))
             if node.child("color0") or node.child("color1"):
                 self.problems.add(
                     node.where, "a checkerboard of textures", "two colours", "bake it to an image"
@@ -150,12 +130,8 @@ class NodeValues:
             return (MISSING_GREY,) * 3
         if not path.is_file():
             if self.options.missing == "refuse":
-                self.problems.add(
-                    f"{node.where}: filename",
-                    f"{name!r} (no such file)",
-                    "the texture",
-                    "restore it, or import with --missing replace",
-                )
+                got = f"{name!r} (no such file)"
+                self.problems.add(f"{node.where}: filename", got, "the texture", RESTORE_IT)
             else:
                 self.findings.approximate(f"{name}: missing texture replaced by grey {MISSING_GREY}")
             return (MISSING_GREY,) * 3
@@ -165,32 +141,32 @@ class NodeValues:
         return ImageSource(path, "linear" if is_raw else "srgb")
 
     def _note_matrix(self, node: SceneNode) -> None:
-        matrix = node.get("to_uv")
-        if matrix is None:
-            self._textures.has_plain = True
-        else:
-            flat = np.eye(3)
+        matrix, flat = node.get("to_uv"), np.eye(3)
+        if matrix is not None:
             flat[:2, :2], flat[:2, 2] = matrix[:2, :2], matrix[:2, 3]
-            self._textures.matrices.append(flat)
+        self._uv_matrices.append(None if matrix is None else flat)
 
     def common_matrix(self, node: SceneNode) -> NDArray[np.float64] | None:
-        """The UV transform (3, 3) shared by all textures of the material; None if it has no textures."""
-        matrices = self._textures.matrices
-        if not matrices:
+        """Return the UV transform (3, 3) of all textures of the material; None if none has ``to_uv``."""
+        first = next((m for m in self._uv_matrices if m is not None), None)
+        if first is None:
             return None
-        same = all(np.allclose(m, matrices[0]) for m in matrices)
-        if not same or (self._textures.has_plain and not np.allclose(matrices[0], np.eye(3))):
-            self.problems.add(
-                node.where,
-                "textures with different to_uv",
-                "one UV transform per material",
-                "bake them to one layout",
-            )
-        return matrices[0]
+        if not all(np.allclose(np.eye(3) if m is None else m, first) for m in self._uv_matrices):
+            expected, remedy = "one UV transform per material", "bake them to one layout"
+            self.problems.add(node.where, "textures with different to_uv", expected, remedy)
+        return first
+
+
+def rgb_of(value: Any) -> Color:
+    """Return the value of a node's colour parameter, three numbers or a grey level, as RGB."""
+    if isinstance(value, tuple | list):
+        red, green, blue = (float(x) for x in value)
+        return red, green, blue
+    return (float(value),) * 3
 
 
 def checkerboard(color0: Color, color1: Color) -> BakedSource:
-    """One tile of Mitsuba's checkerboard: ``color0`` where u and v are in the same half, else ``color1``."""
+    """Return a tile of Mitsuba's checkerboard: ``color0`` if u, v are in the same half, else ``color1``."""
     side = CHECKER_TILE_PX
     half = np.arange(side) >= side // 2
     is_first = half[:, None] == half[None, :]
@@ -199,9 +175,9 @@ def checkerboard(color0: Color, color1: Color) -> BakedSource:
 
 
 def normal_from_height(height: NDArray[np.float32], uv_per_m: float) -> NDArray[np.float32]:
-    """Tangent-space normals (H, W, 3) of a tiling height map in metres, +Y up, for a given UV density.
+    """Return tangent-space unit normals (H, W, 3), +Y up, of a tiling height map (H, W) in metres.
 
-    The slope along u is dh/du * uv_per_m; rows run downwards, so that +v is minus the row direction.
+    The slope along u is dh/du * uv_per_m; +v is opposite to the rows.
     """
     rows, columns = height.shape
     slope_u = (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) * (0.5 * columns) * uv_per_m

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Import of a Mitsuba scene (XML) as an environment package: one part per shape, metres, Z up.
 
-docs/importing.md lists the conversions and their errors. Content without a conversion is refused by name or,
-if an option allows it, replaced or removed, and listed in the record of the import.
+docs/importing.md lists the conversions and their errors. Content without a conversion is refused or, if an
+option allows it, replaced or removed, which the record of the import states.
 """
 
 from __future__ import annotations
@@ -16,31 +16,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import (
-    AssetCamera,
-    EnvironmentAsset,
-    MaterialClass,
-    Part,
-    SlotMaterial,
-    Texture,
-)
+from datagen.formats.asset import AssetCamera, EnvironmentAsset, MaterialClass, Part, SlotMaterial, Texture
 from datagen.formats.base import IDENTITY4, matrix4, quantized
 from datagen.formats.mitsuba.scene import MitsubaScene, SceneNode, parse_scene
 from datagen.formats.mitsuba.sensors import camera_of, guess_up
 from datagen.formats.package import FileSource
 from datagen.foundation.axes import asset_from_source
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, input_error, raise_problems
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
-from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, welded, without_degenerate
+from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
 from datagen.importers import annotate
 from datagen.importers.channels import ImageCache, ImageSource, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, provenance
+from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions, mended_note, provenance
 from datagen.importers.mitsuba_lights import LightConverter, emitter_shape_light
 from datagen.importers.mitsuba_materials import Draft, MaterialConverter
 from datagen.importers.mitsuba_shapes import (
@@ -53,15 +46,13 @@ from datagen.importers.mitsuba_shapes import (
 from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE, normal_from_height
 from datagen.importers.packaging import finish
 
-_PANE_RATIO = 0.05  # a transparent part thinner than this share of its second extent is a pane
-
-
+_PANE_RATIO = 0.05  # maximum thickness of a pane relative to its second-largest extent
 _SlotKey = tuple[int, tuple[float, float, float] | None]  # BSDF, emission
 
 
 @dataclass
 class _Shape:
-    """One shape before it becomes a part. ``mesh`` is in the shape's frame, v upwards."""
+    """A shape that will be a part; ``mesh`` is in the shape's frame, with v upwards."""
 
     node: SceneNode
     label: str
@@ -180,13 +171,12 @@ class _SceneImporter:
                 if self.options.missing == "replace":
                     self.findings.approximate(f"{name}: missing mesh left out")
                 else:
-                    remedy = "restore it, or import with --missing replace"
                     self.problems.add(
-                        f"{node.where}: filename", f"{name!r} (no such file)", "the mesh", remedy
+                        f"{node.where}: filename", f"{name!r} (no such file)", "the mesh", RESTORE_IT
                     )
                 return
         transform = outer @ local_transform(node)
-        if abs(np.linalg.det(transform[:3, :3])) < 1e-15:
+        if abs(np.linalg.det(transform[:3, :3])) < SINGULAR:
             self.problems.add(
                 f"{node.where}: to_world", "a singular matrix", "an invertible one", "correct it"
             )
@@ -207,7 +197,7 @@ class _SceneImporter:
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
 
     def mesh_of(self, node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
-        """Mesh of a shape, and number of replaced normals; a shared mesh is read once, charged each time."""
+        """Return a shape's mesh and number of replaced normals; a mesh is read once, but always charged."""
         key = _source_of(node, file)
         if key in self.meshes:
             self.budget.spend("triangles", self.meshes[key][0].weight, node.where)
@@ -238,23 +228,18 @@ class _SceneImporter:
                     kept.append(shape)
         for sentence, count in removed.items():
             self.findings.approximate(f"{sentence}; {count} shape{'s' if count > 1 else ''}")
-        if refused:
-            raise InputError(
-                *(
-                    input_error(
-                        self.path,
-                        f"material {name!r}",
-                        f"transparent, on {where}",
-                        "opaque materials: the project's BSDF does not transmit light",
-                        "import with --dielectric replace, or choose with --dielectric-as NAME=opaque|remove",
-                    ).problems[0]
-                    for name, where in refused.items()
-                )
-            )
+        expected = "opaque materials: the project's BSDF does not transmit light"
+        remedy = "import with --dielectric replace, or choose with --dielectric-as NAME=opaque|remove"
+        raise_problems(
+            [
+                Problem(self.path, f"material {name!r}", f"transparent, on {where}", expected, remedy)
+                for name, where in refused.items()
+            ]
+        )
         return kept
 
     def take_out_lights(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Convert emitting rectangles, disks and spheres to lights of the package; return other shapes."""
+        """Convert emitting rectangles, disks and spheres to lights of the package; return the others."""
         kept = []
         for shape in shapes:
             light = None
@@ -270,10 +255,10 @@ class _SceneImporter:
     # parts and materials
 
     def build_parts(self, shapes: list[_Shape]) -> tuple[list[Part], list[Mesh]]:
-        """Add mesh files; returns the parts, and every part's mesh in the asset's frame.
+        """Add mesh files, and return the parts and every part's mesh in the asset's frame.
 
-        A mesh shared by several shapes is stored once, in the shapes' frame, others in the asset's frame.
-        Shapes without a surface are removed from ``shapes``, the others get their slots.
+        A mesh of several shapes is stored once, in the shapes' frame, others in the asset's frame. Shapes
+        without a surface are removed from ``shapes``, the others get their slots.
         """
         parts: list[Part] = []
         placed: list[Mesh] = []
@@ -297,13 +282,14 @@ class _SceneImporter:
                 mesh = without_degenerate(shape.mesh if is_shared else in_place)
                 self.files[stored[key]] = encode_ply(mesh)
             shape.slot = self.slot_name(shape, slots)
+            density = in_place.uv_per_m()
             parts.append(
                 Part(
                     name=name,
                     mesh=stored[key],
                     material=shape.slot,
                     asset_from_part=matrix4(matrix) if is_shared else IDENTITY4,
-                    uv_per_m=_rounded(in_place.uv_per_m()),
+                    uv_per_m=None if density is None else quantized(density, 6),
                 )
             )
             placed.append(in_place)
@@ -322,7 +308,7 @@ class _SceneImporter:
         )
 
     def slot_name(self, shape: _Shape, slots: dict[_SlotKey, str]) -> str:
-        """Slot of a shape, one for each pair of BSDF and emission; new ones are added to ``slots``."""
+        """Return a shape's slot, one for each pair of BSDF and emission; add it to ``slots`` if new."""
         key = (shape.bsdf, shape.emission)
         if key not in slots:
             base = shape.draft.name + ("_emitter" if shape.emission else "")
@@ -347,7 +333,6 @@ class _SceneImporter:
         draft = shape.draft
         guessed: tuple[MaterialClass, ...] = (guess_class(draft.name, fallback=draft.fallback_class),)
         classes = self.annotations.classes.get(shape.slot, guessed)
-
         if shape.emission is not None:
             return SlotMaterial(
                 classes=classes,
@@ -396,7 +381,7 @@ class _SceneImporter:
 
 
 def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
-    """Key of a shape's mesh: two shapes with equal keys have equal meshes."""
+    """Return a key of a shape's mesh: shapes with equal keys have equal meshes."""
     return (
         str(file) if file else node.type,
         None if file else tuple(sorted((k, str(v)) for k, v in node.values.items() if k != "to_world")),
@@ -406,7 +391,7 @@ def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
 
 
 def is_pane(mesh: Mesh) -> bool:
-    """Whether every connected piece of a mesh is thin relative to its second-largest extent."""
+    """Return whether every connected piece of a mesh is thin relative to its second-largest extent."""
     points, index = welded(mesh)
     faces = index[mesh.faces]
     labels = _pieces(faces, len(points))
@@ -430,7 +415,3 @@ def _pieces(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int32]:
     columns = np.concatenate([faces[:, 1], faces[:, 2]])
     graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(num_vertices, num_vertices))
     return connected_components(graph, directed=False)[1]
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else quantized(value, 6)

@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 
 @dataclass
 class PhongMaterial:
-    """A material of an MTL file: colours as stated, and arguments of ``maps`` by keyword (``map_kd``)."""
+    """A material of an MTL file; ``maps``: arguments of its map statements by lower-case keyword."""
 
     diffuse: tuple[float, float, float] = (0.8, 0.8, 0.8)
     specular: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -25,7 +25,7 @@ class PhongMaterial:
 
 
 def read_mtl(data: bytes, where: str | Path) -> dict[str, PhongMaterial]:
-    """Materials of an MTL file by name. Raises :class:`InputError` for invalid numbers."""
+    """Parse an MTL file to materials by name. Raises :class:`InputError` for invalid numbers."""
     found: dict[str, PhongMaterial] = {}
     current = PhongMaterial()
     for raw in data.decode("utf-8", "replace").splitlines():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reader of OBJ models: one mesh per material, polygons triangulated, missing normals computed.
 
-Letters: C corners of polygons, P polygons, M triangles. v of a texture coordinate points up.
+C is the number of corners of polygons, P of polygons, M of triangles. Texture coordinate v points up.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
-from datagen.foundation.meshes.mesh import Mesh, compacted
-from datagen.foundation.meshes.obj import corner_indices
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, compacted
+from datagen.foundation.meshes.obj import corner_indices, number_table
 
 CREASE_COSINE = 0.5
 """Cosine of the crease angle: edges of less than 60 degrees are smooth within a smoothing group."""
 MIRROR_GROUP = "sweethome3d_window_mirror"
-_BLOCK = 1 << 16  # lines split into words at once, which take ten times the memory of the lines
 _MAX_PAIRS = 1 << 22  # corner pairs in memory at once
 _NORMAL_DIGITS = 5  # equal normals of shared corners must be bit-identical for vertices to be shared
 
@@ -30,7 +29,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Surface:
-    """The faces of one material; ``is_mirror`` if the model marks them as a mirror."""
+    """The faces of one material; ``is_mirror``: whether the file marks them as a mirror."""
 
     material: str
     is_mirror: bool
@@ -61,15 +60,12 @@ class _Statements:
 
 
 def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
-    """Parse an OBJ file without its lines and points. Raises :class:`InputError` if it is damaged."""
+    """Parse the faces of an OBJ file. Raises :class:`InputError` if it is damaged or has none."""
     found = _sort_lines(data, budget)
     budget.spend("triangles", max(sum(found.counts) - 2 * len(found.counts), len(found.positions) // 3))
     try:
-        positions, uvs, normals = (
-            _table(found.positions, 3),
-            _table(found.uvs, 2),
-            _table(found.normals, 3),
-        )
+        tables = (found.positions, 3), (found.uvs, 2), (found.normals, 3)
+        positions, uvs, normals = (number_table(lines, width, is_padded=True) for lines, width in tables)
         indices = corner_indices(found.corners, (len(positions), len(uvs), len(normals)))
     except (ValueError, IndexError, OverflowError) as error:
         raise input_error(
@@ -88,9 +84,9 @@ def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
     owner = np.array(found.owners)[polygon]
     surfaces = []
     for (material, is_mirror), number in found.keys.items():
-        mine = owner == number
-        if mine.any():
-            mesh = _mesh(positions, uvs, corner[mine], shading[mine])
+        chosen = owner == number
+        if chosen.any():
+            mesh = _mesh(positions, uvs, corner[chosen], shading[chosen])
             surfaces.append(Surface(material, is_mirror, mesh))
     return ObjModel(tuple(surfaces), tuple(found.libraries))
 
@@ -130,24 +126,8 @@ def _sort_lines(data: bytes, budget: Budget) -> _Statements:
     return found
 
 
-def _table(lines: list[bytes], width: int) -> Floats:
-    """The first ``width`` numbers after the keyword of each line, (K, width); missing ones are 0."""
-    blocks = [_block(lines[k : k + _BLOCK], width) for k in range(0, len(lines), _BLOCK)]
-    return np.concatenate(blocks) if blocks else np.zeros((0, width))
-
-
-def _block(lines: list[bytes], width: int) -> Floats:
-    tokens = b" ".join(lines).split()
-    per_line = len(lines[0].split())
-    if len(tokens) == per_line * len(lines) and per_line > width:
-        columns = [np.fromiter(map(float, tokens[k::per_line]), np.float64) for k in range(1, width + 1)]
-        return np.stack(columns, axis=1)
-    rows = [(line.split()[1 : width + 1] + [b"0"] * width)[:width] for line in lines]
-    return np.array([[float(word) for word in row] for row in rows])
-
-
 def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, Ints]:
-    """Triangles as indices of corners (M, 3), and the polygon of each (M,).
+    """Return triangles as indices of corners (M, 3), and the index (M,) of the polygon of each.
 
     ``points`` (C, 3): positions of the corners; ``counts`` (P,): corners of each polygon.
     """
@@ -158,9 +138,9 @@ def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, I
     first = starts[fours]
     if len(fours):
         quad = points[first[:, None] + np.arange(4)]
-        even = _normal(quad[:, [0, 1, 2]]), _normal(quad[:, [0, 2, 3]])
-        odd = _normal(quad[:, [1, 2, 3]]), _normal(quad[:, [1, 3, 0]])
-        # a concave quadrangle has one diagonal whose halves face the same way
+        even = area_vectors(quad[:, [0, 1, 2]]), area_vectors(quad[:, [0, 2, 3]])
+        odd = area_vectors(quad[:, [1, 2, 3]]), area_vectors(quad[:, [1, 3, 0]])
+        # only one diagonal splits a concave quadrilateral into triangles of equal winding
         is_odd = (even[0] * even[1]).sum(axis=1) < 0
         is_odd &= (odd[0] * odd[1]).sum(axis=1) > 0
         split = np.where(is_odd[:, None], [1, 2, 3, 1, 3, 0], [0, 1, 2, 0, 2, 3])
@@ -177,13 +157,13 @@ def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, I
 
 
 def triangulate(points: Floats, budget: Budget) -> Ints:
-    """Triangles (K - 2, 3) of a planar polygon (K, 3) without holes, in its winding, by ear clipping."""
+    """Split a planar polygon (K, 3) without holes into triangles (K - 2, 3), by ear clipping."""
     ring = np.arange(len(points))
-    turned = np.roll(points, -1, axis=0)
-    normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell's method
+    following = np.roll(points, -1, axis=0)
+    normal = np.cross(points - points[0], following - points[0]).sum(axis=0)  # Newell's method
     axis = int(np.abs(normal).argmax())
     flat = np.delete(points, axis, axis=1)
-    if (normal[axis] < 0) != (axis == 1):  # projected along -axis; x-z is mirrored relative to z-x
+    if (normal[axis] < 0) != (axis == 1):  # makes the winding positive; x-z is mirrored
         flat = flat * [1.0, -1.0]
     before, after = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -193,7 +173,7 @@ def triangulate(points: Floats, budget: Budget) -> Ints:
     ears: list[tuple[int, int, int]] = []
     while len(ring) > 3:
         cut = next((k for k in range(len(ring)) if _is_ear(flat, ring, k, budget)), None)
-        if cut is None:  # a self-intersecting ring has none: the rest becomes a fan
+        if cut is None:  # the polygon intersects itself: the rest becomes a fan
             break
         ears.append((ring[cut - 1], ring[cut], ring[(cut + 1) % len(ring)]))
         ring = np.delete(ring, cut)
@@ -215,14 +195,10 @@ def _is_ear(flat: Floats, ring: Ints, k: int, budget: Budget) -> bool:
     return not bool(((side(a, b, others) > 0) & (side(b, c, others) > 0) & (side(c, a, others) > 0)).any())
 
 
-def _normal(triangles: Floats) -> Floats:
-    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-
-
 def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
-    """Mask (M,) of triangles that do not repeat an earlier one in either winding.
+    """Return the mask (M,) of triangles that do not repeat an earlier one in either winding.
 
-    Models repeat faces to make them visible from behind; the project's surfaces are two-sided.
+    Models repeat faces to make them visible from behind; here, surfaces are two-sided.
     """
     keys = np.sort(faces, axis=1)
     order = np.lexsort(keys.T)
@@ -234,8 +210,8 @@ def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
 def _corner_normals(
     positions: Floats, normals: Floats, corner: Ints, smoothing: Ints, budget: Budget
 ) -> Floats:
-    """Unit normals (M, 3, 3): the file's if a corner refers to one, else smooth within a smoothing group."""
-    cross = _normal(positions[corner[:, :, 0]])
+    """Return corner normals (M, 3 corners, 3): the file's if it states one, else those of :func:`creased`."""
+    cross = area_vectors(positions[corner[:, :, 0]])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
     named = corner[:, :, 2]
@@ -253,10 +229,10 @@ def _corner_normals(
 
 
 def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
-    """Normals (M, 3, 3) of the corners of ``faces`` (M, 3) with unit normals ``unit`` (M, 3).
+    """Return normals (M, 3 corners, 3) for ``faces`` (M, 3) with unit normals ``unit`` (M, 3).
 
-    They are angle-weighted means over the faces at the corner within 60 degrees and in the same smoothing
-    group; group 0 is flat.
+    They are angle-weighted means over the faces at the vertex whose normals differ by less than 60 degrees
+    and which have the same smoothing group, in ``smoothing`` (M,); group 0 is flat.
     """
     made = np.repeat(unit[:, None], 3, axis=1)
     chosen = np.flatnonzero(smoothing > 0)
@@ -271,7 +247,7 @@ def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budge
     order = np.argsort(vertex, kind="stable")
     _, first, count = np.unique(vertex[order], return_index=True, return_counts=True)
     budget.spend("pairs", int((count.astype(np.int64) ** 2).sum()), "smooth normals")
-    first, count = np.repeat(first, count), np.repeat(count, count)  # of each sorted corner's vertex
+    first, count = np.repeat(first, count), np.repeat(count, count)  # per sorted corner
     normal, weight = np.repeat(unit[chosen], 3, axis=0)[order], angle.ravel()[order]
     group = np.repeat(smoothing[chosen], 3)[order]
     total = np.empty((len(order), 3))
@@ -297,7 +273,7 @@ def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budge
 
 
 def _mesh(positions: Floats, uvs: Floats, corner: Ints, normals: Floats) -> Mesh:
-    """One surface; with texture coordinates only if every corner has finite ones."""
+    """Return a surface as a mesh, with texture coordinates only if every corner has finite ones."""
     flat = corner.reshape(-1, 3)
     uv = None
     if len(uvs) and (flat[:, 1] >= 0).all():

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The last step of every import: write the package, check it as a whole, and record the import.
+"""The last step of every import: writing, checking and recording of the package.
 
-``import.json`` beside ``asset.json`` contains the importer's approximations and notes; it is no part of the
-asset's hash.
+``import.json`` in the package contains the approximations and notes of the import, and is not hashed.
 """
 
 from __future__ import annotations
@@ -22,11 +21,7 @@ RECORD_FILE = "import.json"
 
 
 def finish(
-    asset: AnyAsset,
-    files: Mapping[str, FileSource],
-    folder: Path,
-    options: ImportOptions,
-    findings: Findings,
+    asset: AnyAsset, files: Mapping[str, FileSource], folder: Path, options: ImportOptions, findings: Findings
 ) -> ImportedAsset:
     """Write, check and record the package ``folder/<id>`` (or ``.zip``); warnings become notes.
 
@@ -62,7 +57,7 @@ def finish(
 
 
 def _contents(asset: AnyAsset) -> str:
-    """Summary of an asset: size, and numbers of parts and materials; or classes, or time of day."""
+    """Return an asset's size and numbers of parts and materials; or its classes, or its time of day."""
     if isinstance(asset, PanoramaAsset):
         return asset.daytime
     if isinstance(asset, MaterialAsset):

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.importers.channels import (
-    ColorValue,
-    ImageCache,
-    ScalarValue,
-    is_constant,
-)
+from datagen.importers.channels import ColorValue, ImageCache, ScalarValue, is_constant
 
 DEFAULT_F0 = 0.04
 _MIN_AGREEMENT = 0.2  # correlation of normals and height; matching pairs reach 0.3 to 0.96
@@ -42,7 +37,7 @@ def metallic_roughness(
     roughness: ScalarValue,
     f0: ColorValue = (DEFAULT_F0,) * 3,
 ) -> PbrChannels:
-    """D, S and R; ``label``: prefix of baked files. Metalness images of only 0 or only 1 become constants."""
+    """Convert a material to D, S and R; names of baked files begin with ``label``."""
     metallic = settled(cache, metallic)
     if metallic == 0.0:
         return PbrChannels(base, f0, roughness)
@@ -56,7 +51,7 @@ def metallic_roughness(
 
 
 def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
-    """The scalar ``value``, or a constant if its image stays within 2 % of 0 or of 1."""
+    """Return the scalar ``value``, or 0 or 1 if all pixels of its image differ by at most 0.02 from it."""
     if is_constant(value):
         return value
     pixels = cache.values(value, is_scalar=True)
@@ -68,13 +63,12 @@ def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
 
 
 def green_points_up(pixels: NDArray, height: NDArray | None = None) -> bool:
-    """Whether the ``pixels`` (H, W, 3) of a normal map imply +Y up (OpenGL) rather than down (DirectX).
+    """Return whether the ``pixels`` (H, W, 3) of a normal map imply +Y up (OpenGL), not down (DirectX).
 
-    If there is a ``height`` image of the same size that correlates with the normals, its slope along v
-    decides. Otherwise the curl does: slopes p = nx / nz and q = ny / nz of a height field are free of curl,
-    dp/dv = dq/du. With v upwards and rows downwards that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow -
-    dq/dcolumn = 0 for DirectX; the convention with the smaller residual is assumed. Columns and rows wrap
-    around.
+    If a ``height`` image of the same size correlates with the normals, the sign of the correlation is used.
+    Otherwise, the curl is: slopes p = nx / nz and q = ny / nz of a height field are free of curl, dp/dv =
+    dq/du. With rows downwards, that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow - dq/dcolumn = 0 for
+    DirectX; the convention with the smaller residual is assumed. Columns and rows wrap around.
     """
     values = pixels[..., :3].astype(np.float64) / np.iinfo(pixels.dtype).max * 2 - 1
     if height is not None and height.shape[:2] == pixels.shape[:2]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Comparison of renderings of an imported scene and of its original, from the same camera.
+"""Comparison of renderings of an imported scene and its original from the same camera.
 
 Images are (H, W, 3) float32, scene-linear. The Mitsuba variant must have been selected before rendering.
 """
@@ -33,7 +33,7 @@ _DARK_SHARE = 0.01  # pixels below this share of the mean are too dark for a rat
 
 
 def load_original(path: Path, *, optimize: bool = False) -> Any:
-    """The scene as Mitsuba loads it, with Mitsuba's BSDFs; ``optimize=False`` keeps one mesh per shape."""
+    """Load a scene file with Mitsuba and its BSDFs; without ``optimize``, each shape keeps its mesh."""
     import mitsuba as mi
 
     file = path / "scene.xml" if path.is_dir() else path
@@ -41,7 +41,7 @@ def load_original(path: Path, *, optimize: bool = False) -> Any:
 
 
 def original_camera(path: Path) -> AssetCamera:
-    """First camera of a scene file, in the scene's frame. Raises :class:`InputError` if it has none."""
+    """Return a scene file's first camera, in the scene's frame. Raises :class:`InputError` without any."""
     file = path / "scene.xml" if path.is_dir() else path
     sensors = parse_scene(file).all_of("sensor")
     if not sensors:
@@ -50,7 +50,7 @@ def original_camera(path: Path) -> AssetCamera:
 
 
 def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) -> Camera:
-    """An asset's camera at another width; the aspect is kept to the nearest pixel unless a height is given.
+    """Return an asset's camera at another width; without a height, the aspect is kept to the nearest pixel.
 
     With ``height_px``, the image is cropped or extended vertically about its centre, and the horizontal field
     of view is unchanged: some reference images are square although the scene file's camera is not.
@@ -72,12 +72,7 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) 
 
 
 def render_original(
-    path: Path,
-    width_px: int,
-    num_samples: int,
-    max_depth: int,
-    seed: int = 0,
-    height_px: int | None = None,
+    path: Path, width_px: int, num_samples: int, max_depth: int, seed: int = 0, height_px: int | None = None
 ) -> NDArray[np.float32]:
     """Render the original (H, W, 3) from its first camera by Mitsuba's path tracer with a box filter."""
     import mitsuba as mi
@@ -109,7 +104,7 @@ def render_original(
 def native_configuration(
     package: Package, width_px: int, seed: int = 0, height_px: int | None = None
 ) -> Configuration:
-    """Configuration of an environment alone, with its lights, and its cameras at another width.
+    """Return the configuration of an environment alone, with its lights, and cameras of another width.
 
     Raises :class:`InputError` if it has no camera; ``height_px`` is as in :func:`camera_at`.
     """

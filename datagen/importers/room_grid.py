@@ -26,15 +26,13 @@ _SLOT_SIDE_M = 0.6
 
 
 def short_vector(values: NDArray | list[float]) -> Vector3:
-    """Three numbers rounded to six significant digits."""
+    """Return three numbers, rounded to six significant digits."""
     x, y, z = (quantized(float(v), 6) for v in values)
     return x, y, z
 
 
-def surface_points(
-    triangles: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
-    """Points (P, 3) spread over ``triangles`` (M, 3, 3), their triangles (P,), and their maximum spacing.
+def surface_points(triangles: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
+    """Return points (P, 3) on ``triangles`` (M, 3, 3), their triangles (P,), and their spacing in metres.
 
     The spacing is ``0.8 * SQUARE_M``, or more if that would give too many points.
     """
@@ -59,7 +57,7 @@ def surface_points(
 
 
 def _counted(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """0 .. counts[0] - 1, 0 .. counts[1] - 1, ... in one array."""
+    """Return 0 to counts[0] - 1, 0 to counts[1] - 1, ... in one array."""
     return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
@@ -77,7 +75,7 @@ class RoomGrid:
     def build(
         cls, points: NDArray[np.float32], seeds: NDArray[np.float64], min_cell_m: float
     ) -> RoomGrid | None:
-        """Grid of the room with most ``seeds`` (without seeds, the largest); None if no space is enclosed.
+        """Return the grid of the room with most ``seeds``, or the largest; None if no space is enclosed.
 
         ``points`` (P, 3) are on surfaces; ``min_cell_m`` must exceed their spacing, or walls have holes.
         """
@@ -120,7 +118,7 @@ class RoomGrid:
         return cls(origin, cell, occupied, interior, float(edge))
 
     def is_interior(self, points: NDArray) -> NDArray[np.bool_]:
-        """Mask (P,) of the points (P, 3) in the free space of the room."""
+        """Return the mask (P,) of the points (P, 3) that are in the free space of the room."""
         index = ((points - self.origin_m) / self.cell_m).astype(np.int64)
         valid = ((index >= 0) & (index < self.interior.shape)).all(axis=1)
         result = np.zeros(len(points), dtype=bool)
@@ -131,7 +129,7 @@ class RoomGrid:
         return int(np.clip((height_m - self.origin_m[2]) / self.cell_m, 0, self.interior.shape[2] - 1))
 
     def camera_regions(self) -> Iterator[Box]:
-        """Up to four boxes from the floor upwards that are free at camera height, 0.7 to 1.9 m."""
+        """Yield up to four boxes that begin at the floor and are free at camera heights, 0.7 to 1.9 m."""
         from scipy import ndimage
 
         low, high = (
@@ -150,7 +148,7 @@ class RoomGrid:
             yield Box(minimum_m=short_vector(minimum), maximum_m=short_vector(maximum))
 
     def ceiling_slots(self, regions: tuple[Box, ...]) -> Iterator[LightSlot]:
-        """Square light slots below the ceiling, over the middles of the first two camera regions."""
+        """Yield square light slots below the ceiling, above the centres of the first two camera regions."""
         for number, region in enumerate(regions[:2]):
             x, y = ((a + b) / 2 for a, b in zip(region.minimum_m[:2], region.maximum_m[:2], strict=True))
             start = self._layer((region.minimum_m[2] + region.maximum_m[2]) / 2)
@@ -175,7 +173,7 @@ class RoomGrid:
 
 
 def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
-    """Up to ``count`` disjoint all-True rectangles (x0, x1, y0, y1) of a mask, the largest first."""
+    """Yield up to ``count`` disjoint all-True rectangles (x0, x1, y0, y1) of a mask, the largest first."""
     mask = mask.copy()
     for _ in range(count):
         x0, x1, y0, y1 = largest_rectangle(mask, min_side)
@@ -186,7 +184,7 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 
 
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
-    """Largest all-True rectangle (x0, x1, y0, y1) with sides of at least ``min_side``; zeros if none exists.
+    """Return the largest all-True rectangle (x0, x1, y0, y1) with sides of at least ``min_side``, or zeros.
 
     Computed row by row from the heights of the columns of True above (largest rectangle in a histogram).
     """

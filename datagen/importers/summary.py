@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Summary of an import for the user, with similar sentences merged."""
+"""Summary of an import for the terminal, with similar sentences merged."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NAMED, _LINES = 3, 6
 
 
 def summary_lines(asset: ImportedAsset) -> list[str]:
-    """Lines about an imported asset for a terminal; ``import.json`` in the package has all details."""
+    """Return lines about an imported asset for a terminal; ``import.json`` has all details."""
     lines = [f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.contents}; {asset.path}"]
     for label, sentences in (("approximated", asset.approximations), ("note", asset.notes)):
         grouped = group_sentences(sentences)
@@ -25,7 +25,7 @@ def summary_lines(asset: ImportedAsset) -> list[str]:
 
 
 def group_sentences(sentences: Sequence[str]) -> list[str]:
-    """Merge sentences ``name: text`` whose texts differ in numbers only; the most frequent come first.
+    """Merge sentences ``name: text`` whose texts differ only in numbers; the most frequent are first.
 
     If numbers differ, those of the first sentence are shown, with a remark.
     """

@@ -1,38 +1,37 @@
 # SPDX-License-Identifier: MIT
 """Import of Sweet Home 3D furniture libraries (.sh3f) as object packages.
 
-A model is rotated by its catalogue's rotation, scaled to the catalogue's width, depth and height, oriented
-upright (the file's +Y is up, its +Z the front, which becomes -Y) and put on z = 0. Pieces that cannot be
-imported are listed in the error; all other pieces are imported. Existing packages are kept, so that an
-interrupted import resumes.
+A model is rotated and scaled to width, depth and height as the catalogue states, rotated to Z up (the file's
++Y is up, its front +Z becomes -Y) and put on z = 0. All possible pieces are imported, and the error lists the
+others. Existing packages are kept, so an interrupted import resumes.
 """
 
 from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import ObjectAsset, Part, Provenance, SupportKind
-from datagen.formats.base import IDENTITY4, quantized, vector3
+from datagen.formats.asset import ObjectAsset, Provenance, SupportKind
+from datagen.formats.base import quantized, vector3
 from datagen.formats.package import open_package
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import IMAGE_SUFFIXES
-from datagen.foundation.meshes.mesh import Mesh, with_sound_normals, without_degenerate
+from datagen.foundation.meshes.mesh import Mesh, bounds, with_sound_normals, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.importers.annotate import read_annotations
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import ImportedAsset, ImportOptions, mended_note
+from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions, mended_note, part_of
 from datagen.importers.mitsuba_xml import is_pane
 from datagen.importers.obj_materials import PhongMaterial, read_mtl
 from datagen.importers.obj_model import ObjModel, read_obj_model
@@ -43,22 +42,17 @@ from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConve
 _IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")
 _OUTER = 0.02  # share of an extent by which a pane must exceed the rest to be kept
 _STRETCH = 1.05  # models scaled more unequally than this are reported as stretched
-_FLAT = 1e-9  # a side without extent cannot be scaled to any size
+_FLAT = 1e-9  # a side without extent cannot be scaled
 _Surface = tuple[str, ConvertedMaterial, Mesh]  # part name, material, mesh in the asset's frame
 _CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
 _PAGE = re.compile(r"https?://(?:www\.)?blendswap\.com/blends?/(?:view/)?\d+")
-_CATEGORIES = {
-    "vehicles": "vehicle",
-    "lights": "lamp",
-    "doors and windows": "door",
-    "staircases": "stairs",
-}
-"""Object category by catalogue category; the other catalogue categories (kitchen, office) name rooms."""
+_CATEGORIES = {"vehicles": "vehicle", "lights": "lamp", "doors and windows": "door", "staircases": "stairs"}
+"""Object category by catalogue category; other catalogue categories (kitchen, office) are names of rooms."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One finished piece of a catalogue: ``imported``, ``kept`` from an earlier run, or ``refused``."""
+    """The outcome of a catalogue's piece: ``imported``, ``kept`` from an earlier run, or ``refused``."""
 
     name: str
     outcome: Literal["imported", "kept", "refused"]
@@ -68,16 +62,13 @@ class Step:
 
 
 StepObserver = Callable[[Step, int], None]
-"""Called with each step and the number of pieces in the catalogue."""
+"""Function that is called with each step and the number of pieces in the catalogue."""
 
 
 def import_sweet_home(
-    path: Path,
-    out_library: Path,
-    options: ImportOptions | None = None,
-    on_step: StepObserver | None = None,
+    path: Path, out_library: Path, options: ImportOptions | None = None, on_step: StepObserver | None = None
 ) -> list[ImportedAsset]:
-    """Import every possible piece of a .sh3f file; returns the records of pieces imported now or earlier.
+    """Import the pieces of a .sh3f file, and return the records of those imported now or earlier.
 
     Raises :class:`InputError` if the file is not a catalogue and, at the end, for all refused pieces.
     """
@@ -99,7 +90,7 @@ def import_sweet_home(
 
 
 def _check_options(path: Path, options: ImportOptions) -> None:
-    """Refuse options that apply to a single asset only, or contradict the catalogue."""
+    """Refuse options that apply only to a single asset or contradict the catalogue."""
     problems = []
     if options.kind not in ("auto", "object"):
         expected = "object, the kind of furniture"
@@ -122,8 +113,8 @@ class _SweetHomeImporter:
         self.folder = out_library / "objects"
         self.known = read_annotations(options.annotations)
 
-    def steps(self) -> Any:
-        """Import the pieces in order; yields a :class:`Step` for each."""
+    def steps(self) -> Iterator[Step]:
+        """Import the pieces in order, and yield a :class:`Step` for each."""
         for name, error in self.catalogue.problems.items():
             yield Step(name, "refused", problems=error.problems)
         taken: set[str] = set()
@@ -150,7 +141,7 @@ class _SweetHomeImporter:
         return ", ".join(part for part in (origin.provider, origin.id, piece.id) if part)
 
     def _kept(self, piece: Piece, asset_id: str) -> ImportedAsset | None:
-        """Record of the piece's package from an earlier run, or None.
+        """Return the record of a piece's package from an earlier run, or None.
 
         Raises :class:`InputError` if a package of another source has the same path.
         """
@@ -173,35 +164,23 @@ class _SweetHomeImporter:
         data = self.catalogue.read(piece.model)
         model = read_obj_model(data, f"{self.catalogue.path}/{piece.model}", budget)
         budget.spend("instances", len(model.surfaces), piece.model)
+        num_materials = len({surface.material for surface in model.surfaces})
+        hints = (piece.name, *piece.tags) if num_materials <= 2 else ()  # words for the class of a material
         with tempfile.TemporaryDirectory(prefix="sh3f-") as scratch:
             find_image = _ImageFinder(self.catalogue, piece, Path(scratch))
             phongs = self._phong_materials(piece, model, findings)
             converter = PhongConverter(
-                self._label(piece),
-                self.options,
-                findings,
-                find_image,
-                self._hints(piece, model),
-                self.known,
-                budget,
+                self._label(piece), self.options, findings, find_image, hints, self.known, budget
             )
             pieces = self._surfaces(piece, model, phongs, converter, findings)
             meshes = [mesh for _, _, mesh in pieces]
-            files = {name: converter.textures.files[name] for name in _textures_of(pieces)}
+            textures = {t.texture for _, material, _ in pieces for t in material.material.textures()}
+            files = {name: converter.textures.files[name] for name in sorted(textures)}
             parts = []
             for name, material, mesh in pieces:
                 files[f"meshes/{name}.ply"] = encode_ply(mesh)
-                density = mesh.uv_per_m()
-                parts.append(
-                    Part(
-                        name=name,
-                        mesh=f"meshes/{name}.ply",
-                        material=material.slot,
-                        asset_from_part=IDENTITY4,
-                        uv_per_m=None if density is None else quantized(density, 6),
-                    )
-                )
-            low, high = _bounds(meshes)
+                parts.append(part_of(name, material.slot, mesh))
+            low, high = bounds(meshes)
             asset = ObjectAsset(
                 id=asset_id,
                 title=piece.name,
@@ -215,12 +194,8 @@ class _SweetHomeImporter:
             )
             return finish(asset, files, self.folder, self.options, findings)
 
-    def _hints(self, piece: Piece, model: ObjModel) -> tuple[str, ...]:
-        """Names from which material classes are guessed: the piece's if it has at most two materials."""
-        return (piece.name, *piece.tags) if len({s.material for s in model.surfaces}) <= 2 else ()
-
     def _provenance(self, piece: Piece) -> Provenance:
-        """Licence, author and source of a piece. Raises :class:`InputError` without a licence."""
+        """Return a piece's licence, author and source. Raises :class:`InputError` without a licence."""
         origin = self.catalogue.origin
         license_id = self.options.license or piece.license or origin.license
         if not license_id:
@@ -252,7 +227,7 @@ class _SweetHomeImporter:
         )
 
     def _phong_materials(self, piece: Piece, model: ObjModel, findings: Findings) -> dict[str, PhongMaterial]:
-        """Materials of the MTL files that the model names, by name."""
+        """Return the materials of the MTL files that the model names, by name."""
         beside = self.catalogue.beside(piece.model)
         found: dict[str, PhongMaterial] = {}
         absent = []
@@ -265,8 +240,8 @@ class _SweetHomeImporter:
                 absent.append(f"{library} (no such file)")
         absent += sorted({f"material {s.material!r}" for s in model.surfaces if s.material not in found})
         if absent and self.options.missing == "refuse":
-            remedy = "restore it, or import with --missing replace"
-            raise input_error(self._label(piece), "materials", ", ".join(absent), "in an MTL file", remedy)
+            got = ", ".join(absent)
+            raise input_error(self._label(piece), "materials", got, "in an MTL file", RESTORE_IT)
         for name in absent:
             findings.approximate(f"{name}: missing, replaced by grey")
         return found
@@ -279,7 +254,7 @@ class _SweetHomeImporter:
         converter: PhongConverter,
         findings: Findings,
     ) -> list[_Surface]:
-        """Name, material and mesh of each part, in the asset's frame, standing on z = 0."""
+        """Return name, material and mesh of each part, in the asset's frame, on the plane z = 0."""
         matrix = self._asset_from_model(piece, model, findings)
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
         pieces: list[_Surface] = []
@@ -312,13 +287,13 @@ class _SweetHomeImporter:
             findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat transparent panes left out")
         if not pieces:
             raise input_error(self._label(piece), got="no visible surface", expected="at least one")
-        low, high = _bounds([mesh for _, _, mesh in pieces])
+        low, high = bounds([mesh for _, _, mesh in pieces])
         shift = np.eye(4)
         shift[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
 
     def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
-        """(4, 4) transform by the catalogue's rotation and size and to Z up, without translation."""
+        """Return the (4, 4) transform by the catalogue's rotation and size and to Z up."""
         rotation = np.eye(3) if piece.rotation is None else piece.rotation
         points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ rotation.T
         extent = points.max(axis=0) - points.min(axis=0)
@@ -339,7 +314,7 @@ class _SweetHomeImporter:
         return Z_UP_FROM_Y_UP @ matrix
 
     def _supports(self, piece: Piece, category: str, findings: Findings) -> tuple[SupportKind, ...]:
-        """Surfaces on which a piece may stand; none if it hangs or is part of a wall."""
+        """Return the kinds of surface on which a piece may stand; none if it hangs or is built in."""
         width, depth, height = piece.size_m
         if piece.is_light:
             findings.approximate(f"{piece.name}: light of the catalogue left out of the object")
@@ -352,7 +327,7 @@ class _SweetHomeImporter:
 
 
 class _ImageFinder:
-    """Function from lower-case name to image in a model's folder, unpacked into ``scratch`` on first use."""
+    """Function from a lower-case name to an image of a model's folder, unpacked into ``scratch``, or None."""
 
     def __init__(self, catalogue: Catalogue, piece: Piece, scratch: Path):
         self.catalogue, self.scratch = catalogue, scratch
@@ -369,7 +344,7 @@ class _ImageFinder:
 
 
 def guess_piece_category(piece: Piece) -> str:
-    """Object category of a piece, from its catalogue category, else its name, else its tags."""
+    """Return the object category of a piece, from its catalogue category, else its name, else its tags."""
     tags = {t.lower() for t in piece.tags}
     if piece.is_door_or_window or piece.is_stairs:
         return "stairs" if piece.is_stairs else "door"
@@ -384,28 +359,18 @@ def guess_piece_category(piece: Piece) -> str:
 
 
 def _with_outer_panes(pieces: list[_Surface], panes: list[_Surface]) -> tuple[list[_Surface], list[_Surface]]:
-    """Surfaces to keep, and panes to remove.
+    """Return the surfaces to keep, and the panes to remove.
 
-    A pane that extends beyond all other surfaces (a table top) is essential, and kept as opal glass.
+    A pane that extends beyond all other surfaces (a table top) is kept, as opal glass.
     """
     if not pieces or not panes:
         return panes + pieces, []
-    low, high = _bounds([mesh for _, _, mesh in pieces])
-    all_low, all_high = _bounds([mesh for _, _, mesh in pieces + panes])
+    low, high = bounds([mesh for _, _, mesh in pieces])
+    all_low, all_high = bounds([mesh for _, _, mesh in pieces + panes])
     slack = _OUTER * (all_high - all_low)
-    stay = [
-        ((p[2].positions.min(axis=0) < low - slack) | (p[2].positions.max(axis=0) > high + slack)).any()
-        for p in panes
-    ]
-    pieces = pieces + [p for p, stays in zip(panes, stay, strict=True) if stays]
-    return pieces, [p for p, stays in zip(panes, stay, strict=True) if not stays]
-
-
-def _textures_of(pieces: list[_Surface]) -> list[str]:
-    return sorted({t.texture for _, material, _ in pieces for t in material.material.textures()})
-
-
-def _bounds(meshes: list[Mesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    low = np.min([m.positions.min(axis=0) for m in meshes], axis=0).astype(np.float64)
-    high = np.max([m.positions.max(axis=0) for m in meshes], axis=0).astype(np.float64)
-    return low, high
+    kept, removed = list(pieces), list[_Surface]()
+    for pane in panes:
+        points = pane[2].positions
+        is_outer = ((points.min(axis=0) < low - slack) | (points.max(axis=0) > high + slack)).any()
+        (kept if is_outer else removed).append(pane)
+    return kept, removed

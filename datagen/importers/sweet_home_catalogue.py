@@ -38,9 +38,9 @@ _HOLDER = re.compile(r"(?:Copyright\s*)?(?:©|\(C\))\s*(?:Copyrights?\s*)?(?P<ho
 
 @dataclass(frozen=True)
 class Piece:
-    """One entry of a catalogue. ``size_m``: width, depth, height; ``rotation``: (3, 3) or None.
+    """An entry of a catalogue. ``size_m``: width, depth, height; ``rotation``: (3, 3) or None.
 
-    ``elevation_m``: height above the floor; above zero the object hangs.
+    ``elevation_m``: height above the floor; a piece with a positive height hangs.
     """
 
     id: str
@@ -51,7 +51,6 @@ class Piece:
     tags: tuple[str, ...] = ()
     elevation_m: float = 0.0
     rotation: NDArray[np.float64] | None = None
-
     is_door_or_window: bool = False
     is_light: bool = False
     is_stairs: bool = False
@@ -61,7 +60,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Origin:
-    """Provenance of the whole catalogue: its id, provider, SPDX licence ('' if unknown), rights holder."""
+    """Provenance of a catalogue: its id, provider, SPDX licence and rights holder; '' if unknown."""
 
     id: str = ""
     provider: str = ""
@@ -71,7 +70,7 @@ class Origin:
 
 @dataclass
 class Catalogue:
-    """An opened catalogue; ``problems``: errors of invalid entries by name."""
+    """An open catalogue; ``problems``: errors of invalid entries by name."""
 
     path: Path
     archive: zipfile.ZipFile
@@ -87,7 +86,7 @@ class Catalogue:
         self.archive.close()
 
     def read(self, member: str) -> bytes:
-        """Content of a member. Raises :class:`InputError` if it is missing or damaged."""
+        """Return a member's content. Raises :class:`InputError` if it is missing or damaged."""
         where = f"{self.path}/{member}"
         try:
             return self.archive.read(member)
@@ -101,7 +100,7 @@ class Catalogue:
             ) from None
 
     def beside(self, model: str) -> dict[str, str]:
-        """Members in the folder of a model, by their base names in lower case."""
+        """Return the members in the folder of a model, by their base names in lower case."""
         if self._folders is None:
             self._folders = {}
             for name in self.archive.namelist():
@@ -111,7 +110,7 @@ class Catalogue:
         return self._folders.get(PurePosixPath(model).parent, {})
 
     def size_in_archive(self, member: str) -> int:
-        """Compressed size of a member in bytes; 0 if it is missing."""
+        """Return the compressed size of a member in bytes; 0 if it is missing."""
         try:
             return self.archive.getinfo(member).compress_size
         except KeyError:
@@ -183,7 +182,7 @@ def _unescaped(text: str) -> str:
 
 
 def spdx_license(text: str) -> str:
-    """SPDX identifier named by a licence text; '' if it names none or several."""
+    """Return the SPDX identifier of the licence that a text names; '' if it names none or several."""
     found = set()
     for pattern, name in _LICENSES:
         for match in pattern.finditer(text):
@@ -260,7 +259,6 @@ def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
                 Problem(where, "modelRotation", repr(entry["modelRotation"]), expected, "correct it")
             )
     raise_problems(problems)
-
     return Piece(
         id=label,
         name=entry.get("name") or label,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Conversion of Phong materials (MTL) to D, S and R. Colours are sRGB, as in Sweet Home 3D.
 
-D is ``Kd`` or, if given, ``map_Kd`` without the factor ``Kd``, as in the program's renderings. Phong has no
-F0; ``phong_channels`` derives it by a convention (docs/importing.md).
+D is ``Kd`` or, if present, ``map_Kd`` without the factor ``Kd``, as in the program's renderings. The Phong
+model has no F0; ``phong_channels`` derives it by a convention (docs/importing.md).
 """
 
 from __future__ import annotations
@@ -23,30 +23,20 @@ from datagen.foundation.images import normalized
 from datagen.importers.annotate import Annotations
 from datagen.importers.channels import Color, ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import OPAL_ALBEDO, ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, RESTORE_IT, ImportOptions
 from datagen.importers.fresnel import perceptual_roughness
 from datagen.importers.obj_materials import PhongMaterial
 
 F0_PER_SPECULAR = 0.08
-"""F0 of a non-metal at Ks = 1; half of it, the slider's middle in Blender and Disney's model, is 0.04."""
+"""F0 of a non-metal at Ks = 1; Ks = 0.5, the default in Blender and Disney's model, gives 0.04."""
 MIN_F0, MAX_ALBEDO = 0.02, 0.9
-_METAL_F0 = (0.3, 0.95)  # a "metal" below the first is painted; real metals are below the second
-_INVISIBLE = 0.02  # surfaces with less opacity are invisible aids of the program
+_METAL_F0 = (0.3, 0.95)  # range of metals; a "metal" below it is painted
+_INVISIBLE = 0.02  # less opaque surfaces are auxiliary and not shown by the program
 _OPAQUE = 0.999
-
 _MIRROR_F0 = 0.9
 _LEFT_OUT = (
-    "map_ks",
-    "map_ns",
-    "map_ka",
-    "map_ke",
-    "map_bump",
-    "bump",
-    "map_refl",
-    "refl",
-    "map_disp",
-    "disp",
-)
+    "map_ks", "map_ns", "map_ka", "map_ke", "map_bump", "bump", "map_refl", "refl", "map_disp", "disp",
+)  # fmt: skip
 
 StandIn = Literal["opaque", "remove", "pane"]
 
@@ -62,7 +52,7 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """A converted material; ``stand_in``: treatment of its surface; ``pane``: remove if flat, else keep."""
+    """A converted material; ``stand_in``: treatment of its surface (``pane``: remove if flat, else keep)."""
 
     slot: str
     material: SlotMaterial
@@ -70,12 +60,12 @@ class ConvertedMaterial:
 
 
 def phong_roughness(exponent: float) -> float:
-    """R of a Blinn-Phong lobe, from the Beckmann lobe with an equal peak: alpha^2 = 2 / (Ns + 2)."""
+    """Return R of the Beckmann lobe with the peak of a Blinn-Phong lobe: alpha^2 = 2 / (exponent + 2)."""
     return float(perceptual_roughness(np.sqrt(2 / (max(exponent, 0.0) + 2)), "beckmann"))
 
 
 def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False) -> PhongChannels:
-    """Channels of a material without textures.
+    """Convert a material without textures to D, S and R.
 
     Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, 1 without a highlight. Metals:
     D = 0, S = Kd + Ks (at most 0.95); those below 0.3 are painted, hence non-metals. Mirrors: S = 0.9, R = 0.
@@ -94,7 +84,7 @@ def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False
 
 
 class PhongConverter:
-    """Converts the materials of one model; problems are collected for the caller to raise.
+    """Converts the materials of one model; the caller raises its ``problems``.
 
     ``find_file`` returns the path of an image by its lower-case base name, or None. ``hints``: names from
     which a material's class may be guessed.
@@ -155,12 +145,7 @@ class PhongConverter:
             approximations=tuple(dict.fromkeys(self._notes)),
             replaceable_by=REPLACEABLE[classes[0]] if emission is None and opacity is None else (),
         )
-        updates = {}
-        if slot in self.known.classes:
-            updates["classes"] = self.known.classes[slot]
-        if slot in self.known.replaceable_by:
-            updates["replaceable_by"] = self.known.replaceable_by[slot]
-        return ConvertedMaterial(slot, material.model_copy(update=updates), stand_in)
+        return ConvertedMaterial(slot, self.known.corrected(slot, material), stand_in)
 
     def _note(self, sentence: str) -> None:
         self._notes.append(self.findings.approximate(sentence))
@@ -177,9 +162,9 @@ class PhongConverter:
         return (guess,)
 
     def _image(self, slot: str, statement: str | None) -> ImageSource | None:
-        """Image that an MTL map statement names; the statement's options and the path's folders are ignored.
+        """Return the image that a map statement names; its options and the path's folders are ignored.
 
-        None without a statement or file.
+        None without a statement or a file.
         """
         if not statement:
             return None
@@ -190,14 +175,13 @@ class PhongConverter:
             if file is not None:
                 return ImageSource(file, "srgb")
         if self.options.missing == "refuse":
-            remedy = "restore it, or import with --missing replace"
-            self.problems.add(f"material {slot!r}", f"{name!r} (no such file)", "its image", remedy)
+            self.problems.add(f"material {slot!r}", f"{name!r} (no such file)", "its image", RESTORE_IT)
         else:
             self._note(f"{slot}: missing image {name}: only its colour is used")
         return None
 
     def _cut_out(self, image: ImageSource, phong: PhongMaterial, slot: str) -> ScalarValue | None:
-        """Opacity from the alpha of the colour image or from ``map_d``; None if it is opaque throughout."""
+        """Return the opacity from the alpha of the colour image or ``map_d``; None if opaque."""
         mask: ImageSource | None = None
         pixels = self.cache.pixels(image.file)
         if pixels.shape[2] in (2, 4):
@@ -212,7 +196,7 @@ class PhongConverter:
         return None if float(values.min()) >= _OPAQUE else mask
 
     def _stand_in(self, slot: str, phong: PhongMaterial) -> StandIn:
-        """Treatment, by the options, of a surface of uniform opacity; a refused one becomes a problem."""
+        """Return the treatment of a surface of uniform opacity; a refused surface becomes a problem."""
         if phong.opacity >= _OPAQUE:
             return "opaque"
         if phong.opacity < _INVISIBLE:
@@ -244,9 +228,9 @@ class PhongConverter:
 
 
 def _file_name(statement: str) -> str:
-    """Last component of the path in a map statement.
+    """Return the last component of the path in a map statement.
 
-    The path, which may contain blanks, is everything after the last option and its arguments.
+    The path, which may contain blanks, follows the last option and its arguments.
     """
     words = statement.replace("\\", "/").split()
     while len(words) > 1 and words[0].startswith("-"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from datagen.foundation.progress import Bars
@@ -28,24 +27,17 @@ class ImportWatch:
     def __enter__(self) -> ImportWatch:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._bars is None:
             return
-        self._bars.__exit__(kind, error, traceback)
+        self._bars.__exit__(*exception)
         self._print_summary()
-        if kind is KeyboardInterrupt:
+        if exception[0] is KeyboardInterrupt:
             print("interrupted; run the same command again to continue")
 
     def step(self, path: Path, step: Step, total: int) -> None:
-        """Report one finished piece of the catalogue at ``path``, which has ``total`` pieces."""
+        """Show one finished piece of the catalogue at ``path``, which has ``total`` pieces."""
         if self._bars is None:
-            from datagen.foundation.progress import Bars
-
             self._bars = Bars("pieces").__enter__()
         self._done[path] += 1
         self._bars.tell(path.stem, self._done[path], total, step.name)

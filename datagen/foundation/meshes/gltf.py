@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reader of glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree.
 
-Buffers and images may be files beside the document, data URIs or parts of the binary; files outside the
-document's folder are refused, and so are Draco and unknown required extensions.
+Buffers and images may be files in the document's folder, data URIs or parts of the binary. Other files, Draco
+and unknown required extensions are refused.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _IMAGE_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp
 
 @dataclass(frozen=True)
 class PlacedNode:
-    """A node of the default scene; ``root`` is the index of its root node, ``scene_from_node`` (4, 4)."""
+    """A node of the default scene, its transform (4, 4), and the index of its topmost ancestor, ``root``."""
 
     index: int
     root: int
@@ -66,9 +66,9 @@ class PlacedNode:
 
 
 class GltfFile:
-    """An opened document. Use as a context manager, which removes temporary files of embedded images.
+    """An open document, used as a context manager, which removes temporary image files at exit.
 
-    The context converts Python errors, which malformed trees cause in many places, to :class:`InputError`.
+    It converts Python errors, which malformed documents cause in many places, to :class:`InputError`.
     Referenced files must be in the document's folder or in the ``allowed`` folders.
     """
 
@@ -88,13 +88,8 @@ class GltfFile:
             raise input_error(self.path, "asset.version", repr(version), "2.0", "export it as glTF 2.0")
         required = {str(name) for name in self._list("extensionsRequired")} - KNOWN_EXTENSIONS
         if required:
-            raise input_error(
-                path,
-                "extensionsRequired",
-                ", ".join(sorted(required)),
-                "known extensions",
-                "export it without them",
-            )
+            got = ", ".join(sorted(required))
+            raise self.error("extensionsRequired", got, "known extensions", "export it without them")
 
     def __enter__(self) -> GltfFile:
         return self
@@ -117,7 +112,7 @@ class GltfFile:
         return value
 
     def items(self, key: str) -> list[dict[str, Any]]:
-        """A top-level list of the document, empty if absent."""
+        """Return the top-level list ``key`` of the document, empty if absent."""
         if key not in self._lists:
             value = self._list(key)
             if not all(isinstance(v, dict) for v in value):
@@ -126,7 +121,7 @@ class GltfFile:
         return self._lists[key]
 
     def item(self, key: str, index: object, user: str) -> dict[str, Any]:
-        """Entry ``index`` of the top-level list ``key``; errors name ``user``, the referring field."""
+        """Return entry ``index`` of the top-level list ``key``; errors name ``user``, the referring field."""
         entries = self.items(key)
         if not isinstance(index, int) or not 0 <= index < len(entries):
             raise self.error(user, index, f"an index below {len(entries)} into {key}")
@@ -146,7 +141,7 @@ class GltfFile:
             is_binary = self.path.suffix.lower() == ".glb"
             got = "a .glb without its JSON chunk" if is_binary else "a .gltf without its JSON"
             expected = f"an intact {self.path.suffix} file"
-            raise input_error(self.path, "", got, expected, "export the file again")
+            raise self.error("", got, expected)
         try:
             text = data.decode("utf-8")
         except UnicodeDecodeError:
@@ -181,7 +176,7 @@ class GltfFile:
     # data
 
     def resource(self, uri: str, user: str) -> bytes | Path:
-        """Content of a data URI, or the path of a file beside the document (which may be absent)."""
+        """Return the content of a data URI, or the path of another URI's file, which may be missing."""
         if uri.startswith("data:"):
             try:
                 return base64.b64decode(uri.split(",", 1)[1], validate=True)
@@ -191,7 +186,7 @@ class GltfFile:
         return named_file(self.folder, unquote(uri), self.path, user, self.allowed, remedy)
 
     def buffer(self, index: int) -> bytes:
-        """Content of entry ``index`` of ``buffers``. Raises :class:`InputError` if missing or cut short."""
+        """Return the content of buffer ``index``. Raises :class:`InputError` if missing or cut short."""
         if index not in self._buffers:
             entry = self.item("buffers", index, "bufferViews")
             if "uri" not in entry:
@@ -200,14 +195,9 @@ class GltfFile:
                 content = self.resource(str(entry["uri"]), f"buffers[{index}].uri")
             if isinstance(content, Path):
                 if not content.is_file():
-                    raise self.error(
-                        f"buffers[{index}].uri",
-                        f"{entry['uri']!r} (no such file)",
-                        "the buffer",
-                        "restore it",
-                    )
-                self.budget.hold_file(content)
-                content = content.read_bytes()
+                    got = f"{entry['uri']!r} (no such file)"
+                    raise self.error(f"buffers[{index}].uri", got, "the buffer", "restore it")
+                content = self.budget.read_file(content)
             if len(content) < int(entry.get("byteLength", 0)):
                 raise self.error(
                     f"buffers[{index}]", f"{len(content)} bytes", f"{entry.get('byteLength')} bytes"
@@ -216,7 +206,7 @@ class GltfFile:
         return self._buffers[index]
 
     def view(self, index: object) -> tuple[memoryview, int]:
-        """Bytes of a buffer view and its stride (0 = tightly packed)."""
+        """Return the decompressed bytes of buffer view ``index`` and its stride in bytes (0: packed)."""
         entry = self.item("bufferViews", index, "accessors")
         stride = int(entry.get("byteStride", 0))
         packed = meshopt_of(entry)
@@ -234,7 +224,7 @@ class GltfFile:
         return data[start : start + int(entry["byteLength"])]
 
     def count(self, index: object, user: str) -> int:
-        """Stated number of an accessor's entries. Raises :class:`InputError` if it is implausible."""
+        """Return the stated length of accessor ``index``. Raises :class:`InputError` if implausible."""
         count = self.item("accessors", index, user).get("count")
         if not isinstance(count, int) or not 0 <= count <= 3 * self.budget.allowed("triangles"):
             expected = f"0 to {3 * self.budget.allowed('triangles')}"
@@ -242,10 +232,10 @@ class GltfFile:
         return count
 
     def weight(self, primitive: dict[str, Any], user: str) -> int:
-        """Number of triangles that a primitive charges to a budget, without reading it.
+        """Return the number of triangles that a primitive charges to a budget, without reading its data.
 
-        This is the number of its faces or, if more, a third of its vertices. Its attributes must have one
-        entry per vertex.
+        This is the number of its faces or, if more, a third of its vertices. Raises :class:`InputError`
+        unless its attributes have one entry per vertex.
         """
         attributes = primitive.get("attributes", {})
         if "POSITION" not in attributes:
@@ -259,7 +249,7 @@ class GltfFile:
         return max(corners // 3 if is_list else corners, -(-num_vertices // 3))
 
     def accessor(self, index: object, user: str) -> NDArray[Any]:
-        """Values (count, width) of an accessor; normalised integers become floats."""
+        """Return the values (count, components) of an accessor; normalised integers become floats."""
         entry = self.item("accessors", index, user)
         try:
             kind = np.dtype(_COMPONENTS[entry["componentType"]])
@@ -311,9 +301,9 @@ class GltfFile:
         return values
 
     def image_file(self, index: object, user: str) -> Path:
-        """Path of an image file, which may be absent.
+        """Return the path of image ``index``, which may be missing.
 
-        Embedded images are written to a temporary folder, and so are Basis Universal images, as PNG.
+        Embedded images and, converted to PNG, Basis Universal images are written to a temporary folder.
         """
         entry = self.item("images", index, user)
         if "uri" in entry:
@@ -321,8 +311,7 @@ class GltfFile:
             if isinstance(content, Path):
                 if not (content.suffix.lower() == ".ktx2" and content.is_file()):
                     return content
-                self.budget.hold_file(content)
-                content = content.read_bytes()
+                content = self.budget.read_file(content)
         else:
             content = bytes(self.view(entry.get("bufferView"))[0])
         kind = str(entry.get("mimeType", ""))
@@ -342,7 +331,7 @@ class GltfFile:
     # nodes
 
     def placed_nodes(self) -> Iterator[PlacedNode]:
-        """Nodes of the default scene, depth first. Raises :class:`InputError` for cycles."""
+        """Yield the default scene's nodes, depth first. Raises :class:`InputError` unless they are a tree."""
         nodes = self.items("nodes")
         scenes = self.items("scenes")
         if scenes:
@@ -370,7 +359,7 @@ class GltfFile:
                 rest.extend((child, matrix, depth + 1) for child in reversed(children))
 
     def placed_primitives(self, nodes: Sequence[PlacedNode]) -> None:
-        """Charge the primitives of the meshes of ``nodes`` to the budget, once per placement, unread."""
+        """Charge the meshes of ``nodes`` to the budget, once per node, without reading their data."""
         for index, buffer in enumerate(self.items("buffers")):
             content = self.resource(str(buffer.get("uri", "data:,")), f"buffers[{index}].uri")
             if isinstance(content, Path) and content.is_file():
@@ -385,7 +374,6 @@ class GltfFile:
                 known = [p for p in primitives if p.get("mode", 4) in TRIANGLE_MODES]
                 weights[key] = len(known), sum(self.weight(p, f"meshes[{key}]") for p in known)
             num_primitives, num_triangles = weights[key]
-
             self.budget.spend("instances", num_primitives, f"node {placed.name!r}")
             self.budget.spend("triangles", num_triangles, f"node {placed.name!r}")
 
@@ -406,7 +394,7 @@ def _indices(value: object) -> list[Any]:
 
 
 def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
-    """(4, 4) transform of a node: its matrix (column-major in files), or translation x rotation x scale."""
+    """Return a node's (4, 4) transform: its matrix (stored by column), or translation x rotation x scale."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
@@ -424,17 +412,13 @@ def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
-    """Triangles (M, 3) of a list (``mode`` 4), strip (5) or fan (6) of vertex indices (K,)."""
+    """Return the triangles (M, 3) of a list (``mode`` 4), strip (5) or fan (6) of vertex indices (K,)."""
     if mode == 4 or len(indices) < 3:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
-    k = np.arange(max(0, len(indices) - 2))
+    k = np.arange(len(indices) - 2)
     if mode == 6:
-        fan: NDArray[np.int32] = np.stack(
-            [indices[0] + 0 * k, indices[k + 1], indices[k + 2]], axis=1
-        ).astype(np.int32)
-        return fan
-    odd = k % 2
-    strip: NDArray[np.int32] = np.stack(
-        [indices[k + odd], indices[k + 1 - odd], indices[k + 2]], axis=1
-    ).astype(np.int32)
-    return strip
+        corners = indices[0] + 0 * k, indices[k + 1], indices[k + 2]
+    else:
+        odd = k % 2
+        corners = indices[k + odd], indices[k + 1 - odd], indices[k + 2]
+    return np.stack(corners, axis=1).astype(np.int32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Decoders of compressed glTF content: meshopt buffer views, Basis Universal images (extra ``gltf``).
+"""Decoders of meshopt buffer views and Basis Universal images in glTF files (package extra ``gltf``).
 
 Sizes are checked against the import's budget before anything is decoded.
 """
@@ -32,7 +32,7 @@ def _require(module: str, where: Path, field: str, got: str, expected: str) -> N
 
 
 def meshopt_of(view: dict[str, Any]) -> tuple[str, dict[str, Any]] | None:
-    """Name and content of the meshopt extension of a buffer view, or None."""
+    """Return the name and content of a buffer view's meshopt extension, or None if it has none."""
     extensions = view.get("extensions", {})
     return next(((name, extensions[name]) for name in MESHOPT if name in extensions), None)
 
@@ -62,12 +62,15 @@ def unpack_meshopt(
 
 
 def is_ktx2(content: bytes) -> bool:
-    """Whether ``content`` has the signature of a KTX 2 file."""
+    """Return whether ``content`` has the signature of a KTX 2 file."""
     return content[: len(_KTX2)] == _KTX2
 
 
 def png_of_basis(content: bytes, budget: Budget, where: Path, field: str) -> bytes:
-    """The largest image of a KTX 2 file as PNG, with alpha if it has any. Raises :class:`InputError`."""
+    """Return the largest image of a KTX 2 file as PNG, with alpha if it has any.
+
+    Raises :class:`InputError` for a damaged or oversized image or a missing package ``opengl_basisu``.
+    """
     _require("opengl_basisu", where, field, "a Basis Universal texture", "PNG or JPEG")
     import opengl_basisu
 

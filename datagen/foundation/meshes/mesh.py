@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: MIT
 """Triangle meshes in memory, and their faults.
 
-Letters: N vertices, M triangles; v of a texture coordinate points up (see ``datagen.formats.asset``).
+N is the number of vertices, M of triangles. Texture coordinate v points up (see ``datagen.formats.asset``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 SINGULAR = 1e-15  # smaller determinants belong to flattening transforms
-LYING_COSINE = 0.01  # a shading normal within 0.6 degrees of its triangle's plane is useless
+LYING_COSINE = 0.01  # a normal within 0.6 degrees of its triangle's plane cannot be used for shading
+
+
+def area_vectors(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the normals (M, 3) of triangles, of twice their area in length, from corners (M, 3, 3)."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 @dataclass(frozen=True)
@@ -34,30 +40,28 @@ class Mesh:
         return max(len(self.faces), -(-len(self.positions) // 3))
 
     def transformed(self, target_from_source: NDArray[np.float64]) -> Mesh:
-        """The mesh under an affine (4, 4) transform; normals use its inverse transpose, faces are kept."""
+        """Return the mesh under an affine (4, 4) transform; normals use its inverse transpose."""
         linear = np.asarray(target_from_source, dtype=np.float64)[:3, :3]
         offset = np.asarray(target_from_source, dtype=np.float64)[:3, 3]
         positions = self.positions.astype(np.float64) @ linear.T + offset
         normals = self.normals
         if normals is not None:
-            turned = normals.astype(np.float64) @ np.linalg.inv(linear)
-            length = np.linalg.norm(turned, axis=1, keepdims=True)
-            normals = (turned / np.maximum(length, 1e-30)).astype(np.float32)  # a zero normal stays zero
+            rotated = normals.astype(np.float64) @ np.linalg.inv(linear)
+            length = np.linalg.norm(rotated, axis=1, keepdims=True)
+            normals = (rotated / np.maximum(length, 1e-30)).astype(np.float32)  # a zero normal stays zero
         return Mesh(positions.astype(np.float32), self.faces, normals, self.uv)
 
     def triangles(self) -> NDArray[np.float64]:
-        """Corner positions (M, 3, 3)."""
+        """Return the positions of the triangles' corners, (M, 3 corners, 3)."""
         return self.positions.astype(np.float64)[self.faces]
 
     def areas(self) -> NDArray[np.float64]:
-        """Area of every triangle, (M,)."""
-        corners = self.triangles()
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        areas: NDArray[np.float64] = 0.5 * np.linalg.norm(cross, axis=1)
+        """Return the area of every triangle, (M,)."""
+        areas: NDArray[np.float64] = 0.5 * np.linalg.norm(area_vectors(self.triangles()), axis=1)
         return areas
 
     def uv_per_m(self) -> float | None:
-        """Area-weighted median of sqrt(UV area / area), in UV units per metre; None without usable UVs."""
+        """Return the area-weighted median of UV units per metre on the triangles; None without UVs."""
         if self.uv is None:
             return None
         corners = self.uv.astype(np.float64)[self.faces]
@@ -73,9 +77,18 @@ class Mesh:
         return float(density[order][np.searchsorted(cumulative, 0.5 * cumulative[-1])])
 
 
+def bounds(meshes: Sequence[Mesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and highest coordinates (3,) of all vertices of ``meshes``."""
+    low = np.min([m.positions.min(axis=0) for m in meshes], axis=0).astype(np.float64)
+    return low, np.max([m.positions.max(axis=0) for m in meshes], axis=0).astype(np.float64)
+
+
 @dataclass(frozen=True)
 class MeshFaults:
-    """Result of :func:`inspect_mesh`; ``total``, ``degenerate`` and ``bad_indices`` count triangles."""
+    """Result of :func:`inspect_mesh`.
+
+    ``total``, ``degenerate`` and ``bad_indices`` count triangles, ``non_finite`` rows of the vertex arrays.
+    """
 
     is_empty: bool = False
     non_finite: int = 0
@@ -94,7 +107,7 @@ class MeshFaults:
 
 
 def inspect_mesh(mesh: Mesh) -> MeshFaults:
-    """Count a mesh's faults. Vertices at equal positions count as one, since seams split them in files.
+    """Count a mesh's faults. Vertices at equal positions count as one, since files split them at seams.
 
     Edges of more than two triangles are non-manifold; an edge with the same direction in two triangles is
     inconsistent; an edge of one triangle is a boundary (harmless: open surfaces are allowed).
@@ -131,7 +144,7 @@ def inspect_mesh(mesh: Mesh) -> MeshFaults:
 
 
 def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Distinct positions (K, 3), compared exactly, and the index into them of each vertex (N,)."""
+    """Return the distinct positions (K, 3) of a mesh, and for each vertex the index (N,) of its position."""
     positions = np.ascontiguousarray(mesh.positions, dtype=np.float32) + np.float32(0.0)  # -0.0 becomes 0.0
     keys = positions.view(np.dtype((np.void, 12))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -139,12 +152,12 @@ def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 
 
 def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
-    """Smooth normals (N, 3): the sum of the triangles' unit normals weighted by their angle at the vertex.
+    """Return unit normals (N, 3): means of the adjacent triangles' normals, weighted by angle at the vertex.
 
-    If the sum vanishes (sheets folded flat, inconsistent winding), the largest triangle's normal is used.
+    If a mean vanishes (folded sheets, inconsistent winding), the largest triangle's normal replaces it.
     """
     corners = mesh.triangles()
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = area_vectors(corners)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
     total = np.zeros((len(mesh.positions), 3))
@@ -171,11 +184,11 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with normals that are safe for a renderer, and the number of normals that were replaced.
+    """Return the mesh with valid normals, and the number of normals that were replaced.
 
-    Vertices whose normal is missing, zero or NaN get smooth normals. A normal in the plane of its
-    triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, which leaves no shading
-    frame: that corner gets the triangle's normal.
+    Missing, zero and NaN normals become those of :func:`vertex_normals`. A normal in the plane of its
+    triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, so no shading frame exists;
+    at that corner, the triangle's normal replaces it.
     """
     if mesh.normals is None:
         mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
@@ -196,11 +209,10 @@ def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
-    """Mask (M, 3) of corners with a normal in the plane of their triangle, if the triangle has an area."""
+    """Return the mask (M, 3) of corners with a normal within ``LYING_COSINE`` of their triangle's plane."""
     if mesh.normals is None:
         return np.zeros(mesh.faces.shape, dtype=bool)
-    corners = mesh.triangles()
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = area_vectors(mesh.triangles())
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     normals = mesh.normals.astype(np.float64)[mesh.faces]
     size = np.linalg.norm(normals, axis=2)
@@ -210,9 +222,8 @@ def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:
-    """The mesh with unshared vertices and the triangle's normal at each of its corners."""
-    corners = mesh.triangles()
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    """Return the mesh with separate vertices for each triangle, which have the triangle's normal."""
+    cross = area_vectors(mesh.triangles())
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     normal = np.where(length > 0, cross / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
     index = mesh.faces.ravel()
@@ -225,7 +236,7 @@ def flat_shaded(mesh: Mesh) -> Mesh:
 
 
 def compacted(mesh: Mesh) -> Mesh:
-    """The mesh without unused vertices, with vertices of equal position, normal and UV merged."""
+    """Return the mesh without unused vertices; those of equal position, normal and UV are merged."""
     columns = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)
     keys = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
@@ -240,7 +251,7 @@ def compacted(mesh: Mesh) -> Mesh:
 
 
 def without_degenerate(mesh: Mesh) -> Mesh:
-    """The mesh without triangles of zero area and without unused vertices."""
+    """Return the mesh without triangles of zero area and the vertices that only they use."""
     keep = mesh.areas() > 0
     if keep.all():
         return mesh
@@ -255,7 +266,7 @@ def without_degenerate(mesh: Mesh) -> Mesh:
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
-    """Concatenate meshes; normals and UVs are kept only if every mesh has them."""
+    """Concatenate meshes to one, with normals and UVs only if every mesh has them."""
     starts = np.cumsum([0] + [len(m.positions) for m in meshes[:-1]])
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]).astype(np.int32)
     normals = [m.normals for m in meshes if m.normals is not None]

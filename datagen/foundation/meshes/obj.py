@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reader of a Wavefront OBJ file as one mesh; polygons are split into fans of triangles.
 
-Groups, materials and lines are ignored, as in Mitsuba's loader. v of a texture coordinate points up.
+Groups, materials and lines are ignored, as by Mitsuba's loader. Texture coordinate v points up.
 """
 
 from __future__ import annotations
@@ -20,13 +20,9 @@ _BLOCK = 1 << 16  # lines split into words at once, which take ten times the mem
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read a file. Vertices are distinct (position, uv, normal) triples. Raises :class:`InputError`."""
+    """Read an OBJ file; vertices are distinct (position, uv, normal). Raises :class:`InputError` if bad."""
     budget = budget or Budget(path)
-    try:
-        budget.hold_file(path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise input_error(path, got=error.strerror or error, expected="a readable OBJ file") from None
+    data = budget.read_file(path, "a readable OBJ file")
     positions: list[bytes] = []
     uvs: list[bytes] = []
     normals: list[bytes] = []
@@ -44,7 +40,7 @@ def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
     num_triangles = sum(len(face) for face in faces) - 2 * len(faces)
     budget.spend("triangles", max(num_triangles, len(positions) // 3), path.name)
     try:
-        tables = (_table(positions, 3), _table(uvs, 2), _table(normals, 3))
+        tables = (number_table(positions, 3), number_table(uvs, 2), number_table(normals, 3))
         corners = _corners(faces, tuple(len(t) for t in tables))
     except (ValueError, IndexError, OverflowError) as error:
         raise input_error(
@@ -53,24 +49,28 @@ def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
     return _assemble(tables, corners)
 
 
-def _table(lines: list[bytes], width: int) -> NDArray[np.float64]:
-    """The first ``width`` numbers after the keyword of each of K lines, (K, width)."""
-    blocks = [_block(lines[k : k + _BLOCK], width) for k in range(0, len(lines), _BLOCK)]
+def number_table(lines: list[bytes], width: int, *, is_padded: bool = False) -> NDArray[np.float64]:
+    """Return the first ``width`` numbers after the keyword of each of K lines, (K, width).
+
+    Missing numbers are 0 if ``is_padded``. Raises ``ValueError`` for other missing or invalid numbers.
+    """
+    blocks = [_block(lines[k : k + _BLOCK], width, is_padded) for k in range(0, len(lines), _BLOCK)]
     return np.concatenate(blocks) if blocks else np.zeros((0, width))
 
 
-def _block(lines: list[bytes], width: int) -> NDArray[np.float64]:
+def _block(lines: list[bytes], width: int, is_padded: bool) -> NDArray[np.float64]:
     tokens = b" ".join(lines).split()
     per_line = len(lines[0].split())
     if per_line > width and len(tokens) == per_line * len(lines):
         columns = [np.fromiter(map(float, tokens[k::per_line]), np.float64) for k in range(1, width + 1)]
         return np.stack(columns, axis=1)
     # rows of different lengths, such as colours on some vertices
-    return np.array([[float(word) for word in line.split()[1 : width + 1]] for line in lines])
+    rows = [(line.split()[1:] + [b"0"] * (width if is_padded else 0))[:width] for line in lines]
+    return np.array([[float(word) for word in row] for row in rows])
 
 
 def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.int64]:
-    """(M, 3 corners, 3) zero-based indices of position, uv and normal; -1 where a corner lacks one."""
+    """Split faces into triangles, and return their indices (M, 3 corners, 3) as :func:`corner_indices`."""
     triangles: list[bytes] = []
     for face in faces:
         if len(face) < 3:
@@ -81,9 +81,9 @@ def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.in
 
 
 def corner_indices(corners: list[bytes], counts: tuple[int, ...]) -> NDArray[np.int64]:
-    """(C, 3) zero-based indices of position, uv and normal; -1 where a corner lacks one.
+    """Parse corners of faces (``7/8/9``) to zero-based indices (C, 3) of position, uv and normal; -1: none.
 
-    ``counts`` are the numbers of positions, uvs and normals. Raises ValueError for indices out of range.
+    ``counts`` are the numbers of positions, uvs and normals. Raises ``ValueError`` for other indices.
     """
     if not corners:
         return np.zeros((0, 3), np.int64)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reader and writer of PLY files, the triangle meshes of asset packages.
 
-Letters: N vertices, M triangles. Packages contain binary little-endian PLY; v of a texture coordinate points
-up (see ``datagen.formats.asset``).
+Packages contain binary little-endian PLY; texture coordinate v points up (see ``datagen.formats.asset``).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _PLY_REMEDY = "export the mesh as binary little-endian PLY with triangles"
 
 
 def encode_ply(mesh: Mesh) -> bytes:
-    """Binary little-endian PLY: x y z [nx ny nz] [u v] as float, faces as uchar + int; deterministic."""
+    """Encode a mesh as binary little-endian PLY: float x y z [nx ny nz] [u v], faces of int indices."""
     names = ["x", "y", "z"]
     columns = [mesh.positions]
     if mesh.normals is not None:
@@ -52,19 +51,14 @@ def encode_ply(mesh: Mesh) -> bytes:
 def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
     """Read a PLY file. Raises :class:`InputError` as :func:`decode_ply` and for an unreadable file."""
     budget = budget or Budget(path)
-    try:
-        budget.hold_file(path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise input_error(path, got=error.strerror or error, expected="a readable PLY file") from None
-    return decode_ply(data, path, budget)
+    return decode_ply(budget.read_file(path, "a readable PLY file"), path, budget)
 
 
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
     """Decode PLY bytes (little-endian binary or ASCII); polygons are split into fans of triangles.
 
-    ``budget``: the budget of the enclosing import. Raises :class:`InputError` if the file is truncated, of
-    another format or without positions. Indices and finiteness are checked by :func:`inspect_mesh`.
+    ``budget``: that of the enclosing import, if any. Raises :class:`InputError` if the file is truncated, of
+    another format or without positions. Indices and finiteness are not checked (see :func:`inspect_mesh`).
     """
     if budget is None:
         budget = Budget(where)
@@ -82,19 +76,18 @@ def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> 
     else:
         raise input_error(where, "format", form, "binary_little_endian", _PLY_REMEDY)
     vertex = tables.get("vertex", {})
-    if not all(name in vertex for name in "xyz"):
+
+    def columns(*names: str) -> NDArray[np.float32] | None:
+        if not all(name in vertex for name in names):
+            return None
+        return np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
+
+    positions = columns(*"xyz")
+    if positions is None:
         raise input_error(where, "element vertex", sorted(vertex), "properties x, y and z", _PLY_REMEDY)
     faces = tables.get("face", {}).get("vertex_indices", np.zeros((0, 3), np.int32))
-    normals = None
-    if all(name in vertex for name in ("nx", "ny", "nz")):
-        normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=1).astype(np.float32)
-    uv = None
-    for names in _UV_NAMES:
-        if all(name in vertex for name in names):
-            uv = np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
-            break
-    positions = np.stack([vertex[name] for name in "xyz"], axis=1).astype(np.float32)
-    mesh = Mesh(positions, faces.astype(np.int32).reshape(-1, 3), normals, uv)
+    uv = next((found for names in _UV_NAMES if (found := columns(*names)) is not None), None)
+    mesh = Mesh(positions, faces.astype(np.int32).reshape(-1, 3), columns("nx", "ny", "nz"), uv)
     budget.spend("triangles", mesh.weight, Path(where).name)
     return mesh
 
@@ -174,7 +167,7 @@ def _read_polygons(
     where: str | Path,
     budget: Budget,
 ) -> tuple[dict[str, NDArray[Any]], int]:
-    """Faces of any size as fans of triangles, and the offset after them; the slow path."""
+    """Read faces of any size as fans of triangles; return their table and the offset of the next data."""
     triangles: list[tuple[int, int, int]] = []
     most = budget.allowed("triangles")
     try:
