@@ -2,8 +2,8 @@
 """A small scene of axis-aligned boxes with exact depth, normals and occlusion, for the multi-view tests.
 
 A floor, a wall and two boxes in front of an empty background. One of the cameras is behind the wall, one
-looks away from all surfaces, and one grazes the floor. Colours are white noise, which reveals every fetch
-from a wrong position.
+faces away from all surfaces, and one is just above the floor. Colours are white noise, so a colour fetched
+from a wrong position is detected.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ POSES = (  # position, target
 
 
 def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> tuple[NDArray, NDArray]:
-    """Ray parameter (N,), Inf without a hit, and outward normal (N, 3) of the first hits of rays (N, 3).
+    """Ray parameters (N,), Inf without a hit, and outward normals (N, 3) at the first hits of rays (N, 3).
 
     ``boxes`` (B, 2, 3): lower and upper corners.
     """
@@ -57,7 +57,7 @@ def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> 
 
 
 def is_occluded(centres: NDArray, points: NDArray) -> NDArray:
-    """Mask (N,) of points (N, 3) occluded from camera centres (N, 3) by other surfaces than their own."""
+    """Mask (N,) of the ``points`` (N, 3) that are occluded from camera ``centres`` (N, 3)."""
     t, _ = hit_boxes(centres, points - centres)
     return t < 1 - 1e-3
 
@@ -68,9 +68,9 @@ def make_views(
     seed: int = 5,
     is_noise: bool = True,
 ) -> list[StatisticsView]:
-    """Views of the scene; ``sizes`` (width, height) are used in turn. 3 % of the pixels are emitters.
+    """Views of the scene at the first ``num_views`` poses, with ``sizes`` (width, height) in a cycle.
 
-    Colours are white noise if ``is_noise``, else they show the normals.
+    Colours are white noise if ``is_noise``, else normals. 3 % of the pixels count as emitters.
     """
     rng = np.random.default_rng(seed)
     views = []
