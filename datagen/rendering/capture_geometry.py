@@ -21,7 +21,7 @@ from datagen.library import Library
 def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Join all placed parts; also return notes on properties that the geometry cannot represent.
+    """Join all placed parts to one geometry; also return notes on properties that it cannot represent.
 
     Raises :class:`InputError` for packages that differ from the configuration's, singular transforms and
     unusable meshes.

@@ -21,9 +21,9 @@ QUALITIES = ("fast", "balanced", "high")
 
 
 class Denoiser(Protocol):
-    """A denoiser of images. ``name`` is written to the view's record.
+    """A denoiser of images; ``name`` is written to the view's record.
 
-    ``wants_camera_normals``: whether normals are in the camera's frame instead of the world's.
+    ``wants_camera_normals``: whether :meth:`denoise` requires normals in camera instead of world space.
     """
 
     name: str
@@ -39,10 +39,10 @@ class Denoiser(Protocol):
 def auxiliary_albedo(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32], mask: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Reflectance at normal incidence, (1 - S) D + S, as the denoiser's albedo guide; 0 without surface.
+    """Albedo guide (H, W, 3): the reflectance at normal incidence, (1 - S) D + S, times ``mask``.
 
-    ``mask`` (H, W, 1) is the surface's share of the pixel: the denoised image contains only reflected light,
-    which fades to 0 at a surface's edge too.
+    ``mask`` (H, W, 1) is the share of the pixel covered by surface, to which the light to be denoised is
+    proportional at edges.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
@@ -51,8 +51,8 @@ def auxiliary_albedo(
 class OidnDenoiser:
     """Intel Open Image Denoise on the CPU. ``num_threads`` 0 uses all cores. Not safe for concurrent calls.
 
-    ``is_guided`` False omits albedo and normal, to measure their effect. Raises ``ValueError`` if ``quality``
-    is not one of :data:`QUALITIES`.
+    ``is_guided`` False ignores albedo and normal, to measure their effect. Raises ``ValueError`` for a
+    ``quality`` that is not in :data:`QUALITIES`.
     """
 
     quality: Quality = "high"
@@ -91,7 +91,7 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """A committed filter and its buffers; building takes longer than denoising a small image."""
+        """Create a filter and its buffers for images of ``shape`` (H, W); as slow as denoising."""
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
@@ -130,7 +130,7 @@ def _oidn_version() -> tuple[int, ...]:
 
 @dataclass
 class OptixDenoiser:
-    """NVIDIA's denoiser through Mitsuba; needs the CUDA variant."""
+    """NVIDIA's OptiX denoiser in Mitsuba; requires the CUDA variant."""
 
     wants_camera_normals: ClassVar[bool] = True
 
@@ -159,12 +159,12 @@ class OptixDenoiser:
 
 
 def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDenoiser:
-    """The denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN with ``num_threads`` (0: all cores)."""
+    """Create the denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN with ``num_threads`` (0: all)."""
     return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """OIDN at a quarter of the cost for error estimates; None if the recipe has no denoiser or uses OptiX."""
+    """OIDN at a quarter of the cost, for error estimates; None without a denoiser and with OptiX."""
     from mitsuba_plugins.variant import select_variant
 
     variant = select_variant(recipe.variant)

@@ -28,7 +28,7 @@ DEFAULT_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:
-    """Cache of decoded meshes by package and file; beyond ``max_bytes``, drops the least recently used."""
+    """Cache of decoded meshes by package and file; drops the least recently used beyond ``max_bytes``."""
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
         self.max_bytes = max_bytes
@@ -36,7 +36,7 @@ class MeshCache:
         self._meshes: OrderedDict[tuple[str, str], tuple[Mesh, int]] = OrderedDict()
 
     def mesh(self, package: Package, name: str) -> Mesh:
-        """The mesh in file ``name`` of a package. Raises :class:`InputError` if it is broken or unusable."""
+        """Mesh in file ``name`` of a package. Raises :class:`InputError` if it is unreadable or unusable."""
         key = (package.sha256, name)
         if key in self._meshes:
             self._meshes.move_to_end(key)
@@ -55,7 +55,7 @@ class MeshCache:
 
 
 def _check(mesh: Mesh, where: str) -> None:
-    """Reject meshes that would cause NaN or crashes; the library checks meshes completely."""
+    """Raise :class:`InputError` for a mesh that would cause NaN or crashes; the library does other checks."""
     arrays = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     indices_fit = len(mesh.faces) > 0 and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.positions)
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
@@ -77,7 +77,7 @@ class GroupKey:
 
 @dataclass
 class MeshGroup:
-    """Triangles of one shape: world-space ``meshes`` and the id of the instance of each mesh."""
+    """Triangles of one shape: world-space ``meshes``, and the instance id of each mesh."""
 
     key: GroupKey
     meshes: list[Mesh] = field(default_factory=list)
@@ -90,7 +90,7 @@ class MeshGroup:
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """Transform a part for rendering: to world space, winding kept if mirrored, UVs scaled, v downwards."""
+    """Transform a part to world space, with front faces kept if mirrored; scale its UVs, turn v downwards."""
     world = mesh.transformed(world_from_part)
     faces = world.faces
     if np.linalg.det(world_from_part[:3, :3]) < 0:

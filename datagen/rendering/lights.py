@@ -44,7 +44,7 @@ _ENVIRONMENT_FROM_MITSUBA = np.array(
 
 @dataclass
 class LightSetup:
-    """Lights as ``entries`` of the scene's dictionary; ``hidden``: keys of those invisible to camera rays."""
+    """Lights as ``entries`` of the scene's dictionary; ``hidden``: keys of those that camera rays miss."""
 
     entries: dict[str, Any] = field(default_factory=dict)
     hidden: set[str] = field(default_factory=set)
@@ -154,11 +154,7 @@ def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -
     if direction is None:
         return None
     if light.angular_diameter_rad == 0:
-        return {
-            "type": "directional",
-            "direction": direction.tolist(),
-            "irradiance": _rgb(light.irradiance),
-        }
+        return {"type": "directional", "direction": direction.tolist(), "irradiance": _rgb(light.irradiance)}
     return {
         "type": "sun_disc",
         "direction": direction.tolist(),
@@ -168,7 +164,7 @@ def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -
 
 
 def area_light_mesh(light: AreaLight) -> Mesh:
-    """Mesh of the luminous face of an area light; its front faces along edge_u x edge_v."""
+    """World-space mesh of the emitting side of an area light; its normal is edge_u x edge_v."""
     origin, u, v = (np.asarray(a, dtype=np.float64) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     if light.shape == "rectangle":
         corners = np.stack([origin, origin + u, origin + u + v, origin + v])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """The material of a slot: an assigned one (``name`` is its asset's id) or its own (``asset/slot``)."""
+    """Material of a slot: assigned (``name`` is the material's id) or the asset's own (``asset/slot``)."""
 
     name: str
     package: Package
@@ -34,7 +34,7 @@ class SurfaceMaterial:
 
     @property
     def key(self) -> tuple:
-        """Hashable key; materials with equal keys have equal BSDFs."""
+        """Hashable key, equal for materials with equal BSDFs."""
         return (self.package.sha256, self.name, self.adjustment)
 
     @property
@@ -46,7 +46,7 @@ class SurfaceMaterial:
 def resolve_materials(
     placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
 ) -> dict[str, SurfaceMaterial]:
-    """Material of each slot by name. Faults are added to ``problems``; slots with faults are left out."""
+    """Materials of a placed asset by slot. Faults are added to ``problems``, and their slots left out."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     where = f"configuration: {placed.name}"
@@ -83,8 +83,8 @@ def resolve_materials(
 def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_uv: bool = False) -> Any:
     """Create the BSDF of a material: ``cook_torrance``, in ``normalmap`` and ``mask`` if needed.
 
-    ``has_mirrored_uv``: the mesh's UVs run clockwise. Mitsuba's tangent frame is always right-handed and thus
-    flips the bitangent; the normal map's green channel is flipped to compensate.
+    ``has_mirrored_uv``: whether the mesh's UVs are clockwise. Mitsuba's tangent frame, which is always
+    right-handed, flips the bitangent; the normal map's green channel is flipped to compensate.
     """
     import mitsuba as mi
 

@@ -78,7 +78,7 @@ class SceneRenderer:
 
     @property
     def built(self) -> BuiltScene:
-        """The Mitsuba scene and its tables of names."""
+        """The Mitsuba scene with its tables of ids and names."""
         return self.scene.built
 
     @property
@@ -92,15 +92,15 @@ class SceneRenderer:
         return self._finishing.denoiser
 
     def sensor(self, camera: Camera) -> Any:
-        """See :meth:`PreparedScene.sensor`."""
+        """Mitsuba sensor of ``camera``, valid until the next call."""
         return self.scene.sensor(camera)
 
     def reseed(self, seed: int) -> None:
-        """Render with another configuration seed from now on, as a new renderer would, in the same scene."""
+        """Replace the configuration's seed; later views equal those of a new renderer with that seed."""
         self.scene.reseed(seed)
 
     def view_job(self, index: int) -> ViewJob:
-        """The job of view ``index``, to be advanced step by step; its ground truth is already traced."""
+        """Start the job of view ``index``: trace its ground truth and return the job, to be run in steps."""
         return ViewJob(self.scene, self._finishing, index)
 
     def render_view(self, index: int) -> RenderedView:

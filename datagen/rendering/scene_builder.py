@@ -76,12 +76,12 @@ class BuiltScene:
 
     @property
     def num_triangles(self) -> int:
-        """Number of triangles of all assets."""
+        """Number of triangles of all assets, without lights."""
         return sum(len(faces) for faces in self.face_instances.values())
 
 
 def sensor_for(camera: Camera) -> Any:
-    """A ``pinhole_pixels`` sensor with a box filter for ``camera``."""
+    """Create a ``pinhole_pixels`` sensor with a box filter for ``camera``."""
     import mitsuba as mi
 
     from datagen.rendering.plugins import register_rendering_plugins
@@ -160,7 +160,7 @@ def _check_packages(configuration: Configuration, library: Library) -> None:
 
 
 class _Builder:
-    """Collects groups of triangles, ids and faults over the placed assets in order."""
+    """Collects groups of triangles, ids and faults of the placed assets, in order."""
 
     def __init__(self, configuration: Configuration, library: Library, caches: AssetCaches):
         self.library, self.caches = library, caches
@@ -172,7 +172,7 @@ class _Builder:
         self.instance_names: dict[int, str] = {}
 
     def add_placed(self, placed: PlacedAsset) -> None:
-        """Add every part of a placed asset."""
+        """Add all parts of a placed asset."""
         package = self.library.package(placed.asset)
         asset = package.asset
         if not isinstance(asset, ObjectAsset | EnvironmentAsset):
@@ -251,7 +251,7 @@ class _Builder:
         self.material_names[new_id] = name
 
     def finish(self, light_entries: dict[str, Any], hidden: set[str]) -> BuiltScene:
-        """Upload meshes, textures and lights, and return the scene."""
+        """Upload meshes, textures and lights and return the scene; raise :class:`InputError` for faults."""
         import mitsuba as mi
 
         bsdfs: dict[tuple[Hashable, bool], Any] = {}
@@ -283,7 +283,7 @@ class _Builder:
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """Factor of the part's UVs: the assignment's, else for the real size of an assigned material, else 1."""
+    """Factor of a part's UVs: the assignment's, else that for an assigned material's real size, else 1."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

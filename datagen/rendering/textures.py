@@ -66,11 +66,11 @@ def adjusted_constant(
 
 
 class TextureCache:
-    """Cache of uploaded textures by content; beyond ``max_bytes``, drops the least recently used.
+    """Cache of uploaded textures by content; drops the least recently used beyond ``max_bytes``.
 
-    Adjusted textures hardly ever recur in another configuration: they are shared within a configuration and
-    dropped by :meth:`forget_variations`. ``shrink``: textures are averaged over squares of this many texels a
-    side, in linear values, before upload.
+    Adjusted textures, which hardly ever recur in another configuration, are kept until
+    :meth:`forget_variations`. ``shrink``: side in texels of the squares over which linear values are averaged
+    before upload.
     """
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES, shrink: int = 1):
@@ -81,7 +81,7 @@ class TextureCache:
         self._variations: dict[tuple, Any] = {}
 
     def forget_variations(self) -> None:
-        """Drop adjusted textures; scenes keep those that they use."""
+        """Drop the adjusted textures; existing scenes keep theirs."""
         self._variations.clear()
 
     def channel(
@@ -93,7 +93,7 @@ class TextureCache:
         *,
         flip_green: bool = False,
     ) -> Any:
-        """A Mitsuba texture of the channel ``role`` of a material; for a constant, the texture's dictionary.
+        """Mitsuba texture of the channel ``role`` of a material; for a constant, a texture's dictionary.
 
         ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
         and for images with NaN or Inf.

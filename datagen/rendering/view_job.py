@@ -34,17 +34,19 @@ HALF_MAX = 65504.0
 COARSE_SAMPLES = 16
 """Paths per pixel of the coarse image whose exposure sets the firefly clamp."""
 MIN_LIT = 0.05
-"""Minimum share of lit pixels in that image for clamping."""
+"""Minimum share of lit pixels in the coarse image for clamping."""
 _FULL_COVERAGE_SLACK = 1e-5  # rounding error of a sum of float32 shares
 
 
 class RenderError(RuntimeError):
-    """Raised for a view with NaN or Inf, which is discarded."""
+    """Raised for a view that is discarded because of NaN or Inf."""
 
 
 @dataclass
 class RenderedView:
-    """A finished view: ``buffers`` (H, W, C) by name, fields of its JSON, and ``seconds`` by stage."""
+    """A finished view: ``buffers`` (H, W, C) by name, names of instances and materials by id, its record, and
+    ``seconds`` by stage.
+    """
 
     index: int
     buffers: dict[str, NDArray]
@@ -62,8 +64,8 @@ IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
 class Finishing:
     """Denoisers and stopping criteria of views.
 
-    ``denoiser`` of the image; ``estimator``, which denoises the halves whose difference estimates the error;
-    ``budget`` of samples (None: the recipe's fixed number); ``is_enough``, see :data:`IsEnough`.
+    ``denoiser`` is for images, ``estimator`` for the halves from which the error is estimated. ``budget``:
+    None for the recipe's fixed number of samples. ``is_enough``: see :data:`IsEnough`.
     """
 
     denoiser: Denoiser | None
@@ -73,9 +75,9 @@ class Finishing:
 
 
 class ViewJob:
-    """A view whose samples are accumulated, in two independent ``halves`` if there is a budget.
+    """Renders a view by accumulating samples, in two independent ``halves`` if there is a budget.
 
-    Raises :class:`InputError` if the configuration has no such view.
+    Raises :class:`InputError` if the configuration has no view ``index``.
     """
 
     def __init__(self, scene: PreparedScene, finishing: Finishing, index: int):
@@ -97,7 +99,7 @@ class ViewJob:
         self.clamp_limit = self._clamp_limit()
 
     def steps(self, pool: ThreadPoolExecutor) -> Steps[RenderedView]:
-        """Run the job by steps: trace on this thread, estimate errors and denoise in ``pool``."""
+        """Run the job in steps: paths on this thread, error estimates and denoising in ``pool``."""
         if self.budget is None:
             self.add_pass(self.scene.recipe.path_samples or 0)
         else:
