@@ -40,7 +40,7 @@ class BrightRectangle:
 
 
 class BrightGuide:
-    """Samples directions towards K ``rectangles``, on the device."""
+    """Samples directions towards ``rectangles``, inside kernels."""
 
     def __init__(self, rectangles: Sequence[BrightRectangle]):
         import mitsuba as mi
@@ -75,7 +75,7 @@ class BrightGuide:
         return [share / total for share in found]
 
     def sample(self, p: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any]:
-        """Sample a direction from ``p``; also return its density [1/sr], 0 in the plane of the rectangle."""
+        """Sample a direction from ``p`` by a number and a point in [0, 1); also return its density [1/sr]."""
         import drjit as dr
         import mitsuba as mi
 

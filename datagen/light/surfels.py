@@ -27,8 +27,8 @@ CELLS_ACROSS = 300
 MIN_CELL_PIXELS = 1.0
 """Minimum side of a cell in pixels at the median depth; many views would have no pixel in smaller cells."""
 MAX_EDGE_SHARE = 0.5
-"""Share of a surfel's pixels at depth edges above which it is mixed. Not higher, since no edge is found
-between pixels on two slats of a blind, which are in one plane."""
+"""Share of a surfel's pixels at depth edges above which it is mixed. Not higher, since no edge is detected
+between two slats of a blind, which are in one plane."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
@@ -61,7 +61,7 @@ class Observations:
 
     The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight``
     (M,), the number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`; ``normal`` (M, 3),
-    the mean over the pixels: on a chair leg or a tap, views from different sides see different normals.
+    the mean over the pixels: on a chair leg or a tap, views from different sides show different normals.
     """
 
     start: NDArray[np.int64]
@@ -76,7 +76,7 @@ class Surfels:
     """Surfels of a room.
 
     ``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,) triangle,
-    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether most of its pixels lie at depth edges,
+    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether most of its pixels are at depth edges,
     where other surfaces contribute to the radiance, ``camera_m`` (V, 3) positions of the cameras. Per
     view: ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
     """
@@ -100,15 +100,15 @@ class Surfels:
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.observations.start))
 
     def directions(self, surfel: NDArray, view: NDArray) -> Floats32:
-        """Unit directions (K, 3) from surfels, by index (K,), to the cameras of views, by index (K,)."""
+        """Unit directions (K, 3) from the surfels of indices ``surfel`` (K,) to the cameras ``view`` (K,)."""
         toward = self.camera_m[view] - self.position_m[surfel]
         return toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9)
 
 
 def build_surfels(views: Sequence[TracedView]) -> Surfels:
-    """Surfels of the non-emitting surfaces in the views.
+    """Build the surfels of the non-emitting surfaces in the views.
 
-    Raises ValueError if the views show no extended surface.
+    Raises ``ValueError`` if the views show no extended surface.
     """
     cameras = [camera_row(view) for view in views]
     low, cell_m, shape = _extent(views)
@@ -147,7 +147,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
 
 
 def camera_row(view: TracedView) -> NDArray[np.float64]:
-    """A view's camera as one row: rotation (9), position (3), fx, fy, cx, cy, width, height."""
+    """A view's camera as an array (18,): rotation (9), position (3), fx, fy, cx, cy, width, height."""
     camera = view.camera
     matrix = camera.world_from_camera
     return np.array(
@@ -156,9 +156,7 @@ def camera_row(view: TracedView) -> NDArray[np.float64]:
     )  # fmt: skip
 
 
-def _extent(
-    views: Sequence[TracedView],
-) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
+def _extent(views: Sequence[TracedView]) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
     """Corner, cell size and shape of the grid, from a sparse subset of the pixels."""
     points, footprint = [], []
     for view in views:
@@ -244,8 +242,8 @@ def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
 
 @compiled
 def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
-    """Cell (P,) of each pixel, -1 for none, its weight (P,), and whether it lies at a depth edge (P,);
-    ``clipped`` (P,) or empty.
+    """Cell side (P,) of each pixel, -1 for none, its weight (P,), and whether it is at a depth edge (P,);
+    ``clipped`` is (P,) or empty.
     """
     width, height = int(camera[16]), int(camera[17])
     cell = np.full(width * height, -1, np.int32)
@@ -308,7 +306,7 @@ def _observe_view(cell, weight, at_edge, color, normal, depth, camera, low, cell
             sums[at, channel] += w * color[index, channel]
             sums[at, 3 + channel] += w * normal[index, channel]
         place_pixel(index, depth[index], width, camera, here)
-        off = np.float32(0.0 if w == 1.0 else 1e6)  # edge pixels only if no others
+        off = np.float32(0.0 if w == 1.0 else 1e6)  # edge pixels are chosen only if there are no others
         for axis in range(3):
             part = (here[axis] - low[axis]) / cell_m
             off += (part - np.floor(part) - 0.5) ** 2
@@ -391,7 +389,8 @@ def _gathered(
 def weighted_medians(start, values, weight):
     """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
 
-    The value at which the cumulative weight reaches one half; if it equals one half, the mean with the next.
+    It is the value at which the cumulative weight exceeds one half; if one half is met exactly, the mean of
+    that value and the next.
     """
     num = len(start) - 1
     found = np.zeros((num, 3), np.float32)
@@ -413,9 +412,9 @@ def weighted_medians(start, values, weight):
 
 
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distances in cells and indices (N, ``num`` or N) of the nearest surfels with similar normals.
+    """Distances in cells, and indices, of the ``num`` nearest surfels with similar normals, (N, num) each.
 
-    The first is the surfel itself.
+    The first is the surfel itself; there are at most N.
     """
     cell = surfels.grid.cell_m
     tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
@@ -425,7 +424,7 @@ def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArr
 
 
 def surfel_means(surfels: Surfels, maps: Sequence[NDArray]) -> Floats32:
-    """Weighted means (N, K) of the views' ``maps`` (H, W, K) over all pixels of a surfel."""
+    """Weighted means (N, K) of ``maps``, one (H, W, K) per view, over all pixels of each surfel."""
     channels = maps[0].shape[-1]
     sums, total = np.zeros((len(surfels), channels)), np.zeros(len(surfels))
     for view_map, surfel, weight in zip(maps, surfels.pixel_surfel, surfels.pixel_weight, strict=True):

@@ -22,16 +22,16 @@ from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, s
 from datagen.multiview.compiled import compiled
 
 GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24, fits_estimates=False)
-"""With fewer rays than in the reconstruction and no fitted gains, since inputs of a network may be noisy."""
+"""Fewer rays than in the reconstruction and no fitted gains, since inputs of a network may be noisy."""
 MIRROR_RAYS = 6
-"""Rays per observation and roughness; pixels average several observations."""
+"""Rays per observation and roughness; few, since pixels average several observations."""
 _MIRROR_SEED = 23
 
 
 class ViewLight:
     """Light of all views; :meth:`buffers` evaluates one view.
 
-    ``emits``: mask of the triangles known to emit. The result does not depend on the order of the views.
+    ``emits`` (M,): mask of the emissive triangles. The result does not depend on the order of the views.
     Raises ``ValueError`` if the views show no extended surface.
     """
 
@@ -96,8 +96,8 @@ class ViewLight:
 def _interpolated(
     depth, normal, own, camera, low, cell_m, shape, surfel, row_of, of_surfel, of_observation
 ):  # fmt: skip
-    """Values (P, K + J) at pixels, interpolated from surfels' (N, K) and observations' (M, J); 0 without a
-    surfel.
+    """Values (P, K + J) at P pixels, interpolated from those of surfels (N, K) and observations (M, J); 0
+    without a surfel.
     """
     num_first, num_second = of_surfel.shape[1], of_observation.shape[1]
     out = np.zeros((len(depth), num_first + num_second), np.float32)
