@@ -71,7 +71,7 @@ class StatisticsView:
         )
 
     def problems(self) -> list[Problem]:
-        """All faults of the arrays: shapes that do not match the camera, NaN and Inf."""
+        """List the faults of the arrays: shapes that do not match the camera, NaN and Inf."""
         height, width = self.camera.height_px, self.camera.width_px
         found = []
         for field_name, channels in (
@@ -120,7 +120,7 @@ class StatisticsOptions:
 
 
 def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that show a reflecting surface and get statistics, from buffers (H, W, 1)."""
+    """Mask (H, W) of pixels that show a reflecting surface and have statistics, from buffers (H, W, 1)."""
     return (depth_z_m[..., 0] > 0) & (surface_mask[..., 0] >= MIN_COVERAGE)
 
 
@@ -182,7 +182,7 @@ def _statistics_of_all(
 
 
 def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Float:
-    """Colours of all views with four floats per pixel (the last is 0), which one packet load fetches."""
+    """Colours of all views as four floats per pixel (the last is 0), for fetching by one packet load."""
     import mitsuba as mi
 
     flat = aligned_empty(packed.num_pixels * 4, np.float32)
@@ -229,7 +229,7 @@ def choose_for_pixels(
     options: StatisticsOptions,
     scene: mi.Scene | None = None,
 ) -> tuple[mi.UInt32, mi.Point3f, Selection]:
-    """Packed indices, world points and chosen views of the pixels of view ``index``, by row (*traced*)."""
+    """Packed indices, world points and chosen views of all pixels of view ``index``, by row (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -323,7 +323,7 @@ def _fetch_bilinear(
         weight = dr.select(dr.abs(depth - at.z_m) <= tolerance, weight, 0)
         total += weight * dr.gather(mi.Vector4f, colors, pixel, active)
         weights += weight
-    # Only traced points can lack a neighbour at p's depth; weights near zero would amplify rounding errors.
+    # Only with visibility by trace can all four depths differ; small weights would amplify rounding errors.
     nearest = dr.gather(mi.Vector4f, colors, _pixel_at(at), active)
     return dr.select(weights > _MIN_WEIGHT, total / weights, nearest)
 
@@ -354,7 +354,7 @@ def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, An
 
 
 def sorting_network(size: int) -> list[tuple[int, int]]:
-    """Compare-exchange pairs of Batcher's odd-even merge sort for any number of values."""
+    """Index pairs to compare and exchange, in order, in Batcher's odd-even merge sort of ``size`` values."""
     pairs = []
     full = 1 << max(size - 1, 0).bit_length()
     run = 1

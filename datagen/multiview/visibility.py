@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of points in views: packed views, and kernels for projection and occlusion.
+"""Visibility of points in views: kernels for projection and occlusion, and the views as packed arrays.
 
 Letters: p a world point with unit normal n, i a view, o_i its centre, omega_i the unit direction from p to
 o_i, d_ip = |o_i - p|, (x, y, z) the point in view i's camera space, (u, v) its projection in pixels.
@@ -70,7 +70,7 @@ class VisibilityOptions:
 
 
 class Projection(NamedTuple):
-    """Points projected into a view's camera, and the camera itself (*traced*)."""
+    """Projection of points into a view, and the view's camera (*traced*)."""
 
     rotation: mi.Matrix3f
     """camera_from_world."""
@@ -140,7 +140,7 @@ class PackedViews:
 
 
 def aligned_empty(size: int, dtype: Any) -> NDArray:
-    """A flat NumPy array of ``size`` elements in memory aligned for packet loads, which Dr.Jit can share.
+    """Flat, uninitialised array (``size``,) in memory aligned for packet loads, which Dr.Jit can share.
 
     On the CPU, Dr.Jit uses NumPy's memory directly. If that is not aligned, Dr.Jit compiles another kernel
     with scalar gathers instead of packet loads; the allocator would determine which kernel runs.
@@ -152,7 +152,7 @@ def aligned_empty(size: int, dtype: Any) -> NDArray:
 
 
 def aligned(array: NDArray, dtype: Any = None) -> NDArray:
-    """A flat copy of ``array`` in aligned memory."""
+    """Flat copy of ``array`` in aligned memory, as ``dtype`` if given."""
     flat = aligned_empty(array.size, dtype or array.dtype)
     flat[:] = array.ravel()
     return flat
@@ -200,7 +200,7 @@ def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projecti
 
 
 def max_distance(views: PackedViews, points: mi.Point3f) -> mi.Float:
-    """Distance max_j d_jp from each point to the farthest camera, visible or not (*traced*)."""
+    """Distance [m] from each point to the farthest camera, whether it is visible or not (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -274,7 +274,7 @@ def _agrees_with_depth(
 
 
 def vectors_from_rows(rows: NDArray) -> Any:
-    """Convert numbers (N, 3) to a ``mi.Vector3f`` whose kernels are the same for every N.
+    """Convert an array (N, 3) to a ``mi.Vector3f``, such that kernels are the same for every N.
 
     ``mi.Vector3f(array)`` would make N a literal of the kernels.
     """
