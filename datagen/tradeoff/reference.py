@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """References for the tradeoff: converged views of a configuration, rendered once and stored.
 
-A reference contains, for each view, two independent images (so that their noise adds nothing to the errors in
-expectation, see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed
-from the denoised means of both images with traced visibility and the maximum number of best views. Its name
-is the hash of everything that affects it, so it is never reused for another library, configuration,
-resolution, sample count or renderer.
+A reference contains, for each view, two independent images (whose noise does not affect the expectation of
+errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed from
+the denoised means of both images with traced visibility and the maximum number of best views. Its name is the
+hash of everything that affects it, so it is never reused for another library, configuration, resolution,
+sample count or renderer.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def reference_key(configuration: Configuration, samples: int) -> str:
 
 @dataclass(frozen=True)
 class Reference:
-    """Converged views on disk: ``folder`` contains ``view_000.npz`` etc. and ``statistics.npz``."""
+    """Converged views on disk: ``folder`` contains ``view_000.npz``, ... and ``statistics.npz``."""
 
     folder: Path
     num_views: int
@@ -87,28 +87,28 @@ class Reference:
         return self.num_made == self.num_views and self.statistics_path.is_file()
 
     def halves(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The two independent images (H, W, 3) of a view."""
+        """The two independent images (H, W, 3) of view ``index``."""
         with np.load(self.view_path(index)) as data:
             return data["first"], data["second"]
 
     def maps(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """Ground-truth maps (H, W, C) of a view by buffer."""
+        """Ground-truth maps (H, W, C) of view ``index`` by buffer name."""
         with np.load(self.view_path(index)) as data:
             return {name: data[name] for name in MAPS}
 
     def statistics(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """Statistics (H, W, 3) of a view by buffer."""
+        """Colour statistics (H, W, 3) of view ``index`` by buffer name."""
         with np.load(self.statistics_path) as data:
             return {name: data[f"{name}_{index}"] for name in STATISTICS}
 
     def exposure(self, index: int) -> float:
-        """Exposure of a view, by which errors of radiance are multiplied."""
+        """Exposure of view ``index``, by which errors of radiance are multiplied."""
         first, second = self.halves(index)
         return exposure_for(0.5 * (first + second))
 
 
 def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
-    """Write an ``npz`` file; it appears whole or not at all."""
+    """Write ``arrays`` to an ``npz`` file atomically."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     np.savez(partial, **arrays)
     publish(partial, path)
@@ -146,7 +146,7 @@ def make_reference(
 
 
 def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np.float32]:
-    """Mean (H, W, 3) of ``samples`` paths per pixel, with visible emission; ``half`` selects the seeds."""
+    """Mean radiance (H, W, 3) of ``samples`` paths per pixel, with seeds that depend on ``half``, 0 or 1."""
     sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
     total, done = np.zeros((1, 1, 3)), 0
     while done < samples:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Measures one setting on one configuration: seconds by stage, errors against the reference, bytes per view.
 
-Stages run one after the other so that their seconds are separate; in production they overlap, and a view
-costs about their processor seconds divided by the cores. The first view is rendered twice, so that
-compilation is not counted. Seconds are medians over views, plus a view's share of the preparation of the
-whole scene.
+Stages run one after the other so that their seconds can be measured separately; in production they overlap,
+and a view takes about their processor seconds divided by the number of cores. The first view is rendered
+twice, which excludes compilation. Seconds are medians over views, plus a view's share of the preparation of
+the scene.
 
 * ``rel_mse``: exposed relMSE of the stored beauty (``datagen.rendering.error``), mean over views;
 * ``maps_error``: mean absolute error of D, S, R and the normal, over surface pixels;
@@ -45,21 +45,21 @@ STAGES = ("learn", "render", "statistics", "compress")
 
 
 class Stopwatch:
-    """Wall-clock and processor seconds by stage, with an entry per view."""
+    """Measures wall-clock and processor seconds by stage, one entry per view."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[tuple[float, float]]] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the time of a block as an entry of stage ``name``."""
+        """Measure the seconds of this context as an entry of stage ``name``."""
         cpu, wall = time.process_time(), time.perf_counter()
         yield
         entry = (time.perf_counter() - wall, time.process_time() - cpu)
         self.seconds.setdefault(name, []).append(entry)
 
     def medians(self) -> dict[str, dict[str, float]]:
-        """Medians over views of each stage, and as ``total`` their sums."""
+        """Medians over views, ``wall_s`` and ``cpu_s``, of each stage, and their sums as ``total``."""
         found = {
             name: {
                 "wall_s": stats.median(wall for wall, _ in entries),
@@ -73,7 +73,7 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Trial:
-    """Result of a setting on a configuration; see the module's docstring."""
+    """Result of a setting on a configuration; the module's docstring defines errors and seconds."""
 
     configuration: str
     setting: dict[str, Any]
@@ -93,7 +93,7 @@ class Trial:
 
 
 def measure(configuration: Configuration, library: Library, reference: Reference, setting: Setting) -> Trial:
-    """Render, process, store and compare every view of a reference's configuration with ``setting``."""
+    """Render, process and store every view with ``setting``, and compare it with the reference."""
     at_size = _scaled(configuration, setting.image_scale)
     caches = AssetCaches(MeshCache(), TextureCache(shrink=setting.texture_shrink))
     start = time.process_time()
@@ -149,7 +149,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
 
 
 def _preparation(renderer: SceneRenderer) -> dict[str, float]:
-    """Seconds to compute sky guide and irradiance cache again, with compiled kernels."""
+    """Wall-clock and processor seconds of estimating sky guide and irradiance cache with compiled kernels."""
     cpu, wall = time.process_time(), time.perf_counter()
     renderer.scene.prepare_paths()
     return {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
@@ -200,7 +200,7 @@ def _gather(
 
 
 def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
-    """A view as an EXR file, as in shards or with every float channel in single precision."""
+    """Encode a view as an EXR file, as in shards or with every float channel in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
     channels = {
@@ -218,7 +218,7 @@ def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
 
 
 def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> dict[str, float]:
-    """Errors of a view's stored buffers against the reference."""
+    """Errors, by measure, of the stored buffers of view ``index`` against the reference."""
     first, second = reference.halves(index)
     size = (first.shape[1], first.shape[0])
     found = {"rel_mse": relative_mse(_at_size(buffers["beauty"], size), first, second, exposed=True)}

@@ -44,7 +44,7 @@ _COLORS = {"fast": "#e69f00", "balanced": "#56b4e9", "high": "#0072b2", "none": 
 
 @dataclass(frozen=True)
 class Results:
-    """Results of a sweep, the recommendation, and the limits that it meets."""
+    """Trials and conditions of a sweep, and the recommended point with the error limits that it meets."""
 
     trials: Sequence[Trial]
     base: Setting
@@ -55,7 +55,7 @@ class Results:
 
 
 def csv_columns() -> list[str]:
-    """Columns of the CSV file, in order."""
+    """Names of the CSV file's columns, in order."""
     setting = [field.name if field.name != "path_samples" else "samples_asked" for field in fields(Setting)]
     return ["configuration", *setting, *MEASURES, *(f"{stage}_cpu_s" for stage in STAGES)]
 
@@ -64,14 +64,14 @@ def write_results(results: Results, out: Path) -> list[Path]:
     """Write ``tradeoff.csv``, ``.json``, ``.html`` and the figures ``front.png``, ``sweeps.png``."""
     out.mkdir(parents=True, exist_ok=True)
     points = points_of(results.trials)
-    figures = {"front.png": _png(front_figure(points, results)), "sweeps.png": None}
-    sweeps = sweeps_figure(points, results.base)
-    figures["sweeps.png"] = _png(sweeps) if sweeps is not None else None
+    figures = {"front.png": _png(front_figure(points, results))}
+    if (sweeps := sweeps_figure(points, results.base)) is not None:
+        figures["sweeps.png"] = _png(sweeps)
     content = {
         "tradeoff.csv": _csv(results.trials).encode(),
         "tradeoff.json": canonical_json(_summary(results, points)),
         "tradeoff.html": _page(results, points, figures).encode(),
-        **{name: data for name, data in figures.items() if data is not None},
+        **figures,
     }
     for name, data in content.items():
         write_bytes_atomically(out / name, data)
@@ -115,7 +115,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def front_figure(points: Sequence[Point], results: Results) -> Figure:
-    """Plot error against processor seconds: comparable settings, front, qualities, recommendation."""
+    """Plot relMSE against processor seconds of comparable settings; mark Pareto front and recommendation."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
@@ -194,7 +194,7 @@ def _add_legend(axes: Axes) -> None:
 
 
 def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
-    """Plot errors, time and bytes relative to the base by each swept field; None without a sweep."""
+    """Plot errors, time and bytes relative to the base, one panel per swept field; None without a sweep."""
     from matplotlib.figure import Figure
 
     base_point = next((p for p in points if p.setting == base), None)
@@ -257,7 +257,7 @@ _COLUMNS = {
 }
 
 
-def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes | None]) -> str:
+def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes]) -> str:
     parts = ["<h1>Error against time</h1>", _description(results)]
     if results.recommended is not None and results.limits:
         limits = ", ".join(f"{name} at most {limit:g}" for name, limit in results.limits.items())
@@ -267,9 +267,8 @@ def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes | 
             _table([results.recommended], results.base),
         ]
     for name, title in (("front.png", "Pareto front"), ("sweeps.png", "One field at a time")):
-        data = figures[name]
-        if data is not None:
-            source = base64.b64encode(data).decode()
+        if name in figures:
+            source = base64.b64encode(figures[name]).decode()
             parts.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{source}">')
     parts += ["<h2>Pareto-optimal settings</h2>", _table(front_of(points, results.base), results.base)]
     parts += ["<h2>All settings</h2>", _table(points, results.base)]
