@@ -75,7 +75,7 @@ class Subject:
     reference_samples: int
 
     def trial_path(self, out: Path, setting: Setting) -> Path:
-        """Path of a trial's result, named by a hash of the setting, its quality's values and the software versions."""
+        """Path of a trial's result, named by a hash of setting, quality and software versions."""
         meaning = QUALITIES[setting.quality] if setting.quality else None  # type: ignore[index]
         key = sha256_hex(canonical_json([asdict(setting), meaning, pixel_versions()]))[:16]
         return out / "trials" / f"{self.reference.folder.name}-{key}.json"
