@@ -153,16 +153,8 @@ class _RayResult:
 
 
 def _empty_result(num_rays: int) -> _RayResult:
-    zero = dr.zeros(mi.Float, num_rays)
-    return _RayResult(
-        mi.Color3f(zero),
-        mi.Color3f(zero),
-        mi.Float(zero),
-        mi.Vector3f(zero),
-        mi.Float(zero),
-        mi.Point3f(zero),
-        dr.zeros(mi.UInt32, num_rays),
-    )
+    kinds = (mi.Color3f, mi.Color3f, mi.Float, mi.Vector3f, mi.Float, mi.Point3f, mi.UInt32)
+    return _RayResult(*(dr.zeros(kind, num_rays) for kind in kinds))
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
@@ -365,7 +357,8 @@ class MaterialBuffers(mi.SamplingIntegrator):
         _check_spp(spp)
         with dr.suspend_grad():
             buffers = _render(view, spp, int(np.asarray(seed).ravel()[0]))
-            planes = [mi.Float(plane) for value in buffers.values() for plane in _planes(value)]
+            lists = ([value] if dr.depth_v(value) == 1 else value for value in buffers.values())
+            planes = [mi.Float(plane) for values in lists for plane in values]
             num_channels = len(planes)
             flat = dr.empty(mi.Float, view.width * view.height * num_channels)
             pixel = dr.arange(mi.UInt32, view.width * view.height)
@@ -379,7 +372,3 @@ class MaterialBuffers(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Human-readable description."""
         return f"MaterialBuffers[hide_emitters = {self.hide_emitters}]"
-
-
-def _planes(value: Any) -> list[Any]:
-    return [value] if dr.depth_v(value) == 1 else list(value)

@@ -239,9 +239,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
     :data:`PLACE_WEIGHT`, and unit direction.
     """
     places = layout.places
-    face, direction = np.divmod(bins, places * places * layout.directions)
-    u, direction = np.divmod(direction, places * layout.directions)
-    v, direction = np.divmod(direction, layout.directions)
+    face, u, v, direction = np.unravel_index(bins, (layout.faces, places, places, layout.directions))
     axis, is_high = face // 2, face % 2
     share = np.zeros((len(bins), 3))
     rows = np.arange(len(bins))

@@ -59,7 +59,7 @@ class SpecularShading:
 
 
 def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:
-    """``num_rays`` cosine-distributed rays (``mi.Ray3f``) for each point (N, 3) with normal (N, 3), by point.
+    """``num_rays`` cosine-distributed rays (``mi.Ray3f``) from each point (N, 3) with normal (N, 3) in turn.
 
     Origins are offset by ``start_m`` along the normal.
     """
@@ -134,9 +134,8 @@ class Baker:
         scale = 1.0 / num_rays
         ls0, ls1, known, photographed = ls0 * scale, ls1 * scale, known * scale, photographed * scale
         dr.eval(ls0, ls1, known, photographed)
-        return SpecularShading(
-            _rows(ls0), _rows(ls1), np.array(known.numpy()), np.array(photographed.numpy())
-        )
+        shares = np.array(known.numpy()), np.array(photographed.numpy())
+        return SpecularShading(_rows(ls0), _rows(ls1), *shares)
 
     def meet(self, ray: Any, active: Any, sample: Any) -> Met:
         """Trace ``ray`` into the field; reflections at metals sample bright surfaces directly."""

@@ -75,7 +75,7 @@ class BrightGuide:
         return [share / total for share in found]
 
     def sample(self, p: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any]:
-        """Sample a direction from ``p`` by a number and a point in [0, 1); also return its density [1/sr]."""
+        """Sample a direction from ``p`` by numbers in [0, 1) and [0, 1)^2; also return its density [1/sr]."""
         import drjit as dr
         import mitsuba as mi
 

@@ -38,9 +38,8 @@ class Cells:
 def surfel_cells(surfels: Surfels) -> Cells:
     """Cells of all surfels."""
     grid = surfels.grid
-    return Cells(
-        grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, np.ones(len(surfels), dtype=bool)
-    )
+    is_photographed = np.ones(len(surfels), dtype=bool)
+    return Cells(grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, is_photographed)
 
 
 def unmixed_cells(surfels: Surfels) -> Cells:
@@ -60,9 +59,8 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
 
 def cell_indices(keys: NDArray[np.int64], shape: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Indices along the axes (K, 3) and sides (K,) of the cell sides ``keys`` (K,) of a grid of ``shape``."""
-    side, rest = keys % NUM_SIDES, keys // NUM_SIDES
-    row, z = np.divmod(rest, shape[2])
-    return np.stack([row // shape[1], row % shape[1], z], axis=1), side
+    *at, side = np.unravel_index(keys, (*shape, NUM_SIDES))
+    return np.stack(at, axis=1), side
 
 
 def side_of(normal: NDArray) -> NDArray[np.int64]:
@@ -97,10 +95,8 @@ def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: 
         return None
     index = np.full(int(np.prod(outer.shape)) * NUM_SIDES, -1, np.int32)
     index[keys] = np.arange(len(keys), dtype=np.int32)
-    is_photographed = np.zeros(len(keys), dtype=bool)
-    return Cells(
-        index, outer.low, outer.cell_m, outer.shape, radiance[first].astype(np.float32), is_photographed
-    )
+    values, is_photographed = radiance[first].astype(np.float32), np.zeros(len(keys), dtype=bool)
+    return Cells(index, outer.low, outer.cell_m, outer.shape, values, is_photographed)
 
 
 def pyramid(cells: Cells) -> list[Cells]:
@@ -111,22 +107,13 @@ def pyramid(cells: Cells) -> list[Cells]:
     row = cells.index[occupied]
     for level in range(1, NUM_LEVELS):
         shape = (cells.shape + (1 << level) - 1) >> level
-        coarse = at >> level
-        key = ((coarse[:, 0] * shape[1] + coarse[:, 1]) * shape[2] + coarse[:, 2]) * NUM_SIDES + side
-        keys, place = np.unique(key, return_inverse=True)
-        num = np.bincount(place)
-        radiance = np.stack([np.bincount(place, cells.radiance[row, c]) / num for c in range(3)], axis=1)
+        key = np.ravel_multi_index((*(at >> level).T, side), (*shape, NUM_SIDES))
+        keys, of_row = np.unique(key, return_inverse=True)
+        num = np.bincount(of_row)
+        radiance = np.stack([np.bincount(of_row, cells.radiance[row, c]) / num for c in range(3)], axis=1)
         index = np.full(int(np.prod(shape)) * NUM_SIDES, -1, np.int32)
         index[keys] = np.arange(len(keys), dtype=np.int32)
-        photographed = np.bincount(place, cells.is_photographed[row]) > 0
-        levels.append(
-            Cells(
-                index,
-                cells.low,
-                cells.cell_m * (1 << level),
-                shape,
-                radiance.astype(np.float32),
-                photographed,
-            )
-        )
+        is_photographed = np.bincount(of_row, cells.is_photographed[row]) > 0
+        side_m = cells.cell_m * (1 << level)
+        levels.append(Cells(index, cells.low, side_m, shape, radiance.astype(np.float32), is_photographed))
     return levels

@@ -65,11 +65,8 @@ def photographed_emitters(
     """
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
-        none = np.zeros(0, np.float32)
-        sides = np.ones(len(mesh.faces), np.float32)
-        return Emitters(
-            of_face, none.reshape(0, 3), sides, np.zeros(0, np.int32), none.reshape(0, 3, 3), none
-        )
+        none, sides = np.zeros(0, np.float32), np.ones(len(mesh.faces), np.float32)
+        return Emitters(of_face, none.reshape(0, 3), sides, of_face[:0], none.reshape(0, 3, 3), none)
     regions, of_face[emits] = np.unique(region_of_face[emits], return_inverse=True)
     colors: list[list[NDArray]] = [[] for _ in regions]
     for view in views:

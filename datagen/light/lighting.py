@@ -85,8 +85,8 @@ def light_surfels(
     """Compute the surfels of the views and their incident light.
 
     ``emits`` (M,): mask of the emissive triangles; ``region_of_face`` (M,): smooth region of each triangle.
-    ``step`` returns a context manager for each stage by name. ``unseen`` returns the emitters together with
-    unphotographed ones, as a function of the light without these.
+    ``step`` returns a context manager for each stage by name. ``unseen`` returns all emitters from the light
+    without unphotographed ones.
     """
     with step("surfels"):
         surfels = build_surfels(views)
@@ -195,13 +195,8 @@ def _estimated(
 def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:
     """A position and normal (K, 3) for each cell without radiance that the surfels' rays hit."""
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
-    ray = cosine_rays(
-        surfels.position_m[::step],
-        surfels.normal[::step],
-        ESTIMATE_RAYS_A_SURFEL,
-        Baker(scene_field, size_m).start_m,
-        seed=0,
-    )
+    origin, normal = surfels.position_m[::step], surfels.normal[::step]
+    ray = cosine_rays(origin, normal, ESTIMATE_RAYS_A_SURFEL, Baker(scene_field, size_m).start_m, seed=0)
     position, facing = scene_field.unknown_hits(ray)
     keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
     chosen = first[keys >= 0]

@@ -39,7 +39,7 @@ MIN_COSINE = 0.02
 
 
 class Met(NamedTuple):
-    """Result of a ray: ``radiance`` (0 unless ``is_known``), ``is_photographed`` if it is not estimated.
+    """Result of a ray: ``radiance``, 0 unless ``is_known``; ``is_photographed`` is False for estimates.
 
     If ``is_front_of_emitter``, then ``face`` is the emitter's triangle, and ``cosine`` that of the angle
     between its normal and the ray.
@@ -249,18 +249,14 @@ class RadianceField:
         import drjit as dr
         import mitsuba as mi
 
-        si = self.scene.ray_intersect(ray)
-        is_hit = si.is_valid()
-        normal = dr.select(dr.dot(si.sh_frame.n, ray.d) < 0, si.sh_frame.n, -si.sh_frame.n)
-        is_surface = is_hit & (dr.gather(mi.Int32, self._emitter_of_face, si.prim_index, is_hit) < 0)
-        _, is_known, _, _ = self._lookup(si.p, normal, is_surface)
-        position = si.p
-        dr.eval(position, normal, is_surface, is_known)
-        chosen = np.asarray((is_surface & ~is_known).numpy(), dtype=bool)
-        return (
-            np.asarray(position.numpy()).reshape(3, -1).T[chosen],
-            np.asarray(normal.numpy()).reshape(3, -1).T[chosen],
+        end = self._end_of(ray, mi.Bool(True))
+        is_unknown = ~end.leaves & ~end.met.is_known
+        dr.eval(is_unknown, end.position, end.normal)
+        chosen = np.flatnonzero(is_unknown.numpy())
+        position, normal = (
+            np.asarray(values.numpy()).reshape(3, -1).T[chosen] for values in (end.position, end.normal)
         )
+        return position, normal
 
     def estimated(self, ray: Any) -> Estimated:
         """Rays among ``ray`` whose radiance is an estimate."""
@@ -320,9 +316,8 @@ class RadianceField:
             np.pad(is_metal, (0, rest)),
             start_m,
         )
-        return RadianceField(
-            self.scene, surfels, self.emitters, self.background, self.cells, metals, self.outer
-        )
+        parts = self.emitters, self.background, self.cells, metals, self.outer
+        return RadianceField(self.scene, surfels, *parts)
 
 
 def schlick_weight(cosine: Any) -> Any:

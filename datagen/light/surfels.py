@@ -122,22 +122,11 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
     grid = CellGrid(low, cell_m, shape, surfel)
 
     def observe(index: int) -> tuple[NDArray, ...]:
-        cell, weight, at_edge = cells[index]
         view = views[index]
-        return _observe_view(
-            cell,
-            weight,
-            at_edge,
-            np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
-            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3), np.float32),
-            view.geometry.depth_z_m.ravel(),
-            cameras[index],
-            low,
-            cell_m,
-            shape,
-            surfel,
-            num,
-        )
+        color = np.ascontiguousarray(view.color.reshape(-1, 3), np.float32)
+        normal = np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3), np.float32)
+        pixels = *cells[index], color, normal, view.geometry.depth_z_m.ravel()
+        return _observe_view(*pixels, cameras[index], low, cell_m, shape, surfel, num)
 
     with ThreadPoolExecutor(num_threads()) as pool:
         seen = list(pool.map(observe, range(len(views))))
@@ -330,16 +319,9 @@ def _cells_of(
 ) -> tuple[NDArray[np.int32], Floats32, NDArray[np.bool_]]:
     usable = view.valid_mask & (view.geometry.surface_mask[..., 0] > 0)
     clipped = np.zeros(0, np.bool_) if view.clipped_mask is None else view.clipped_mask.any(axis=2).ravel()
-    return _classify(
-        view.geometry.depth_z_m.ravel(),
-        np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
-        usable.ravel(),
-        clipped,
-        row,
-        low,
-        cell_m,
-        shape,
-    )
+    depth, normal = view.geometry.depth_z_m.ravel(), view.geometry.normal_world.reshape(-1, 3)
+    pixels = depth, np.ascontiguousarray(normal), usable.ravel(), clipped
+    return _classify(*pixels, row, low, cell_m, shape)
 
 
 def _gathered(
@@ -351,19 +333,11 @@ def _gathered(
 ) -> Surfels:
     """Observations of all views ordered by surfel, and a surface point of each surfel."""
     num = int(grid.surfel.max()) + 1
-    surfel = np.concatenate([part[0] for part in seen])
+    surfel, radiance, weight, pixel, distance, pixels, facing = map(np.concatenate, zip(*seen, strict=True))
     view = np.repeat(np.arange(len(views), dtype=np.int32), [len(part[0]) for part in seen])
     order = np.argsort(surfel, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(surfel, minlength=num))]).astype(np.int64)
-    observations = Observations(
-        start,
-        view[order],
-        np.concatenate([part[1] for part in seen])[order],
-        np.concatenate([part[2] for part in seen])[order],
-        np.concatenate([part[6] for part in seen])[order],
-    )
-    pixel = np.concatenate([part[3] for part in seen])
-    distance = np.concatenate([part[4] for part in seen])
+    observations = Observations(start, view[order], radiance[order], weight[order], facing[order])
     ranked = np.lexsort((distance, surfel))
     chosen = ranked[start[:-1]]  # every surfel is observed in some view
     position, normal = np.empty((num, 3), np.float32), np.empty((num, 3), np.float32)
@@ -377,8 +351,8 @@ def _gathered(
         normal[surfel[mine]] = geometry.normal_world.reshape(-1, 3)[at]
         face[surfel[mine]] = geometry.face.ravel()[at]
     radiance = weighted_medians(observations.start, observations.radiance, observations.weight)
-    pixels = np.add.reduceat(np.concatenate([part[5] for part in seen])[order], start[:-1])
-    is_mixed = pixels[:, 1] > MAX_EDGE_SHARE * pixels[:, 0]
+    counts = np.add.reduceat(pixels[order], start[:-1])
+    is_mixed = counts[:, 1] > MAX_EDGE_SHARE * counts[:, 0]
     camera_m = np.array([view.camera.position_m for view in views], np.float32)
     return Surfels(
         grid, position, normal, face, radiance, is_mixed, observations, camera_m, pixel_surfel, pixel_weight
@@ -428,9 +402,8 @@ def surfel_means(surfels: Surfels, maps: Sequence[NDArray]) -> Floats32:
     channels = maps[0].shape[-1]
     sums, total = np.zeros((len(surfels), channels)), np.zeros(len(surfels))
     for view_map, surfel, weight in zip(maps, surfels.pixel_surfel, surfels.pixel_weight, strict=True):
-        _add_pixels(
-            surfel, weight, np.ascontiguousarray(view_map.reshape(-1, channels), np.float32), sums, total
-        )
+        values = np.ascontiguousarray(view_map.reshape(-1, channels), np.float32)
+        _add_pixels(surfel, weight, values, sums, total)
     return (sums / np.maximum(total, 1e-12)[:, None]).astype(np.float32)
 
 

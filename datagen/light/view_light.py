@@ -50,14 +50,10 @@ class ViewLight:
         """Ls0 (M, 3) of every observation at ``roughness``."""
         surfels = self._lit.surfels
         owner = surfels.surfel_of_observation()
-        shading = self._lit.baker.specular(
-            surfels.position_m[owner],
-            surfels.normal[owner],
-            surfels.directions(owner, surfels.observations.view),
-            np.full(len(owner), roughness),
-            MIRROR_RAYS,
-            _MIRROR_SEED,
-        )
+        position, normal = surfels.position_m[owner], surfels.normal[owner]
+        directions = surfels.directions(owner, surfels.observations.view)
+        rough = np.full(len(owner), roughness)
+        shading = self._lit.baker.specular(position, normal, directions, rough, MIRROR_RAYS, _MIRROR_SEED)
         return shading.ls0 / np.maximum(shading.known, MIN_KNOWN)[:, None]
 
     def buffers(self, index: int, color_median: NDArray) -> dict[str, NDArray[np.float32]]:
@@ -71,20 +67,12 @@ class ViewLight:
         rows = np.flatnonzero(surfels.observations.view == place)
         row_of = np.full(len(surfels), -1, np.int64)
         row_of[surfels.surfel_of_observation()[rows]] = rows
-        shape = view.color.shape[:2]
-        values = _interpolated(
-            view.geometry.depth_z_m.ravel(),
-            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
-            surfels.pixel_surfel[place],
-            camera_row(view),
-            surfels.grid.low,
-            surfels.grid.cell_m,
-            surfels.grid.shape,
-            surfels.grid.surfel,
-            row_of,
-            self._of_surfel,
-            self._of_observation,
-        ).reshape(*shape, -1)
+        grid, depth, own = surfels.grid, view.geometry.depth_z_m.ravel(), surfels.pixel_surfel[place]
+        normal = np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3))
+        cells = grid.low, grid.cell_m, grid.shape, grid.surfel
+        sources = row_of, self._of_surfel, self._of_observation
+        values = _interpolated(depth, normal, own, camera_row(view), *cells, *sources)
+        values = values.reshape(*view.color.shape[:2], -1)
         diffuse = values[..., :3]
         is_lit = (diffuse > self._min_diffuse).all(axis=2, keepdims=True)
         reflectance = np.where(is_lit, color_median / np.where(is_lit, diffuse, 1), 0).astype(np.float32)

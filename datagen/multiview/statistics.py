@@ -61,36 +61,21 @@ class StatisticsView:
         cls, camera: Camera, buffers: Mapping[str, NDArray], name: str = "view"
     ) -> StatisticsView:
         """Create the input from a view's buffers by name; ``color`` is ``beauty``."""
-        return cls(
-            camera,
-            buffers["beauty"],
-            buffers["depth_z_m"],
-            buffers["normal_world"],
-            buffers["surface_mask"],
-            name,
-        )
+        color, depth, normal = buffers["beauty"], buffers["depth_z_m"], buffers["normal_world"]
+        return cls(camera, color, depth, normal, buffers["surface_mask"], name)
 
     def problems(self) -> list[Problem]:
         """List the faults of the arrays: shapes that do not match the camera, NaN and Inf."""
         height, width = self.camera.height_px, self.camera.width_px
-        found = []
-        for field_name, channels in (
-            ("color", 3),
-            ("depth_z_m", 1),
-            ("normal_world", 3),
-            ("surface_mask", 1),
-        ):
-            array = getattr(self, field_name)
-            if array.shape != (height, width, channels):
-                got, expected = f"shape {array.shape}", f"{(height, width, channels)} like its camera"
-                found.append(Problem(self.name, field_name, got, expected, "render the view again"))
+        found, remedy = Problems(self.name), "render the view again"
+        channels = {"color": 3, "depth_z_m": 1, "normal_world": 3, "surface_mask": 1}
+        for name, num_channels in channels.items():
+            array, shape = getattr(self, name), (height, width, num_channels)
+            if array.shape != shape:
+                found.add(name, f"shape {array.shape}", f"{shape} like its camera", remedy)
             elif not np.isfinite(array).all():
-                bad = int(np.count_nonzero(~np.isfinite(array)))
-                found.append(
-                    Problem(
-                        self.name, field_name, f"{bad} NaN or Inf", "finite values", "render the view again"
-                    )
-                )
+                bad = np.count_nonzero(~np.isfinite(array))
+                found.add(name, f"{bad} NaN or Inf", "finite values", remedy)
         return found
 
 
@@ -147,9 +132,8 @@ def compute_statistics(
     raise_problems(problems)
     select_variant()
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
-    return _statistics_of_all(
-        views, packed, options, scene, progress, range(len(views)) if only is None else only
-    )
+    wanted = range(len(views)) if only is None else only
+    return _statistics_of_all(views, packed, options, scene, progress, wanted)
 
 
 def _statistics_of_all(

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
+from datagen.foundation.errors import Problems, input_error, raise_problems
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -109,11 +109,10 @@ class PackedViews:
         self, cameras: Sequence[Camera], depth_z_m: Sequence[NDArray] | None, name: str = "views"
     ) -> None:
         if not cameras:
-            raise InputError(Problem(name, "", "no views", "at least one view", "add views"))
+            raise input_error(name, "", "no views", "at least one view", "add views")
         if depth_z_m is not None and len(depth_z_m) != len(cameras):
-            raise InputError(
-                Problem(name, "depth_z_m", f"{len(depth_z_m)} buffers", f"{len(cameras)}, one per camera", "")
-            )
+            expected = f"{len(cameras)}, one per camera"
+            raise input_error(name, "depth_z_m", f"{len(depth_z_m)} buffers", expected)
         select_variant()
         import mitsuba as mi
 
@@ -121,17 +120,11 @@ class PackedViews:
         self.num_views = len(cameras)
         self.num_pixels = sum(sizes)
         if self.num_pixels >= _MAX_PIXELS:
-            raise InputError(
-                Problem(
-                    name, "", f"{self.num_pixels} pixels", f"fewer than {_MAX_PIXELS}", "use smaller images"
-                )
-            )
+            got, expected = f"{self.num_pixels} pixels", f"fewer than {_MAX_PIXELS}"
+            raise input_error(name, "", got, expected, "use smaller images")
         first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
         self.first_pixels = first
-        layout = [
-            (offset, camera.width_px, camera.height_px, 0)
-            for offset, camera in zip(first, cameras, strict=True)
-        ]
+        layout = [(at, view.width_px, view.height_px, 0) for at, view in zip(first, cameras, strict=True)]
         self.cameras = mi.Float(aligned(np.concatenate([_camera_row(camera) for camera in cameras])))
         centres = np.array([[*camera.position_m, 0.0] for camera in cameras], dtype=np.float32)
         self.centres = mi.Float(aligned(centres))

@@ -8,6 +8,7 @@ auxiliary buffers therefore come from a separate pass (:mod:`mitsuba_plugins.mat
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from datagen.formats.recipe import RenderRecipe
 
-Quality = str
 QUALITIES = ("fast", "balanced", "high")
 
 
@@ -41,8 +41,8 @@ def auxiliary_albedo(
 ) -> NDArray[np.float32]:
     """Albedo guide (H, W, 3): the reflectance at normal incidence, (1 - S) D + S, times ``mask``.
 
-    ``mask`` (H, W, 1) is the share of the pixel covered by surface, to which the light to be denoised is
-    proportional at edges.
+    ``mask`` (H, W, 1) is the share of the pixel covered by surface; the image, which contains only reflected
+    light, also fades to 0 at edges.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
@@ -55,7 +55,7 @@ class OidnDenoiser:
     ``quality`` that is not in :data:`QUALITIES`.
     """
 
-    quality: Quality = "high"
+    quality: str = "high"
     num_threads: int = 0
     is_guided: bool = True
     wants_camera_normals: ClassVar[bool] = False
@@ -65,7 +65,7 @@ class OidnDenoiser:
 
         if self.quality not in QUALITIES:
             raise ValueError(f"quality {self.quality!r}; expected one of {', '.join(QUALITIES)}")
-        self.name = f"oidn-{'.'.join(str(v) for v in _oidn_version())}-{self.quality}"
+        self.name = f"oidn-{'.'.join(version('pyoidn').split('.')[:3])}-{self.quality}"
         if not self.is_guided:
             self.name += "-unguided"
         self._device = pyoidn.Device()
@@ -91,7 +91,7 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """Create a filter and its buffers for images of ``shape`` (H, W); as slow as denoising."""
+        """Create and commit a filter with its buffers for images of ``shape`` (H, W), which is slow."""
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
@@ -120,12 +120,6 @@ class OidnDenoiser:
             oidn_filter.release()
         self._filters.clear()
         self._device.release()
-
-
-def _oidn_version() -> tuple[int, ...]:
-    from importlib.metadata import version
-
-    return tuple(int(part) for part in version("pyoidn").split(".")[:3])
 
 
 @dataclass

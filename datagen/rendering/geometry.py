@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, joined
 from datagen.foundation.meshes.ply import decode_ply
 
@@ -60,8 +60,7 @@ def _check(mesh: Mesh, where: str) -> None:
     indices_fit = len(mesh.faces) > 0 and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.positions)
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
         return
-    faults = inspect_mesh(mesh)
-    raise InputError(Problem(where, "", str(faults), "finite triangles", "export it again"))
+    raise input_error(where, "", inspect_mesh(mesh), "finite triangles", "export it again")
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,6 @@ class GroupKey:
 class MeshGroup:
     """Triangles of one shape: world-space ``meshes``, and the instance id of each mesh."""
 
-    key: GroupKey
     meshes: list[Mesh] = field(default_factory=list)
     instances: list[int] = field(default_factory=list)
 
@@ -91,15 +89,19 @@ class MeshGroup:
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
     """Transform a part to world space, with front faces kept if mirrored; scale its UVs, turn v downwards."""
+    world = placed_mesh(mesh, world_from_part)
+    if mesh.uv is None:
+        return world
+    scaled = mesh.uv.astype(np.float64) * uv_scale
+    return replace(world, uv=np.stack([scaled[:, 0], 1.0 - scaled[:, 1]], axis=1).astype(np.float32))
+
+
+def placed_mesh(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
+    """Transform a mesh to world space, with front faces kept if the transform (4, 4) mirrors."""
     world = mesh.transformed(world_from_part)
-    faces = world.faces
     if np.linalg.det(world_from_part[:3, :3]) < 0:
-        faces = np.ascontiguousarray(faces[:, [0, 2, 1]])
-    uv = mesh.uv
-    if uv is not None:
-        scaled = uv.astype(np.float64) * uv_scale
-        uv = np.stack([scaled[:, 0], 1.0 - scaled[:, 1]], axis=1).astype(np.float32)
-    return Mesh(world.positions, faces, world.normals, uv)
+        return replace(world, faces=np.ascontiguousarray(world.faces[:, [0, 2, 1]]))
+    return world
 
 
 def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
@@ -132,11 +134,10 @@ def make_shape(name: str, mesh: Mesh, bsdf: Any, emission: tuple[float, float, f
     has_normals, has_uv = mesh.normals is not None, mesh.uv is not None
     shape = mi.Mesh(name, len(mesh.positions), len(mesh.faces), props, has_normals, has_uv)
     parameters = mi.traverse(shape)
-    parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(mesh.positions, np.float32).ravel())
-    if mesh.normals is not None:
-        parameters["vertex_normals"] = mi.Float(np.ascontiguousarray(mesh.normals, np.float32).ravel())
-    if mesh.uv is not None:
-        parameters["vertex_texcoords"] = mi.Float(np.ascontiguousarray(mesh.uv, np.float32).ravel())
+    arrays = {"positions": mesh.positions, "normals": mesh.normals, "texcoords": mesh.uv}
+    for kind, array in arrays.items():
+        if array is not None:
+            parameters[f"vertex_{kind}"] = mi.Float(np.ascontiguousarray(array, np.float32).ravel())
     parameters["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
     parameters.update()
     return shape

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
 from datagen.foundation.errors import Problem
-from datagen.rendering.textures import NO_ADJUSTMENT, TextureCache
+from datagen.rendering.textures import TextureCache
 
 if TYPE_CHECKING:
     from datagen.formats.package import Package
@@ -93,9 +93,7 @@ def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_
     for role in ("diffuse_albedo", "specular_albedo", "roughness"):
         description[role] = textures.channel(package, getattr(material, role), role, adjustment)
     if material.normal is not None:
-        normal = textures.channel(
-            package, material.normal, "normal", NO_ADJUSTMENT, flip_green=has_mirrored_uv
-        )
+        normal = textures.channel(package, material.normal, "normal", flip_green=has_mirrored_uv)
         description = {"type": "normalmap", "normalmap": normal, "bsdf": description}
     if material.opacity is not None and material.opacity != 1.0:
         opacity = textures.channel(package, material.opacity, "opacity")

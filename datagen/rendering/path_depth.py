@@ -22,7 +22,7 @@ MAX_DEPTH = 64
 
 
 def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
-    """Reflectance in [0, 1] of the surfaces in views; ``buffers``: ground truth (H, W, C) by name of each.
+    """Reflectance in [0, 1] of the surfaces in views with the ground truth ``buffers``, (H, W, C) by name.
 
     It is the root mean square over pixels of the channel where that is highest; the mean would be too small,
     since bright surfaces contribute more light. 0 without surfaces.

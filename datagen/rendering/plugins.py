@@ -102,7 +102,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
 
 
 def outside_distance(scene: Any) -> float:
-    """Distance [m] that leads out of a scene from any of its points; 2 for an empty scene."""
+    """Distance [m] from any point of a scene beyond which all points are outside; 2 for an empty scene."""
     box = scene.bbox()
     extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
     reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
@@ -149,7 +149,7 @@ class SunDisc(mi.Emitter):
         return False
 
     def sample_direction(self, it: mi.Interaction3f, sample: Array, active: Array = True) -> tuple[Any, Any]:
-        """DirectionSample3f uniform over the disc's solid angle, and its radiance / density."""
+        """Sample a direction uniformly over the disc's solid angle; return it and its radiance / density."""
         one_minus_cos = sample.x * self.one_minus_cos
         sine = dr.sqrt(dr.maximum(one_minus_cos * (2.0 - one_minus_cos), 0.0))
         sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)

@@ -53,11 +53,9 @@ class SceneRenderer:
         start = time.perf_counter()
         self.scene = PreparedScene(configuration, library, recipe, caches)
         denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
-        budget = (
-            SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
-            if recipe.max_rel_mse is not None and recipe.max_path_samples is not None
-            else None
-        )
+        budget = None
+        if recipe.max_rel_mse is not None and recipe.max_path_samples is not None:
+            budget = SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
         self._finishing = Finishing(denoiser, estimator or denoiser, budget, is_enough)
         self.seconds_to_build = time.perf_counter() - start
 
@@ -123,10 +121,8 @@ class SceneRenderer:
     def close(self) -> None:
         """Release the scene and the denoisers, but not the shared caches."""
         finishing, self._finishing = self._finishing, Finishing(None, None, None, None)
-        denoisers = [finishing.denoiser] + [finishing.estimator] * (
-            finishing.estimator is not finishing.denoiser
-        )
-        for denoiser in denoisers:
+        denoisers = {id(denoiser): denoiser for denoiser in (finishing.denoiser, finishing.estimator)}
+        for denoiser in denoisers.values():
             if isinstance(denoiser, OidnDenoiser):
                 denoiser.close()
         self.scene.close()

@@ -211,7 +211,7 @@ class SampleBudget:
         return np.full(shape, min(FIRST_SAMPLES, self.max_samples) // 2, np.int64)
 
     def next_counts(self, counts: NDArray[np.int64], estimate: ErrorEstimate) -> NDArray[np.int64]:
-        """Samples (H, W) to add to each half, which has ``counts`` (H, W) so far; all 0 when it is done."""
+        """Samples (H, W) to add to each half, which has ``counts`` (H, W) so far; all 0 to stop."""
         nothing = np.zeros_like(counts)
         if self.is_met(estimate):
             return nothing

@@ -99,7 +99,7 @@ class ViewJob:
         self.clamp_limit = self._clamp_limit()
 
     def steps(self, pool: ThreadPoolExecutor) -> Steps[RenderedView]:
-        """Run the job in steps: paths on this thread, error estimates and denoising in ``pool``."""
+        """Run the job in steps, denoising in ``pool``; yield futures to wait for, and return the view."""
         if self.budget is None:
             self.add_pass(self.scene.recipe.path_samples or 0)
         else:
@@ -123,10 +123,8 @@ class ViewJob:
             sensor = self._sensor()
             for half, purpose in enumerate(["path"] if self.budget is None else ["path/a", "path/b"]):
                 seed, before = self.scene.seed(self.index, purpose), self.halves[half].counts
-                sums = self.scene.tracer.accumulate(
-                    sensor, counts, seed, limit=self.clamp_limit, before=before
-                )
-                self.halves[half] = self.halves[half] + sums
+                accumulate = self.scene.tracer.accumulate
+                self.halves[half] += accumulate(sensor, counts, seed, limit=self.clamp_limit, before=before)
 
     def estimate_error(self) -> ErrorEstimate:
         """Estimate the view's error from its samples so far, and set ``is_enough``.
@@ -180,9 +178,8 @@ class ViewJob:
             clipped_pixels=int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1))),
             **self._quality_record(sums),
         )
-        ordered = {
-            name: buffers[name].reshape(*noisy.shape[:2], BUFFERS[name].num_channels) for name in names
-        }
+        shape = noisy.shape[:2]
+        ordered = {name: buffers[name].reshape(*shape, BUFFERS[name].num_channels) for name in names}
         built = self.scene.built
         instances, materials = (
             {str(k): name for k, name in names_of.items()}
@@ -196,11 +193,9 @@ class ViewJob:
         if denoiser is None:
             return noisy
         if self._guides is None:
-            buffers = self.buffers
-            albedo = auxiliary_albedo(
-                buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
-            )
-            normal = buffers["normal_world"]
+            names = ("diffuse_albedo", "specular_albedo", "surface_mask")
+            albedo = auxiliary_albedo(*(self.buffers[name] for name in names))
+            normal = self.buffers["normal_world"]
             if denoiser.wants_camera_normals:
                 world_from_camera = self.scene.camera(self.index).world_from_camera
                 normal = normal @ world_from_camera[:3, :3].astype(np.float32)
@@ -277,7 +272,7 @@ class ViewJob:
         for name, array in buffers.items():
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 bad = ~np.isfinite(array).all(axis=-1)
-                row, column = (int(v) for v in np.argwhere(bad)[0])
+                row, column = np.argwhere(bad)[0]
                 raise RenderError(
                     f"configuration {configuration.id}, "
                     f"view {configuration.cameras[self.index].name}: {int(bad.sum())} pixels of {name} are "

@@ -34,7 +34,7 @@ class Limits:
         typer.Option(
             "--max-maps-error",
             min=0,
-            help="The same limit for the mean absolute error of the ground-truth maps.",
+            help="Maximum mean absolute error of the ground-truth maps of the recommended setting.",
         ),
     ] = None
     statistics_error: Annotated[
@@ -42,7 +42,7 @@ class Limits:
         typer.Option(
             "--max-statistics-error",
             min=0,
-            help="The same limit for the mean absolute error of the statistics.",
+            help="Maximum mean absolute error of the statistics of the recommended setting.",
         ),
     ] = None
 

@@ -11,7 +11,6 @@ sample count or renderer.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,13 +114,9 @@ def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
 
 
 def make_reference(
-    configuration: Configuration,
-    library: Library,
-    reference: Reference,
-    samples: int,
-    report: Callable[[], None],
+    configuration: Configuration, library: Library, reference: Reference, samples: int
 ) -> None:
-    """Render the missing parts of a reference; ``report`` is called after each view."""
+    """Render and store the missing parts of ``reference`` with ``samples`` paths per pixel and image."""
     reference.folder.mkdir(parents=True, exist_ok=True)
     recipe = RenderRecipe(
         variant="auto",
@@ -139,7 +134,6 @@ def make_reference(
         halves = [_converged(renderer, index, samples, half) for half in (0, 1)]
         maps = {name: buffers[name].astype(BUFFERS[name].dtype).astype(np.float32) for name in MAPS}
         write_arrays(reference.view_path(index), {"first": halves[0], "second": halves[1], **maps})
-        report()
     if not reference.statistics_path.is_file():
         write_arrays(reference.statistics_path, _statistics(renderer, configuration, reference))
     renderer.close()
@@ -172,11 +166,7 @@ def _statistics(
             normal = normal @ camera.camera().world_from_camera[:3, :3].astype(np.float32)
         # denoising impairs visible lights, whose pixels have no statistics
         color = denoiser.denoise(mean, albedo, normal)
-        views.append(
-            StatisticsView(
-                camera.camera(), color, maps["depth_z_m"], maps["normal_world"], maps["surface_mask"]
-            )
-        )
+        views.append(StatisticsView.from_buffers(camera.camera(), {**maps, "beauty": color}))
     options = StatisticsOptions(best_views=BEST_VIEWS, visibility=VisibilityOptions(mode="trace"))
     found = compute_statistics(views, options, scene=renderer.built.scene)
     return {f"{name}_{k}": result[name] for k, result in enumerate(found) for name in STATISTICS}

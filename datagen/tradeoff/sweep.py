@@ -26,7 +26,7 @@ from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import QUALITIES
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import Problem, Problems, input_error, raise_problems
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.tradeoff.reference import Reference, make_reference, reference_key, sized
@@ -51,13 +51,13 @@ class SweepOptions:
     ] = 512
     sweeps: Annotated[
         tuple[str, ...],
-        typer.Option("--sweep", help="Setting to vary: NAME or NAME=VALUE,VALUE, repeatable."),
+        typer.Option("--sweep", help="Field to vary: NAME or NAME=VALUE,VALUE, repeatable."),
     ] = tuple(SWEEPS)
     with_factorial: Annotated[
         bool,
         typer.Option(
             "--factorial/--no-factorial",
-            help="Also all combinations of samples, auxiliary samples, denoiser and irradiance cache.",
+            help="Measure all combinations of samples, auxiliary samples, denoiser and irradiance cache.",
         ),
     ] = True
     variant: Annotated[
@@ -92,30 +92,25 @@ class Sweep:
         _check(out, options)
         self.base = base_setting(resolve_variant(options.variant))
         self.settings = planned_settings(self.base, options.sweeps, options.with_factorial)
-        self.unavailable = tuple(s for s in self.settings if not _is_available(s))
+        self.unavailable = tuple(s for s in self.settings if s.variant == CUDA_VARIANT and not has_cuda())
         self.settings = [s for s in self.settings if s not in self.unavailable]
         self.subjects = self._find_subjects(DatasetFolder(folder))
 
     def _find_subjects(self, folder: DatasetFolder) -> list[Subject]:
         options = self.options
         units = folder.read_plan().units
-        wrong = [index for index in options.configurations if not 0 <= index < len(units)]
-        if wrong:
-            raise InputError(
-                *(
-                    Problem(folder.root, "--configuration", str(index), f"0 ... {len(units) - 1}")
-                    for index in wrong
-                )
-            )
-        paths = folder.library_paths()
+        problems = Problems(folder.root)
+        for index in options.configurations:
+            if not 0 <= index < len(units):
+                problems.add("--configuration", index, f"0 ... {len(units) - 1}")
+        raise_problems(problems)
+        paths = tuple(map(str, folder.library_paths()))
         subjects = []
         for index in options.configurations:
             configuration = sized(folder.read_configuration(units[index]), options.size, options.views)
             key = reference_key(configuration, options.reference_samples)
             reference = Reference(self.out / "references" / key, len(configuration.cameras))
-            subjects.append(
-                Subject(configuration, tuple(str(p) for p in paths), reference, options.reference_samples)
-            )
+            subjects.append(Subject(configuration, paths, reference, options.reference_samples))
         return subjects
 
     def pending(self) -> list[tuple[Subject, Setting]]:
@@ -208,10 +203,6 @@ def read_trial(path: Path) -> Trial:
         raise input_error(path, "", str(error), "a trial", "remove the file and run again") from None
 
 
-def _is_available(setting: Setting) -> bool:
-    return setting.variant != CUDA_VARIANT or has_cuda()
-
-
 @contextmanager
 def _worker() -> Iterator[ProcessPoolExecutor]:
     """Pool of one process, since a process cannot change its variant. RuntimeError if the process dies."""
@@ -237,9 +228,7 @@ def _start_worker() -> None:
 
 def _make_reference(subject: Subject) -> None:
     with Library(subject.library_paths) as library:
-        make_reference(
-            subject.configuration, library, subject.reference, subject.reference_samples, lambda: None
-        )
+        make_reference(subject.configuration, library, subject.reference, subject.reference_samples)
 
 
 def _measure(subject: Subject, setting: Setting) -> Trial:

@@ -99,9 +99,10 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     start = time.process_time()
     renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
     build_cpu_s = time.process_time() - start
-    preparing = _preparation(renderer)
+    preparing, watch = Stopwatch(), Stopwatch()
+    with preparing.stage("learn"):  # again, with compiled kernels
+        renderer.scene.prepare_paths()
     renderer.render_view(0)
-    watch = Stopwatch()
     rendered = []
     for index in range(reference.num_views):
         with watch.stage("render"):
@@ -123,7 +124,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     errors = [_errors(reference, index, buffers) for index, buffers in enumerate(stored)]
     seconds = watch.medians()
     total = seconds.pop("total")
-    seconds["learn"] = {kind: spent / len(rendered) for kind, spent in preparing.items()}
+    seconds["learn"] = {kind: spent / len(rendered) for kind, spent in preparing.medians()["learn"].items()}
     total = {kind: spent + seconds["learn"][kind] for kind, spent in total.items()}
     passes = sorted({name for view in rendered for name in view.seconds})
     map_errors = {name: float(np.mean([e[name] for e in errors])) for name in ERROR_MAPS}
@@ -140,19 +141,10 @@ def measure(configuration: Configuration, library: Library, reference: Reference
         cpu_s=total["cpu_s"],
         wall_s=total["wall_s"],
         stages=seconds,
-        passes_wall_s={
-            name: stats.median(view.seconds.get(name, 0.0) for view in rendered) for name in passes
-        },
+        passes_wall_s={name: stats.median(v.seconds.get(name, 0.0) for v in rendered) for name in passes},
         build_cpu_s=build_cpu_s,
         num_views=len(rendered),
     )
-
-
-def _preparation(renderer: SceneRenderer) -> dict[str, float]:
-    """Wall-clock and processor seconds of estimating sky guide and irradiance cache with compiled kernels."""
-    cpu, wall = time.process_time(), time.perf_counter()
-    renderer.scene.prepare_paths()
-    return {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
 
 
 def _scaled(configuration: Configuration, share: float) -> Configuration:
@@ -203,13 +195,11 @@ def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
     """Encode a view as an EXR file, as in shards or with every float channel in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
-    channels = {
-        channel: np.ascontiguousarray(
-            array[..., k], dtype=np.uint32 if BUFFERS[name].pixel_type == "uint" else np.float32
-        )
-        for name, array in buffers.items()
-        for k, channel in enumerate(BUFFERS[name].exr_channels)
-    }
+    channels = {}
+    for name, array in buffers.items():
+        dtype = np.uint32 if BUFFERS[name].pixel_type == "uint" else np.float32
+        for k, channel in enumerate(BUFFERS[name].exr_channels):
+            channels[channel] = np.ascontiguousarray(array[..., k], dtype=dtype)
     header = {"compression": COMPRESSIONS[setting.compression], "type": OpenEXR.scanlineimage}
     stream = io.BytesIO()
     with OpenEXR.File(header, channels) as file:

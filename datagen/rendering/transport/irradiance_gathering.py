@@ -45,7 +45,7 @@ BOX_PERCENTILE = 0.2
 BOX_MARGIN = 0.05
 """Margin of the box on each side, as a fraction of its longest side."""
 MIN_HITS = 64
-"""Minimum number of hits for a cache."""
+"""Minimum number of hits on surfaces for gathering a cache."""
 BOUNCES = 3
 """Number of bounces of a path in the later rounds, more where the irradiance is still unknown."""
 WARM_UP_BOUNCES = 64
@@ -159,14 +159,7 @@ def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
 
 @dr.syntax
 def _walk(
-    emitters: Any,
-    scene: Any,
-    materials: Any,
-    cache: Any,
-    light_sampler: Any,
-    ray: Any,
-    numbers: Any,
-    is_warm: Any,
+    emitters: Any, scene: Any, materials: Any, cache: Any, sampler: Any, ray: Any, numbers: Any, is_warm: Any
 ) -> list[tuple[Any, ...]]:
     """Trace a path; return for each vertex the cell, whether it is valid, a sample of the irradiance, and
     :func:`_attributed` of the shadow ray.
@@ -209,7 +202,7 @@ def _walk(
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
         weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
         direct = dr.select(bounces & (ds.pdf > 0.0), radiance * cosine * weight, 0.0)
-        technique, contribution = _attributed(light_sampler, ds, radiance, direct)
+        technique, contribution = _attributed(sampler, ds, radiance, direct)
         cell, is_inside = cache.cells.index(si.p, normal)
         for bounce in range(BOUNCES + 1):
             irradiance[bounce] += dr.select(arrives, throughput[bounce] * arriving, 0.0)
@@ -236,7 +229,7 @@ def _walk(
 
 
 def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, direct: Any) -> tuple[Any, Any]:
-    """Technique of a shadow ray; luminance of ``direct`` x square root of the technique's probability.
+    """Technique of a shadow ray, and luminance of ``direct`` x square root of the technique's probability.
 
     The mean square of the latter over all rays is the second moment over the technique's rays.
     """

@@ -159,7 +159,7 @@ class LightSampler:
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """The sampler before learning: the guide gets ``guide.share``, and the emitters equal parts of the rest.
+    """The sampler without estimates: ``guide.share`` for the guide, equal parts of the rest for emitters.
 
     None for less than two techniques or more than :data:`MAX_TECHNIQUES`.
     """

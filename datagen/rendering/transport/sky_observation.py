@@ -76,14 +76,8 @@ def observe_sky(
         sums += [np.array(part).astype(np.float64).sum() for part in irradiance]
     points_m = np.concatenate(points)
     environment, others = (float(total) / max(len(points_m), 1) for total in sums)
-    return SkyObservations(
-        points_m,
-        np.concatenate(origins),
-        np.concatenate(directions),
-        np.concatenate(radiance),
-        environment,
-        others,
-    )
+    origin, direction, luminance = (np.concatenate(parts) for parts in (origins, directions, radiance))
+    return SkyObservations(points_m, origin, direction, luminance, environment, others)
 
 
 @dr.syntax
