@@ -16,6 +16,7 @@ from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated
@@ -115,12 +116,8 @@ class Sweep:
 
     def pending(self) -> list[tuple[Subject, Setting]]:
         """Pairs (subject, setting) without a stored trial, in order."""
-        return [
-            (subject, setting)
-            for subject in self.subjects
-            for setting in self.settings
-            if not subject.trial_path(self.out, setting).is_file()
-        ]
+        pairs = product(self.subjects, self.settings)
+        return [(s, setting) for s, setting in pairs if not s.trial_path(self.out, setting).is_file()]
 
     def missing_views(self) -> int:
         """Number of reference views that are not yet stored."""
@@ -128,7 +125,7 @@ class Sweep:
 
     def trials(self) -> list[Trial]:
         """All stored trials of this sweep."""
-        paths = (s.trial_path(self.out, setting) for s in self.subjects for setting in self.settings)
+        paths = (s.trial_path(self.out, setting) for s, setting in product(self.subjects, self.settings))
         return [read_trial(path) for path in paths if path.is_file()]
 
     def description(self) -> dict[str, str]:

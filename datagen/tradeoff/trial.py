@@ -60,14 +60,12 @@ class Stopwatch:
 
     def medians(self) -> dict[str, dict[str, float]]:
         """Medians over views, ``wall_s`` and ``cpu_s``, of each stage, and their sums as ``total``."""
+        kinds = ("wall_s", "cpu_s")
         found = {
-            name: {
-                "wall_s": stats.median(wall for wall, _ in entries),
-                "cpu_s": stats.median(cpu for _, cpu in entries),
-            }
+            name: dict(zip(kinds, map(stats.median, zip(*entries, strict=True)), strict=True))
             for name, entries in self.seconds.items()
         }
-        found["total"] = {kind: sum(stage[kind] for stage in found.values()) for kind in ("wall_s", "cpu_s")}
+        found["total"] = {kind: sum(stage[kind] for stage in found.values()) for kind in kinds}
         return found
 
 
@@ -150,13 +148,11 @@ def measure(configuration: Configuration, library: Library, reference: Reference
 def _scaled(configuration: Configuration, share: float) -> Configuration:
     if share == 1.0:
         return configuration
-    cameras = tuple(
-        ViewCamera.from_camera(
-            view.name, view.camera().scaled(round(view.width_px * share), round(view.height_px * share))
-        )
-        for view in configuration.cameras
-    )
-    return configuration.model_copy(update={"cameras": cameras})
+    cameras = []
+    for view in configuration.cameras:
+        scaled = view.camera().scaled(round(view.width_px * share), round(view.height_px * share))
+        cameras.append(ViewCamera.from_camera(view.name, scaled))
+    return configuration.model_copy(update={"cameras": tuple(cameras)})
 
 
 def _denoiser(setting: Setting) -> OidnDenoiser | None:
@@ -179,10 +175,8 @@ def _gather(
         StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
         for camera, buffers in zip(configuration.cameras, stored, strict=True)
     ]
-    options = StatisticsOptions(
-        best_views=setting.best_views,
-        visibility=VisibilityOptions(mode="trace" if setting.visibility == "trace" else "depth"),
-    )
+    visibility = VisibilityOptions(mode="trace" if setting.visibility == "trace" else "depth")
+    options = StatisticsOptions(best_views=setting.best_views, visibility=visibility)
     next(iter(compute_statistics(views, options, scene=scene)))
     results = iter(compute_statistics(views, options, scene=scene))
     for _ in views:

@@ -124,16 +124,8 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
         _draw_point(axes, point)
     front = front_of(points, results.base)
     axes.plot([p.cpu_s for p in front], [p.rel_mse for p in front], "-", color="#333333", lw=1, zorder=1)
-    if results.recommended is not None:
-        axes.plot(
-            results.recommended.cpu_s,
-            results.recommended.rel_mse,
-            "o",
-            ms=16,
-            mfc="none",
-            mec="#d55e00",
-            mew=2,
-        )
+    if (best := results.recommended) is not None:
+        axes.plot(best.cpu_s, best.rel_mse, "o", ms=16, mfc="none", mec="#d55e00", mew=2)
     if results.limits and "rel_mse" in results.limits:
         axes.axhline(results.limits["rel_mse"], color="#d55e00", lw=1, ls="--")
     axes.set(
@@ -151,28 +143,20 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
 
 
 def _draw_point(axes: Axes, point: Point) -> None:
-    setting = point.setting
+    setting, at = point.setting, (point.cpu_s, point.rel_mse)
     color = _COLORS.get(setting.denoiser, "#cc79a7")
     if setting.quality:
-        axes.plot(point.cpu_s, point.rel_mse, "*", ms=15, color="#009e73", mec="black", zorder=3)
-        axes.annotate(
-            setting.quality, (point.cpu_s, point.rel_mse), (8, 4), textcoords="offset points", fontsize=9
-        )
+        axes.plot(*at, "*", ms=15, color="#009e73", mec="black", zorder=3)
+        axes.annotate(setting.quality, at, (8, 4), textcoords="offset points", fontsize=9)
         return
     marker = {16: "s", 64: "o"}.get(setting.auxiliary_samples, "D")
     is_plain = setting.max_depth == 8 and setting.russian_roulette_depth == 5 and not setting.firefly_clamp
     if not is_plain:
-        axes.plot(point.cpu_s, point.rel_mse, "x", ms=5, color="#777777")
+        axes.plot(*at, "x", ms=5, color="#777777")
         return
     edge = "black" if setting.irradiance_cache else color
-    axes.plot(point.cpu_s, point.rel_mse, marker, ms=6, color=color, mec=edge, mew=1.2, zorder=2)
-    axes.annotate(
-        str(setting.path_samples),
-        (point.cpu_s, point.rel_mse),
-        (4, -9),
-        textcoords="offset points",
-        fontsize=7,
-    )
+    axes.plot(*at, marker, ms=6, color=color, mec=edge, mew=1.2, zorder=2)
+    axes.annotate(str(setting.path_samples), at, (4, -9), textcoords="offset points", fontsize=7)
 
 
 def _add_legend(axes: Axes) -> None:
@@ -262,10 +246,8 @@ def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes]) 
     if results.recommended is not None and results.limits:
         limits = ", ".join(f"{name} at most {limit:g}" for name, limit in results.limits.items())
         text = f"For {limits}: {results.recommended.setting.text(results.base)}"
-        parts += [
-            f"<h2>Recommended</h2><p>{html.escape(text)}</p>",
-            _table([results.recommended], results.base),
-        ]
+        table = _table([results.recommended], results.base)
+        parts += [f"<h2>Recommended</h2><p>{html.escape(text)}</p>", table]
     for name, title in (("front.png", "Pareto front"), ("sweeps.png", "One field at a time")):
         if name in figures:
             source = base64.b64encode(figures[name]).decode()
@@ -280,22 +262,18 @@ def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes]) 
 
 
 def _description(results: Results) -> str:
-    rows = [
-        f"<tr><td>{html.escape(k)}</td><td>{html.escape(str(v))}</td></tr>"
-        for k, v in results.description.items()
-    ]
-    missing = ", ".join(sorted({s.text(results.base) for s in results.unavailable}))
-    if missing:
-        rows.append(f"<tr><td>not available here</td><td>{html.escape(missing)}</td></tr>")
-    return f"<table>{''.join(rows)}</table>"
+    values = dict(results.description)
+    if missing := ", ".join(sorted({s.text(results.base) for s in results.unavailable})):
+        values["not available here"] = missing
+    cells = ((html.escape(k), html.escape(str(v))) for k, v in values.items())
+    return f"<table>{''.join(f'<tr><td>{k}</td><td>{v}</td></tr>' for k, v in cells)}</table>"
 
 
 def _table(points: Sequence[Point], base: Setting) -> str:
     head = "".join(f"<th>{title}</th>" for title, _ in _COLUMNS.values())
     rows = []
     for point in points:
-        cells = "".join(
-            f"<td>{form.format(getattr(point, name))}</td>" for name, (_, form) in _COLUMNS.items()
-        )
+        values = (form.format(getattr(point, name)) for name, (_, form) in _COLUMNS.items())
+        cells = "".join(f"<td>{value}</td>" for value in values)
         rows.append(f"<tr><td>{html.escape(point.setting.text(base))}</td>{cells}</tr>")
     return f'<div class="wide"><table><tr><th>setting</th>{head}</tr>{"".join(rows)}</table></div>'
