@@ -115,10 +115,10 @@ def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array
     return normal, (edges[1] - edges[0]) ** 2 / length**3
 
 
-def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: int = 400) -> float:
+def specular_albedo_towards(wi: Array, specular: float, roughness: float) -> float:
     """Directional albedo of the specular lobe for ``wi`` (3,), by quadrature over microfacet normals."""
     alpha = float(alpha_from_roughness(np.float64(roughness)))
-    h, weight = slopes_grid(alpha, num)
+    h, weight = slopes_grid(alpha)
     cos_h = h @ wi
     wo = 2.0 * cos_h[:, None] * h - wi
     g1_i = smith_g1(wi[None], alpha)[0]

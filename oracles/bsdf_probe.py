@@ -17,12 +17,8 @@ import mitsuba as mi  # noqa: E402
 
 EPS = float(np.finfo(np.float32).eps)
 # Angles of wi from the normal, up to 1e-6 rad above the horizon.
-ANGLES_RAD = np.concatenate(
-    [
-        np.radians([0.0, 1.0, 10.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.9]),
-        np.pi / 2 - np.array([1e-4, 1e-5, 1e-6]),
-    ]
-)
+_DEGREES = [0.0, 1.0, 10.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.9]
+ANGLES_RAD = np.concatenate([np.radians(_DEGREES), np.pi / 2 - np.array([1e-4, 1e-5, 1e-6])])
 ROUGHNESS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 
 
@@ -82,16 +78,9 @@ def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **option
     d, s = (np.broadcast_to(np.asarray(a, np.float32), (num, 3)) for a in (diffuse, specular))
     r = np.broadcast_to(np.asarray(roughness, np.float32), (num,))[:, None]
     channels = {"diffuse_albedo": _texels(d), "specular_albedo": _texels(s), "roughness": _texels(r)}
+    bitmap = dict(type="bitmap", raw=True, filter_type="nearest", wrap_mode="clamp", format="variant")
     textures = {
-        name: {
-            "type": "bitmap",
-            "bitmap": mi.Bitmap(np.zeros_like(texels)),
-            "raw": True,
-            "filter_type": "nearest",
-            "wrap_mode": "clamp",
-            "format": "variant",
-        }
-        for name, texels in channels.items()
+        name: {**bitmap, "bitmap": mi.Bitmap(np.zeros_like(texels))} for name, texels in channels.items()
     }
     bsdf = mi.load_dict({"type": "cook_torrance", **textures, **options})
     parameters = mi.traverse(bsdf)

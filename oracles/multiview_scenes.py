@@ -76,35 +76,18 @@ def make_views(
     views = []
     for index, (position, target) in enumerate(POSES[:num_views]):
         width, height = sizes[index % len(sizes)]
-        camera = Camera(
-            width,
-            height,
-            0.9 * width,
-            0.93 * width,
-            0.5 * width + 0.3,
-            0.5 * height - 0.2,
-            look_at(position, target),
-        )
+        intrinsics = 0.9 * width, 0.93 * width, 0.5 * width + 0.3, 0.5 * height - 0.2
+        camera = Camera(width, height, *intrinsics, look_at(position, target))
         directions = camera.ray_directions().reshape(-1, 3)
         t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
         depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0).reshape(height, width, 1)
         mask = (depth > 0).astype(np.float32)
         emitters = rng.random(mask.shape) < 0.03
         mask[emitters] *= 0.3
-        if is_noise:
-            color = rng.random((height, width, 3))
-        else:
-            color = np.broadcast_to(0.5 + 0.5 * normals.reshape(height, width, 3), (height, width, 3))
-        views.append(
-            StatisticsView(
-                camera,
-                color.astype(np.float32),
-                depth.astype(np.float32),
-                normals.reshape(height, width, 3).astype(np.float32),
-                mask,
-                f"view_{index:02d}",
-            )
-        )
+        normals = normals.reshape(height, width, 3)
+        color = rng.random((height, width, 3)) if is_noise else 0.5 + 0.5 * normals
+        buffers = (array.astype(np.float32) for array in (color, depth, normals))
+        views.append(StatisticsView(camera, *buffers, mask, f"view_{index:02d}"))
     return views
 
 

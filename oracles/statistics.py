@@ -158,14 +158,8 @@ def statistics_vectorized(
     rows, columns = np.nonzero((own.depth_z_m[..., 0] > 0) & (own.surface_mask[..., 0] >= 0.5))
     z = own.depth_z_m[rows, columns, 0].astype(np.float64)
     camera = own.camera
-    local = np.stack(
-        [
-            (columns + 0.5 - camera.cx_px) / camera.fx_px * z,
-            (rows + 0.5 - camera.cy_px) / camera.fy_px * z,
-            z,
-        ],
-        axis=-1,
-    )
+    x = (columns + 0.5 - camera.cx_px) / camera.fx_px * z
+    local = np.stack([x, (rows + 0.5 - camera.cy_px) / camera.fy_px * z, z], axis=-1)
     pose = np.asarray(camera.world_from_camera, dtype=np.float64)
     points = local @ pose[:3, :3].T + pose[:3, 3]
     normals = own.normal_world[rows, columns].astype(np.float64)
