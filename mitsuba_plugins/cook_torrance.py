@@ -164,7 +164,7 @@ class _Lobes:
         self.alpha = beckmann.alpha_from_roughness(roughness)
         self.diffuse = (1.0 - self.specular) * diffuse
         if bsdf.two_sided:
-            self.side = dr.mulsign(mi.Float(1.0), si.wi.z)  # seen from below, mirror both directions
+            self.side = dr.mulsign(mi.Float(1.0), si.wi.z)  # from below, both directions are mirrored
             self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
         else:
             self.side = mi.Float(1.0)

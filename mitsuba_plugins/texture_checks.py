@@ -75,13 +75,9 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
         field = name if key == "value" else f"{name}.{key}"
         is_bad = ~np.isfinite(data)
         if is_bad.any():
-            num_bad = int(np.count_nonzero(is_bad))
-            problems.add(
-                field,
-                f"{num_bad} of {data.size} values NaN or Inf{file} (first at {_first(is_bad)})",
-                "finite values in [0, 1]",
-                "repair the texture",
-            )
+            num_bad = np.count_nonzero(is_bad)
+            got = f"{num_bad} of {data.size} values NaN or Inf{file} (first at {_first(is_bad)})"
+            problems.add(field, got, "finite values in [0, 1]", "repair the texture")
             continue
         low, high = float(data.min(initial=0.0)), float(data.max(initial=0.0))
         if low < -TOLERANCE or high > 1.0 + TOLERANCE:

@@ -32,7 +32,7 @@ FAR_GAIN = 0.8
 """Light counts as far if the error by direction is below this share of the error by position."""
 JUDGED_PLACES = 24
 """Squares along each side of a face of the box in :func:`is_far`, which bins directions as :data:`FAR`."""
-_MIN_GAIN = 1e-3  # in ln radiance; keeps rounding from deciding
+_MIN_GAIN = 1e-3  # in ln radiance; rounding must not determine the result
 _MAX_PIXELS = 6000  # per view
 
 

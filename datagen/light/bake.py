@@ -28,8 +28,8 @@ from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 
 GOLDEN = 0.6180339887498949
-_START = 2e-4  # of the diagonal: offset of a ray's origin from the surface
-_SHADOW = 1e-3  # of the distance to an emitter by which a shadow ray is shortened
+_START = 2e-4  # offset of a ray's origin from the surface, relative to the room's diagonal
+_SHADOW = 1e-3  # shortening of shadow rays, relative to the distance to the emitter
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ROWS, _NORMAL, _MIDDLE, _SQUARES, _POWER = 7, 3, 4, 5, 6  # vectors of a rectangle on the device
-_MIN_FACING = 0.05  # of the cosine at a rectangle, for points beside or behind it
+_MIN_FACING = 0.05  # minimum cosine at a rectangle, also for points not in front of it
 
 
 @dataclass(frozen=True)

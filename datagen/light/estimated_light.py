@@ -43,9 +43,9 @@ HIDDEN_GAIN = 4.0
 """Estimates with a larger gain are attributed to an unphotographed lamp."""
 MAX_REFLECTED = 1.1
 """Maximum ratio of radiance to Ld of a white surface, including noise."""
-_HUBER = 0.25  # in ln L
+_HUBER = 0.25  # threshold, in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
-_MIN_REST = 0.02  # of the irradiance: its parts are sampled separately and need not add up to it exactly
+_MIN_REST = 0.02  # share of the irradiance, whose separately sampled parts need not add up to it
 NUM_OUTSIDE = max(layout.num_gains for layout in (NEAR, FAR))
 NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 
@@ -79,7 +79,7 @@ def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> ND
     grid = surfels.grid
     side_m = grid.cell_m * float(grid.shape.max()) / ROOM_PARTS
     part = np.floor((position_m - grid.low) / side_m).astype(np.int64)
-    x, y, z = (np.clip(part, -1, ROOM_PARTS) + 1).T  # the outermost parts also take values beyond the limits
+    x, y, z = (np.clip(part, -1, ROOM_PARTS) + 1).T  # the outermost parts extend beyond the grid
     across = ROOM_PARTS + 2
     return NUM_OUTSIDE + ((x * across + y) * across + z) * NUM_SIDES + side_of(normal)
 

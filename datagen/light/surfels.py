@@ -33,7 +33,7 @@ NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
 1."""
-_MAX_EXTENT = 1.25  # of the central 98 % of the pixels; pixels beyond count as outside
+_MAX_EXTENT = 1.25  # of the grid, relative to the central 98 % of the pixels; pixels beyond are ignored
 
 
 @dataclass(frozen=True)

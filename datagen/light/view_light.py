@@ -112,6 +112,6 @@ def _interpolated(
                     out[index, num_first + c] += w * of_observation[row, c]
         for c in range(num_first):
             out[index, c] /= total
-        for c in range(num_second):  # a pixel's own surfel is always observed by its view
+        for c in range(num_second):  # never 0: the view observes the pixel's own surfel
             out[index, num_first + c] /= total_seen
     return out

@@ -152,9 +152,9 @@ class OptixDenoiser:
         return np.maximum(np.array(result, dtype=np.float32)[..., :3], 0.0)
 
 
-def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDenoiser:
-    """Create the denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN with ``num_threads`` (0: all)."""
-    return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)
+def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
+    """Create the denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN."""
+    return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser()
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:

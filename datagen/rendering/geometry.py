@@ -24,14 +24,13 @@ from datagen.foundation.meshes.ply import decode_ply
 if TYPE_CHECKING:
     from datagen.formats.package import Package
 
-DEFAULT_CACHE_BYTES = 256 << 20
+MAX_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:
-    """Cache of decoded meshes by package and file; drops the least recently used beyond ``max_bytes``."""
+    """Cache of decoded meshes by package and file; drops the least recently used beyond 256 MB."""
 
-    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
-        self.max_bytes = max_bytes
+    def __init__(self) -> None:
         self.num_bytes = 0
         self._meshes: OrderedDict[tuple[str, str], tuple[Mesh, int]] = OrderedDict()
 
@@ -48,7 +47,7 @@ class MeshCache:
         num_bytes = sum(a.nbytes for a in arrays if a is not None)
         self._meshes[key] = (mesh, num_bytes)
         self.num_bytes += num_bytes
-        while self.num_bytes > self.max_bytes and len(self._meshes) > 1:
+        while self.num_bytes > MAX_CACHE_BYTES and len(self._meshes) > 1:
             _, (_, dropped) = self._meshes.popitem(last=False)
             self.num_bytes -= dropped
         return mesh

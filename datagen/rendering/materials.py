@@ -68,14 +68,11 @@ def resolve_materials(
                 continue
             material, name = source.asset.material, source.asset.id
         emission = placed.emission.get(slot, material.emission)
+        if emission is not None and not any(c > 0 for c in emission):
+            emission = None
+        adjustment, is_assigned = assignment.adjustment, assignment.asset is not None
         resolved[slot] = SurfaceMaterial(
-            name,
-            source,
-            material,
-            assignment.adjustment,
-            emission if emission is not None and any(c > 0 for c in emission) else None,
-            assignment.uv_scale,
-            assignment.asset is not None,
+            name, source, material, adjustment, emission, assignment.uv_scale, is_assigned
         )
     return resolved
 

@@ -167,7 +167,7 @@ class _Builder:
         instance = self._new_instance(placed.name) if is_object else 0
         for part in asset.parts:
             if part.material not in surfaces:
-                continue  # its fault is already in problems
+                continue  # resolve_materials has added its fault
             if not is_object:
                 instance = self._new_instance(f"{placed.name}/{part.name}")
             self._add_part(part, package, surfaces[part.material], world_from_asset, instance)

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 Role = Literal["diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"]
 SCALAR_ROLES = ("roughness", "opacity")
 NO_ADJUSTMENT = ColorAdjustment()
-DEFAULT_CACHE_BYTES = 256 << 20
-_MIN_SATURATION = 1e-3  # an F0 below counts as grey, whose saturation is rounding
+MAX_CACHE_BYTES = 256 << 20
+_MIN_SATURATION = 1e-3  # less saturated F0 is grey up to rounding
 
 
 def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustment) -> NDArray[np.float32]:
@@ -66,15 +66,14 @@ def adjusted_constant(
 
 
 class TextureCache:
-    """Cache of uploaded textures by content; drops the least recently used beyond ``max_bytes``.
+    """Cache of uploaded textures by content; drops the least recently used beyond 256 MB.
 
     Adjusted textures, which hardly ever recur in another configuration, are kept until
     :meth:`forget_variations`. ``shrink``: side in texels of the squares over which linear values are averaged
     before upload.
     """
 
-    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES, shrink: int = 1):
-        self.max_bytes = max_bytes
+    def __init__(self, shrink: int = 1):
         self.shrink = shrink
         self.num_bytes = 0
         self._textures: OrderedDict[tuple, tuple[Any, int]] = OrderedDict()
@@ -121,7 +120,7 @@ class TextureCache:
             return texture
         self._textures[key] = (texture, values.size * 2)
         self.num_bytes += values.size * 2
-        while self.num_bytes > self.max_bytes and len(self._textures) > 1:
+        while self.num_bytes > MAX_CACHE_BYTES and len(self._textures) > 1:
             _, (_, num_bytes) = self._textures.popitem(last=False)
             self.num_bytes -= num_bytes
         return texture

@@ -173,7 +173,7 @@ def _walk(
     irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
     contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]
-    # From radiosity at the end of the segment to irradiance at each earlier vertex
+    # factors from radiosity at the end of the segment to irradiance at each earlier vertex
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     active = mi.Bool(True)
     while active:
