@@ -386,9 +386,9 @@ def weighted_medians(start, values, weight):
 
 
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distances in cells, and indices, of the ``num`` nearest surfels with similar normals, (N, num) each.
+    """Distances in cells, and indices, (N, min(num, N)) each, of the nearest surfels with similar normals.
 
-    The first is the surfel itself; there are at most N.
+    The first is the surfel itself.
     """
     cell = surfels.grid.cell_m
     tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))

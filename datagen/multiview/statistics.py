@@ -85,7 +85,7 @@ class StatisticsOptions:
 
     ``best_views``: maximum number k of views used for a pixel, in [4, 24]. ``include_self``: whether the
     pixel's own view is one of the candidates. ``color_fetch``: whether the colour at a projection is that of
-    the nearest pixel, or interpolated between those of the nearest four pixels that have the same depth.
+    the nearest pixel, or interpolated between those of the nearest four pixels whose depths match.
     """
 
     best_views: int = 12

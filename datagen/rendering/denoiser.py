@@ -158,7 +158,7 @@ def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """OIDN at a quarter of the cost, for error estimates; None without a denoiser and with OptiX."""
+    """OIDN at a quarter of the cost, for error estimates; None if the recipe disables it or uses OptiX."""
     from mitsuba_plugins.variant import select_variant
 
     variant = select_variant(recipe.variant)

@@ -87,7 +87,7 @@ class MeshGroup:
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """Transform a part to world space, with front faces kept if mirrored; scale its UVs, turn v downwards."""
+    """Transform a part as :func:`placed_mesh`, multiply its UVs by ``uv_scale``, and point v downwards."""
     world = placed_mesh(mesh, world_from_part)
     if mesh.uv is None:
         return world

@@ -91,7 +91,7 @@ class PreparedScene:
         self.prepare_paths()
 
     def reseed(self, seed: int) -> None:
-        """Replace the configuration's seed and estimate the paths' data again, in the same built scene."""
+        """Replace the configuration's seed, and estimate sky guide and irradiance cache again."""
         self.configuration = self.configuration.model_copy(update={"seed": seed})
         self.prepare_paths()
 

@@ -110,7 +110,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 
 def base_setting(variant: str) -> Setting:
-    """The base point of the sweeps for a Mitsuba variant."""
+    """Base point of the sweeps, with the default denoiser of the Mitsuba ``variant``."""
     return Setting(variant=variant, denoiser="optix" if variant.startswith("cuda") else "high")
 
 

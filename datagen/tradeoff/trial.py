@@ -99,7 +99,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     build_cpu_s = time.process_time() - start
     preparing, watch = Stopwatch(), Stopwatch()
     with preparing.stage("learn"):  # again, with compiled kernels
-        renderer.scene.prepare_paths()
+        renderer.prepare_paths()
     renderer.render_view(0)
     rendered = []
     for index in range(reference.num_views):
@@ -170,7 +170,7 @@ def _gather(
     scene: Any,
     watch: Stopwatch,
 ) -> Iterator[dict[str, NDArray]]:
-    """Yield the statistics of all views; compilation in the first launch is not timed."""
+    """Yield the statistics of each view by buffer, timed without the compilation of the first launch."""
     views = [
         StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
         for camera, buffers in zip(configuration.cameras, stored, strict=True)
