@@ -81,7 +81,7 @@ def main() -> None:
     for unit in folder.read_plan().units:
         configuration = sized(folder.read_configuration(unit), tuple(arguments.size), 4)
         renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1, firefly_clamp=CLAMP))
-        learning = timed(renderer.scene.prepare_paths).cpu
+        learning = timed(renderer.prepare_paths).cpu
         found = {"learning_s": learning, **compare(renderer, arguments.samples)}
         renderer.close()
         results[configuration.id] = found

@@ -89,7 +89,7 @@ def lit_views(
     for camera in candidates(environment, size):
         small = camera.scaled(size[0] // 10, size[1] // 10)
         view = ViewCamera.from_camera("probe", small)
-        renderer.scene.configuration = base.model_copy(update={"cameras": (view,)})
+        renderer.configuration = base.model_copy(update={"cameras": (view,)})
         buffers = renderer.render_view(0).buffers
         light, depth = float(np.median(buffers["beauty"])), buffers["depth_z_m"]
         if not chosen:

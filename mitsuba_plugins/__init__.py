@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The project's Mitsuba plugins: the BSDF ``cook_torrance`` and the integrator ``material_buffers``.
 
-Choose the variant first, then register::
+Select the variant first, then register::
 
     from mitsuba_plugins import register, select_variant
 
@@ -21,9 +21,9 @@ _registered_variants: set[str] = set()
 
 
 def register() -> None:
-    """Register the project's plugins with Mitsuba, under the active variant. Repeated calls do nothing.
+    """Register the project's plugins with Mitsuba for the active variant. Repeated calls do nothing.
 
-    Raises ``RuntimeError`` if no variant is active yet.
+    Raises ``RuntimeError`` if no variant is active.
     """
     import mitsuba as mi
 
@@ -41,10 +41,10 @@ def register() -> None:
 
 
 def load_dict(scene: dict[str, Any], **options: Any) -> Any:
-    """As ``mitsuba.load_dict``, but raises one :class:`InputError` with the faults of all materials.
+    """Load ``scene`` by ``mitsuba.load_dict``, and raise one :class:`InputError` for all faulty materials.
 
-    ``mitsuba.load_dict`` raises a ``RuntimeError`` with a stack trace at the first exception of a plugin.
-    ``options`` are passed to it (``parallel``, ``optimize``).
+    ``mitsuba.load_dict`` alone raises a ``RuntimeError`` at the first fault. ``options`` (``parallel``,
+    ``optimize``) are passed to it.
     """
     import mitsuba as mi
 

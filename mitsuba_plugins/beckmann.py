@@ -24,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 
 MIN_ALPHA = 1e-3
-"""Minimum slope width: narrower lobes exceed the precision of float32 and spoil the rendering loss."""
+"""Minimum slope width: narrower lobes exceed the precision of float32."""
 MAX_TAN2 = 1e3
 """Beyond this tan^2 the density is below exp(-985) for every alpha <= 1: zero in float32."""
 MAX_EXPONENT = 100.0
@@ -40,7 +40,7 @@ Array = Any
 
 
 def alpha_from_roughness(roughness: Array) -> Array:
-    """Slope width of a perceptual roughness, alpha = clamp(R^2, 1e-3, 1). All conversions use this function.
+    """Slope width alpha = clamp(R^2, 1e-3, 1) of a perceptual roughness R.
 
     Negative values count as 0, values above 1 as 1, and NaN as 1, which causes no fireflies. The derivative
     is 2R on (sqrt(1e-3), 1] and 0 outside.
@@ -50,7 +50,7 @@ def alpha_from_roughness(roughness: Array) -> Array:
 
 
 def effective_roughness(roughness: Array) -> Array:
-    """The roughness used in rendering: clamped to [0, 1], NaN becomes 1."""
+    """Roughness as used in rendering: clamped to [0, 1], NaN becomes 1."""
     # NaN compares false and becomes 1. The comparisons include the ends, so that a parameter at an end keeps
     # its derivative and an optimiser can leave it again.
     below_one = dr.select(roughness <= 1.0, roughness, 1.0)
@@ -58,7 +58,7 @@ def effective_roughness(roughness: Array) -> Array:
 
 
 def effective_albedo(albedo: Array) -> Array:
-    """The albedo used in rendering: clamped to [0, 1] per channel, NaN becomes 0."""
+    """Albedo as used in rendering: clamped to [0, 1] per channel, NaN becomes 0."""
     non_negative = dr.select(albedo >= 0.0, albedo, 0.0)  # NaN compares false and becomes 0
     return dr.select(non_negative <= 1.0, non_negative, 1.0)
 
@@ -111,7 +111,7 @@ def visible_normal_pdf(w: Array, h: Array, alpha: Array) -> Array:
 
 
 def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
-    """Draw a unit half vector from :func:`visible_normal_pdf` by ``sample`` in [0, 1]^2; requires w.z > 0.
+    """Sample a unit half vector of density :func:`visible_normal_pdf` by ``sample`` in [0, 1]^2; w.z > 0.
 
     The surface is stretched to alpha = 1, slopes are drawn there, and the result is stretched back.
     """
@@ -130,10 +130,10 @@ def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
 def sample_visible_slopes(
     cos: Array, sin: Array, sample: Array, num_steps: int = NEWTON_STEPS
 ) -> tuple[Array, Array]:
-    """Draw slopes (x, y) visible from an angle with the given cosine and sine, at alpha = 1 and azimuth 0.
+    """Sample a visible slope (x, y) at alpha = 1, for a direction of azimuth 0 with this cosine and sine.
 
     Inverts the distribution function C(s) = 1 + erf(s) + tan exp(-s^2) / sqrt(pi) of Heitz & d'Eon 2014 by
-    Newton's method in x = erf(s), which starts at the inverse of the function's limit at grazing incidence.
+    ``num_steps`` of Newton's method in x = erf(s), starting at the inverse for grazing incidence.
     """
     edge = 1.0 - 6e-8  # the last float32 below 1: erfinv stays finite
     u = dr.clip(sample.x, 6e-8, edge)
@@ -150,7 +150,7 @@ def sample_visible_slopes(
         slope = dr.erfinv(x)
         value = scale_erf * (1.0 + x) + scale_exp * inverse_sqrt_pi * dr.exp(-dr.square(slope)) - total
         derivative = scale_erf - slope * scale_exp
-        # The derivative vanishes at the largest slope, where the start is already exact.
+        # The derivative vanishes at the largest slope, where the initial value is exact.
         steep = derivative > 1e-6
         x -= dr.select(steep, value / dr.select(steep, derivative, 1.0), 0.0)
     x = dr.clip(x, -edge, dr.minimum(largest_slope, edge))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cells of tables that kernels gather from."""
+"""Converts positions in a table to indices of its cells, inside kernels."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 
 def cell_of(position: Any, count: int) -> Any:
-    """Cell (UInt32) in [0, ``count``) of a Dr.Jit position in units of cells, clamped to first and last cell.
+    """Index (UInt32), clamped to [0, ``count``), of the cell at ``position``, a Dr.Jit float in cells.
 
-    NaN also gives a valid cell. dr.clip keeps NaN, whose conversion to an unsigned integer depends on the
-    processor: 2^32 - 1 with AVX-512, and 2^31 with AVX2, which would crash the process when gathered from.
+    NaN also gives a valid index. ``dr.clip`` would keep NaN, whose conversion to an unsigned integer depends
+    on the processor (2^32 - 1 with AVX-512, 2^31 with AVX2) and crashes the process in a gather.
     """
     import drjit as dr
     import mitsuba as mi

@@ -34,7 +34,7 @@ INVERSE_PI = 1.0 / math.pi
 
 
 class CookTorrance(mi.BSDF):
-    """A Lambertian plus a Cook-Torrance lobe with Beckmann distribution.
+    """BSDF of a Lambertian lobe and a Cook-Torrance lobe with Beckmann distribution.
 
     Parameters: ``diffuse_albedo``, ``specular_albedo`` (RGB or texture, linear, [0, 1]), ``roughness``
     (number or texture, [0, 1]; an RGB texture gives its luminance), ``two_sided`` (default true).
@@ -71,20 +71,20 @@ class CookTorrance(mi.BSDF):
         )
 
     def has_attribute(self, name: str, active: Array = True) -> Any:
-        """True for ``diffuse_albedo``, ``specular_albedo`` and ``roughness``."""
+        """Whether ``name`` is ``diffuse_albedo``, ``specular_albedo`` or ``roughness``."""
         return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
 
     def eval_attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """As :meth:`eval_attribute_3`."""
+        """Same as :meth:`eval_attribute_3`."""
         return mi.Color3f(self._attribute(name, si, active))
 
     def eval_attribute_1(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a number: a scalar, or the luminance of a colour; 0 if unknown."""
+        """Attribute ``name`` as a Float: a scalar, or the luminance of a colour; 0 if it is unknown."""
         value = self._attribute(name, si, active)
         return mi.luminance(value) if name in COLOR_ATTRIBUTES else value
 
     def eval_attribute_3(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a colour, with scalars repeated in every channel; 0 if unknown."""
+        """Attribute ``name`` as a Color3f, with scalars repeated in every channel; 0 if it is unknown."""
         return mi.Color3f(self._attribute(name, si, active))
 
     def _attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array) -> Array:
@@ -105,17 +105,17 @@ class CookTorrance(mi.BSDF):
     def eval(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> Array:
-        """f(wi, wo) cos_o (Color3f)."""
+        """BSDF times cosine, f(wi, wo) cos_o (Color3f)."""
         return self.eval_pdf(ctx, si, wo, active)[0]
 
     def pdf(self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True) -> Array:
-        """Density of :meth:`sample` at ``wo`` [1/sr]."""
+        """Density [1/sr] with which :meth:`sample` samples ``wo``."""
         return self.eval_pdf(ctx, si, wo, active)[1]
 
     def eval_pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """:meth:`eval` and :meth:`pdf` together, which share all but a few multiplications."""
+        """Results of :meth:`eval` and :meth:`pdf`, which share most of their computation."""
         return _Lobes(self, ctx, si, active).eval_pdf(wo)
 
     def sample(
@@ -126,9 +126,9 @@ class CookTorrance(mi.BSDF):
         sample2: Array,
         active: Array = True,
     ) -> tuple[Any, Any]:
-        """Draw ``wo`` from one of the lobes, which ``sample1`` chooses.
+        """Sample ``wo`` by ``sample2`` in [0, 1)^2 from one lobe, chosen by ``sample1`` in [0, 1).
 
-        Returns the sample and f cos_o / pdf, which is below 10 in each channel (docs/bsdf.md).
+        Returns a BSDFSample3f and the weight f cos_o / pdf, below 10 in each channel (docs/bsdf.md).
         """
         return _Lobes(self, ctx, si, active).sample(sample1, sample2)
 
@@ -141,7 +141,7 @@ class CookTorrance(mi.BSDF):
         sample2: Array,
         active: Array = True,
     ) -> tuple[Any, Any, Any, Any]:
-        """:meth:`eval_pdf` and :meth:`sample` with a single evaluation of the textures."""
+        """Results of :meth:`eval_pdf` and :meth:`sample`, with a single evaluation of the textures."""
         lobes = _Lobes(self, ctx, si, active)
         return (*lobes.eval_pdf(wo), *lobes.sample(sample1, sample2))
 
@@ -155,7 +155,7 @@ class CookTorrance(mi.BSDF):
 
 
 class _Lobes:
-    """Both lobes at an interaction, with all quantities that do not depend on ``wo``."""
+    """Diffuse and specular lobe at an interaction; computes what does not depend on ``wo`` once."""
 
     def __init__(self, bsdf: CookTorrance, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array):
         self.has_diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
@@ -164,7 +164,7 @@ class _Lobes:
         self.alpha = beckmann.alpha_from_roughness(roughness)
         self.diffuse = (1.0 - self.specular) * diffuse
         if bsdf.two_sided:
-            self.side = dr.mulsign(mi.Float(1.0), si.wi.z)  # seen from below, mirror both directions
+            self.side = dr.mulsign(mi.Float(1.0), si.wi.z)  # from below, both directions are mirrored
             self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
         else:
             self.side = mi.Float(1.0)
@@ -189,7 +189,7 @@ class _Lobes:
         return dr.maximum(share, MIN_LOBE_PROBABILITY)
 
     def eval_pdf(self, wo: Array) -> tuple[Any, Any]:
-        """f cos_o and the density at ``wo``, which is given in the frame of ``si``."""
+        """Value f cos_o and density [1/sr] at ``wo``, a direction in the frame of ``si``."""
         wo = mi.Vector3f(wo.x, wo.y, wo.z * self.side)
         active = self.active & (wo.z > 0.0)
         value, pdf = mi.Color3f(0.0), mi.Float(0.0)
@@ -210,7 +210,7 @@ class _Lobes:
         return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
 
     def sample(self, sample1: Array, sample2: Array) -> tuple[Any, Any]:
-        """A direction in the frame of ``si`` and its weight f cos_o / pdf."""
+        """BSDFSample3f with a direction in the frame of ``si``, and the weight f cos_o / pdf."""
         use_specular = sample1 < self.specular_probability
         normal = beckmann.sample_visible_normal(self.wi, self.alpha, sample2)
         reflected = 2.0 * dr.dot(self.wi, normal) * normal - self.wi

@@ -35,7 +35,7 @@ Array = Any
 MAX_LAYERS = 32
 """Maximum number of surfaces along a ray; 32 of opacity 0.2 transmit 0.08 %."""
 MIN_THROUGHPUT = 1e-3
-"""Transmittance at which rays end, since the remainder is negligible."""
+"""Transmittance below which rays end, since the remainder is negligible."""
 SOLID_OPACITY = 0.5
 """Minimum opacity of the surface that determines a pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
@@ -47,12 +47,12 @@ _PIXEL_X, _PIXEL_Y, _LENS_X, _LENS_Y, _TIME = 3242174889, 2447445413, 1779033703
 CHANNELS = {name: BUFFERS[name].channels for name in GROUND_TRUTH_BUFFERS} | {
     "position_world": ("X", "Y", "Z")
 }
-"""Channels of each buffer by name, in the order of the integrator's output: the registered ground truth, and
-positions."""
+"""Channel names of each buffer, in the order of the integrator's output: the ground truth of
+``foundation.buffers``, then positions."""
 
 
 class PixelFilter:
-    """Draws sub-pixel offsets along one axis in proportion to a film's reconstruction filter.
+    """Samples sub-pixel offsets along one axis in proportion to a film's reconstruction filter.
 
     Films ignore samples beyond their border unless ``sample_border`` is set; the filter of a pixel near the
     border is cut off there, and variates are mapped to the remaining part.
@@ -86,7 +86,7 @@ class PixelFilter:
         return dr.lerp(low, high, position - mi.Float(cell))
 
     def variates_inside(self, pixel: Array, size: int) -> tuple[Any, Any]:
-        """Range of variates that place the samples of ``pixel``, a column or row, within [0, ``size``]."""
+        """Smallest and largest variate for samples of column or row ``pixel`` that are in [0, ``size``]."""
         if not self.is_cut_off:
             return mi.Float(0.0), mi.Float(1.0)
         scale = self.TABLE_SIZE / (2.0 * self._radius)
@@ -136,7 +136,7 @@ def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
 
 @dataclass(frozen=True)
 class _RayResult:
-    """First surfaces along a ray: channels weighted by coverage, and point and shape of the solid surface."""
+    """Sums along a ray of channels weighted by coverage; point and shape index of the first solid surface."""
 
     diffuse_albedo: Array
     specular_albedo: Array
@@ -152,21 +152,13 @@ class _RayResult:
         return tuple(vars(self).values())
 
 
-def _nothing_seen(num_rays: int) -> _RayResult:
-    zero = dr.zeros(mi.Float, num_rays)
-    return _RayResult(
-        mi.Color3f(zero),
-        mi.Color3f(zero),
-        mi.Float(zero),
-        mi.Vector3f(zero),
-        mi.Float(zero),
-        mi.Point3f(zero),
-        dr.zeros(mi.UInt32, num_rays),
-    )
+def _empty_result(num_rays: int) -> _RayResult:
+    kinds = (mi.Color3f, mi.Color3f, mi.Float, mi.Vector3f, mi.Float, mi.Point3f, mi.UInt32)
+    return _RayResult(*(dr.zeros(kind, num_rays) for kind in kinds))
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
-    """The next hit along a ray, whether the ray may continue, and the hit's result (coverage = opacity)."""
+    """Next interaction of a ray, whether the ray may pass through, and its result (coverage = opacity)."""
     # Camera rays are coherent, which makes Embree's packets three times as fast.
     si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
     is_hit = active & si.is_valid()
@@ -208,15 +200,15 @@ def _trace(view: _View, ray: Any) -> _RayResult:
         ray = dr.select(active, si.spawn_ray(ray.d), ray)
         return (active, ray, depth, left, *sums, point, shape_index)
 
-    state = (mi.Bool(True), mi.Ray3f(ray), mi.UInt32(0), mi.Float(1.0), *_nothing_seen(1).state)
+    state = (mi.Bool(True), mi.Ray3f(ray), mi.UInt32(0), mi.Float(1.0), *_empty_result(1).state)
     _, _, _, _, *result = dr.while_loop(state, cond, body, label="layers")
     return _RayResult(*result)
 
 
 def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, Any]:
-    """Filter-weighted sums over each pixel's samples with the solid point of its centre, and sums of weights.
+    """Filter-weighted sums over each pixel's samples, with point and shape at its centre; sums of weights.
 
-    Sample 0 is the centre, so a single symbolic loop contains the scene's intersection code.
+    Sample 0 is the centre, so the scene's intersection code is compiled once, in a single symbolic loop.
     """
     pixel: Any = mi.UInt32(y) * view.width + mi.UInt32(x)
     # opaque: one compiled kernel serves all seeds
@@ -252,13 +244,13 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
 
     num_pixels = dr.width(x)
     zero = dr.zeros(mi.Float, num_pixels)
-    state = (dr.zeros(mi.UInt32, num_pixels), zero, *_nothing_seen(num_pixels).state)
+    state = (dr.zeros(mi.UInt32, num_pixels), zero, *_empty_result(num_pixels).state)
     _, total_weight, *result = dr.while_loop(state, cond, body, label="sub-pixel samples")
     return _RayResult(*result), total_weight
 
 
 def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
-    """Flat, unevaluated Dr.Jit arrays (H W) by buffer name."""
+    """Buffers by name: unevaluated Dr.Jit arrays of H x W entries."""
     index = dr.arange(mi.UInt32, view.width * view.height)
     row = index // view.width
     sums, weight = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
@@ -298,9 +290,7 @@ def _make_view(
 
 def _check_spp(spp: int) -> None:
     if spp < 1:
-        raise input_error(
-            "material_buffers", "spp", spp, "at least 1 sample per pixel", "raise it (16 is clean)"
-        )
+        raise input_error("material_buffers", "spp", spp, "at least 1 sample per pixel", "use 16 or more")
 
 
 def render_material_buffers(
@@ -315,9 +305,9 @@ def render_material_buffers(
 
     They are float32 except for ``instance_id`` and ``material_id`` (uint32). The result also contains
     ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to (instance
-    id, material id); a :class:`SceneMaterials` can be shared by all views of a scene. ``hide_emitters`` must
-    be as in the beauty image's integrator. Raises :class:`InputError` if ``spp`` is below 1, a shape's
-    material has no D, S and R, or a shape is missing from ``ids``.
+    id, material id), or is a :class:`SceneMaterials`, which views can share; None numbers the shapes.
+    ``hide_emitters`` must be as in the beauty image's integrator. Raises :class:`InputError` if ``spp`` is
+    below 1, a shape's material has no D, S and R, or a shape is missing from ``ids``.
     """
     _check_spp(spp)
     view = _make_view(scene, sensor, ids, hide_emitters)
@@ -344,7 +334,7 @@ class MaterialBuffers(mi.SamplingIntegrator):
         self.ids: IdTable | SceneMaterials | None = None
 
     def aov_names(self) -> list[str]:
-        """``buffer.channel`` of each channel, in the order of :meth:`render`'s output."""
+        """Names ``buffer.channel`` of the channels, in the order of :meth:`render`'s output."""
         return [f"{name}.{channel}" for name, channels in CHANNELS.items() for channel in channels]
 
     def render(  # type: ignore[override]
@@ -356,9 +346,9 @@ class MaterialBuffers(mi.SamplingIntegrator):
         develop: bool = True,
         evaluate: bool = True,
     ) -> mi.TensorXf:
-        """All channels of a view; ``spp`` 0 uses the sensor's sample count. ``develop`` must be true.
+        """Render all channels of a view, (H, W, 17); ``spp`` 0 uses the sensor's sample count.
 
-        Raises ``ValueError`` if it is not.
+        Raises ``ValueError`` if ``develop`` is false.
         """
         if not develop:
             raise ValueError("material_buffers writes no film: develop must be True")
@@ -367,7 +357,8 @@ class MaterialBuffers(mi.SamplingIntegrator):
         _check_spp(spp)
         with dr.suspend_grad():
             buffers = _render(view, spp, int(np.asarray(seed).ravel()[0]))
-            planes = [mi.Float(plane) for value in buffers.values() for plane in _planes(value)]
+            lists = ([value] if dr.depth_v(value) == 1 else value for value in buffers.values())
+            planes = [mi.Float(plane) for values in lists for plane in values]
             num_channels = len(planes)
             flat = dr.empty(mi.Float, view.width * view.height * num_channels)
             pixel = dr.arange(mi.UInt32, view.width * view.height)
@@ -381,7 +372,3 @@ class MaterialBuffers(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Human-readable description."""
         return f"MaterialBuffers[hide_emitters = {self.hide_emitters}]"
-
-
-def _planes(value: Any) -> list[Any]:
-    return [value] if dr.depth_v(value) == 1 else list(value)

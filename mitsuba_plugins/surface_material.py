@@ -44,6 +44,7 @@ class SurfaceChannels:
 
 
 Evaluator = Callable[[Any, Any], tuple[Any, Any, Any, Any, Any]]
+"""Function of interaction and active mask that returns the values of :class:`SurfaceChannels`."""
 
 
 def _cook_torrance_evaluator(bsdf: CookTorrance) -> Evaluator:
@@ -104,13 +105,13 @@ def _two_sided_evaluator(front: Evaluator, back: Evaluator) -> Evaluator:
 
 
 class UnsupportedBsdf(Exception):
-    """Raised for a BSDF that is not a ``cook_torrance`` in supported wrappers."""
+    """Raised for a BSDF other than ``cook_torrance``, alone or in supported wrappers."""
 
 
 def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
     """Convert a tree of BSDFs to an evaluator of its channels; also return whether it can be transparent.
 
-    Raises :class:`UnsupportedBsdf` with the plugin's class if the tree contains anything but
+    Raises :class:`UnsupportedBsdf` with the class name if the tree contains anything but
     ``cook_torrance`` in ``mask``, ``normalmap`` and ``twosided``.
     """
     if isinstance(bsdf, CookTorrance):
@@ -145,7 +146,7 @@ def invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
 
 
 def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
-    """Create an id table: shapes and their BSDFs, numbered from 1 in the scene's order.
+    """Id table of a scene's shapes, except lights, and their BSDFs, numbered from 1 in the scene's order.
 
     Keys are shape ids; equal ids, as in scenes read from XML, become ``id``, ``id#2``, ``id#3``...
     """
@@ -162,7 +163,7 @@ def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
 
 
 def registry_indices(scene: mi.Scene) -> NDArray[np.int64]:
-    """Index of each shape of a scene in Mitsuba's registry, in the scene's order."""
+    """Index (N,) in Mitsuba's registry of each of a scene's N shapes, in the scene's order."""
     pointers: Any = scene.shapes_dr()
     return np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
 
@@ -180,8 +181,8 @@ class SceneMaterials:
     """The materials and ids of every shape of a scene, ready to be evaluated inside a kernel.
 
     ``ids`` maps shape ids to (instance id, material id), both in [1, 2^24); None numbers them in the scene's
-    order. Raises :class:`InputError` with every shape whose BSDF is not supported, that is missing from
-    ``ids``, or whose texture needs UVs that its mesh lacks.
+    order. Raises :class:`InputError` that lists every shape whose BSDF is not supported, that is missing from
+    ``ids``, or whose textures need UVs that its mesh lacks.
     """
 
     def __init__(self, scene: mi.Scene, ids: IdTable | None = None):
@@ -208,39 +209,27 @@ class SceneMaterials:
             if name in self.ids:
                 instance_ids[index], material_ids[index] = self._checked_ids(name, problems)
             elif evaluator_index[index]:
-                problems.add(
-                    f"shape {name}",
-                    "no ids",
-                    "an entry in the id table",
-                    "add the shape to the table, and load the scene with optimize=False",
-                )
+                remedy = "add the shape to the table, and load the scene with optimize=False"
+                problems.add(f"shape {name}", "no ids", "an entry in the id table", remedy)
         raise_problems(problems)
         self._evaluator_of_shape = mi.UInt32(evaluator_index)
         self._instance_of_shape = mi.UInt32(instance_ids)
         self._material_of_shape = mi.UInt32(material_ids)
         self._is_emitter_shape = mi.Bool(is_emitter)
 
-    def _checked_ids(self, shape_id: str, problems: list[Problem]) -> tuple[int, int]:
+    def _checked_ids(self, shape_id: str, problems: Problems) -> tuple[int, int]:
         instance, material = self.ids[shape_id]
         for name, value in (("instance id", instance), ("material id", material)):
             if not 0 < value < 2**24:
-                problems.append(
-                    Problem(
-                        "id table",
-                        f"{shape_id}: {name}",
-                        str(value),
-                        "1 ... 16777215 (exact in a float)",
-                        "number ids from 1",
-                    )
-                )
+                where, expected = f"{shape_id}: {name}", "1 ... 16777215 (exact in a float)"
+                problems.append(Problem("id table", where, str(value), expected, "number ids from 1"))
                 return 0, 0
         return instance, material
 
-    def _evaluator_index(self, shape: Any, name: str, problems: list[Problem]) -> int:
+    def _evaluator_index(self, shape: Any, name: str, problems: Problems) -> int:
         """Index of the shape's material among the evaluators; 0 if a problem was added."""
         if shape.class_name() == "Instance":
-            got, expected, remedy = "an instance", "a shape with its own material", "expand instances"
-            problems.append(Problem("scene", f"shape {name}", got, expected, remedy))
+            problems.add(f"shape {name}", "an instance", "a shape with its own material", "expand instances")
             return 0
         bsdf = shape.bsdf()
         key = id(bsdf)
@@ -249,11 +238,11 @@ class SceneMaterials:
             self._needs_uv[key] = needs_uv(bsdf)
             self._index_of_bsdf[key] = self._add_evaluator(bsdf, name, problems)
         if self._needs_uv[key] and shape.is_mesh() and not shape.has_vertex_texcoords():
-            got, expected = "a mesh without UVs", "UVs, which its material's textures need"
-            problems.append(Problem("scene", f"shape {name}", got, expected, "unwrap the mesh"))
+            expected = "UVs, which its material's textures need"
+            problems.add(f"shape {name}", "a mesh without UVs", expected, "unwrap the mesh")
         return self._index_of_bsdf[key]
 
-    def _add_evaluator(self, bsdf: Any, name: str, problems: list[Problem]) -> int:
+    def _add_evaluator(self, bsdf: Any, name: str, problems: Problems) -> int:
         if bsdf.class_name() == "Null":
             self._evaluators.append(invisible)
             self.has_transparency = True
@@ -263,7 +252,7 @@ class SceneMaterials:
         except UnsupportedBsdf as unsupported:
             expected = "cook_torrance, alone or in mask, normalmap or twosided"
             remedy = "convert the material to cook_torrance first"
-            problems.append(Problem("scene", f"BSDF of shape {name}", str(unsupported), expected, remedy))
+            problems.add(f"BSDF of shape {name}", unsupported, expected, remedy)
             return 0
         self._evaluators.append(evaluator)
         self.has_transparency |= is_transparent
@@ -272,7 +261,7 @@ class SceneMaterials:
     # ---- inside kernels ----------------------------------------------------------------------------------
 
     def tables(self) -> list[Any]:
-        """Arrays that a recorded kernel with :meth:`channels_at` reads, in addition to the scene's own."""
+        """Arrays that a recorded kernel reads in :meth:`channels_at`, in addition to those of the scene."""
         return [self._evaluator_of_shape]
 
     def _registry_index(self, si: mi.SurfaceInteraction3f) -> Array:
@@ -283,7 +272,7 @@ class SceneMaterials:
         return self._registry_index(si)
 
     def is_emitter(self, si: mi.SurfaceInteraction3f, active: Array) -> Array:
-        """Mask of hits on lights."""
+        """Mask of the hits ``si`` on lights."""
         return dr.gather(mi.Bool, self._is_emitter_shape, self._registry_index(si), active)
 
     def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
@@ -294,6 +283,6 @@ class SceneMaterials:
         )
 
     def channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
-        """The material's channels at a hit; zeros where inactive or on a light."""
+        """Channels at the hit ``si``; 0 where inactive, and on lights except for opacity 1."""
         index = dr.gather(mi.UInt32, self._evaluator_of_shape, self._registry_index(si), active)
         return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of material parameters when a material is created: range, NaN, and whether textures need UVs.
+"""Checks material parameters when a material is created: range, NaN, and whether textures need UVs.
 
 A NaN would spread through path sums and denoisers to whole tiles of an image; it is rejected here, where file
 and texel are known.
@@ -15,16 +15,16 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from datagen.foundation.errors import InputError, Problem, Problems
+from datagen.foundation.errors import Problem, Problems, raise_problems
 
 TOLERANCE = 1e-4
-"""Values up to this far outside [0, 1] are due to rounding or resampling; they are accepted and clamped."""
+"""Distance from [0, 1] up to which values are accepted and clamped, as errors of rounding or resampling."""
 UV_TEXTURES = ("BitmapTexture", "Checkerboard")
 """Prefixes of the class names of textures that depend on UVs."""
 
 
 class _Collector(mi.TraversalCallback):
-    """Collects by name the values and the child objects that an object exposes."""
+    """Traversal callback that collects, by name, the values and child objects of ``parent``."""
 
     def __init__(self, parent: Any) -> None:
         super().__init__()
@@ -33,7 +33,7 @@ class _Collector(mi.TraversalCallback):
         self.objects: dict[str, Any] = {}
 
     def put(self, name: str, value: Any, flags: int, cpp_type: Any = None) -> None:
-        """Collect a value or object; called by ``traverse``."""
+        """Collect a value or child object; called by ``traverse``."""
         if isinstance(value, mi.Object):
             self.objects[name] = value
         else:  # C++ objects expose addresses of their fields
@@ -41,7 +41,7 @@ class _Collector(mi.TraversalCallback):
 
 
 def exposed(obj: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Child objects and values, by name, that a Mitsuba object exposes to ``mi.traverse`` directly."""
+    """Child objects and values of a Mitsuba object, by name, as exposed to ``mi.traverse``; not recursive."""
     collector = _Collector(obj)
     obj.traverse(collector)
     return collector.objects, collector.values
@@ -61,7 +61,7 @@ def _file_of(texture: Any) -> str:
 
 
 def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
-    """Faults of a parameter that must lie in [0, 1]; empty if there are none."""
+    """Faults of a material's parameter ``name``: values of ``texture`` that are NaN, Inf or not in [0, 1]."""
     problems = Problems(material)
     file = _file_of(texture)
     objects, values = exposed(texture)
@@ -75,13 +75,9 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
         field = name if key == "value" else f"{name}.{key}"
         is_bad = ~np.isfinite(data)
         if is_bad.any():
-            num_bad = int(np.count_nonzero(is_bad))
-            problems.add(
-                field,
-                f"{num_bad} of {data.size} values NaN or Inf{file} (first at {_first(is_bad)})",
-                "finite values in [0, 1]",
-                "repair the texture",
-            )
+            num_bad = np.count_nonzero(is_bad)
+            got = f"{num_bad} of {data.size} values NaN or Inf{file} (first at {_first(is_bad)})"
+            problems.add(field, got, "finite values in [0, 1]", "repair the texture")
             continue
         low, high = float(data.min(initial=0.0)), float(data.max(initial=0.0))
         if low < -TOLERANCE or high > 1.0 + TOLERANCE:
@@ -98,17 +94,17 @@ _gathered: list[Problem] | None = None
 
 
 def check_parameter(material: str, name: str, texture: Any) -> None:
-    """Raise one :class:`InputError` for all faults of a parameter; :func:`gathering_problems` defers it."""
+    """Raise :class:`InputError` for a parameter's faults, or at the end of :func:`gathering_problems`."""
     problems = parameter_problems(material, name, texture)
-    if problems and _gathered is None:
-        raise InputError(*problems)
-    if problems and _gathered is not None:
+    if _gathered is None:
+        raise_problems(problems)
+    else:
         _gathered.extend(problems)
 
 
 @contextmanager
 def gathering_problems() -> Iterator[None]:
-    """Context manager that raises the faults of all parameters checked in it as one :class:`InputError`."""
+    """Raise the faults of all parameters checked in this context as one :class:`InputError` at its end."""
     global _gathered
     problems: list[Problem] = []
     _gathered = problems
@@ -116,8 +112,7 @@ def gathering_problems() -> Iterator[None]:
         yield
     finally:
         _gathered = None
-    if problems:
-        raise InputError(*sorted(problems, key=str))  # threads finish in any order
+    raise_problems(sorted(problems, key=str))  # threads finish in any order
 
 
 def _first(mask: np.ndarray) -> str:

@@ -2,8 +2,8 @@
 """Chooses the Mitsuba variant and its LLVM library, once per process.
 
 With LLVM 14 to 16, Mitsuba aborts the whole process ("Cannot select: fminimum"), which no exception handler
-can catch. The newest library is therefore chosen *before* mitsuba is imported, and an error with the remedy
-is raised if that is too old.
+can catch. The newest library is therefore chosen *before* mitsuba is imported, and an error that states the
+remedy is raised if it is too old.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CUDA_VARIANT = "cuda_ad_rgb"
 VARIANTS = (CPU_VARIANT, CUDA_VARIANT)
 _LIBRARY_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)(?:\.\d+)*(?:\.so)?(?:\.\d+)*$")
 _UNVERSIONED_NAMES = ("libLLVM.dylib", "LLVM-C.dll")
-"""Names on macOS and Windows, where the library is queried for its version."""
+"""File names without a version (macOS, Windows); such a library is loaded to query its version."""
 SEARCH_FOLDERS = (
     "/usr/lib/x86_64-linux-gnu",
     "/usr/lib/aarch64-linux-gnu",
@@ -51,7 +51,7 @@ class LlvmLibrary:
 
 
 def find_llvm_libraries() -> list[LlvmLibrary]:
-    """Every LLVM shared library in the usual folders, newest first."""
+    """Shared libraries of LLVM in the usual folders of all platforms, newest first."""
     found: dict[Path, LlvmLibrary] = {}
     folders = [Path(f) for f in SEARCH_FOLDERS] + sorted(Path("/usr/lib").glob("llvm-*/lib"))
     for folder in folders:
@@ -81,9 +81,9 @@ def llvm_major(path: Path) -> int | None:
 
 
 def choose_llvm() -> LlvmLibrary:
-    """The LLVM library to compile with: ``DRJIT_LIBLLVM_PATH`` if set, else the newest library found.
+    """LLVM library for Mitsuba: that of ``DRJIT_LIBLLVM_PATH`` if set, else the newest one found.
 
-    Raises :class:`InputError` with the remedy if it is missing or too old.
+    Raises :class:`InputError` if it is missing or older than LLVM 19.
     """
     override = os.environ.get("DRJIT_LIBLLVM_PATH")
     if override:
@@ -95,9 +95,8 @@ def choose_llvm() -> LlvmLibrary:
             raise input_error("LLVM", "DRJIT_LIBLLVM_PATH", f"{override}, {got}", expected, REMEDY)
         return LlvmLibrary(path, major)
     libraries = find_llvm_libraries()
-    for library in libraries:
-        if library.major >= MIN_LLVM_MAJOR:
-            return library
+    if libraries and libraries[0].major >= MIN_LLVM_MAJOR:
+        return libraries[0]
     have = ", ".join(f"{lib.major} ({lib.path})" for lib in libraries) or "none"
     raise input_error("LLVM", "", f"found {have}", f"{MIN_LLVM_MAJOR} or later", REMEDY)
 
@@ -128,7 +127,7 @@ def resolve_variant(name: str | None = None) -> str:
 
 
 def check_variant(name: str | None = None) -> None:
-    """Raise the :class:`InputError` of :func:`select_variant` without importing mitsuba."""
+    """Check variant and LLVM as :func:`select_variant` does, but without importing mitsuba."""
     if resolve_variant(name) == CPU_VARIANT:
         choose_llvm()
 

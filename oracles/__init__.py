@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Slow float64 references, and small scenes with known solutions, for tests and benchmarks."""
+"""Slow float64 reference implementations and small scenes with known solutions, for tests and benchmarks."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass
 class DenseSystem:
-    """Matrices of an image of P pixels in V grid cells.
+    """Matrices of the bilateral solver for an image of P pixels in V cells of the bilateral grid.
 
     ``splat`` S (V, P) sums pixels by cell; ``smoothness`` (V, V) is lambda (diag(m) - diag(n) B diag(n)),
     with blur B, and n and m from bistochastisation.
@@ -21,11 +21,11 @@ class DenseSystem:
     smoothness: NDArray
 
     def matrix(self, confidence: NDArray) -> NDArray:
-        """The system's matrix (V, V) for a channel with ``confidence`` (P,)."""
+        """Matrix (V, V) of the linear system for a channel with ``confidence`` (P,)."""
         return self.smoothness + np.diag(self.splat @ confidence)
 
     def solve(self, target: NDArray, confidence: NDArray) -> NDArray:
-        """Filtered pixels (P,) of a channel with values ``target`` (P,) and ``confidence`` (P,)."""
+        """Filtered values (P,) of a channel with values ``target`` (P,) and ``confidence`` (P,)."""
         y = np.linalg.solve(self.matrix(confidence), self.splat @ (confidence * target))
         return self.splat.T @ y
 
@@ -38,9 +38,9 @@ def build(
     lam: float,
     num_bistochastize: int = 10,
 ) -> DenseSystem:
-    """Build the system of a linear RGB ``guide`` (H, W, 3): cells by a dictionary, neighbours by comparison.
+    """Build the system of a linear RGB ``guide`` (H, W, 3) with the weight ``lam`` of smoothness.
 
-    Cell sides: ``sigma_xy`` in pixels, ``sigma_luma`` and ``sigma_chroma`` in 1/255 of the maximum of YUV.
+    Sides of a cell: ``sigma_xy`` in pixels; ``sigma_luma``, ``sigma_chroma`` in 1/255 of the guide's maximum.
     """
     height, width, _ = guide.shape
     rgb = guide.astype(np.float64) / guide.max() * 255.0

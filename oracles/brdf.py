@@ -54,7 +54,7 @@ def smith_g1(w: Array, alpha: Array) -> Array:
 
 
 def schlick(specular_albedo: Array, one_minus_cos: Array) -> Array:
-    """Schlick's Fresnel term, from 1 - cos to avoid cancellation."""
+    """Schlick's Fresnel term as a function of 1 - cos, which avoids cancellation."""
     return specular_albedo + (1.0 - specular_albedo) * one_minus_cos**5
 
 
@@ -72,7 +72,7 @@ def specular_lobe(wi: Array, wo: Array, alpha: Array) -> Array:
 
 
 def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
-    """f(wi, wo) cos_o, (..., 3), for the upper side (docs/bsdf.md)."""
+    """BRDF times cosine, f(wi, wo) cos_o, (..., 3); 0 for directions below the surface (docs/bsdf.md)."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     alpha = alpha_from_roughness(roughness)
     lobe = specular_lobe(wi, wo, alpha) * smith_g1(wo, alpha)
@@ -82,7 +82,7 @@ def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: A
 
 
 def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
-    """Probability that the sampler chooses the specular lobe."""
+    """Probability (...) with which the BSDF's sampling chooses the specular lobe."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     s = np.mean(schlick(specular, 1.0 - wi[..., 2:]), -1)
     d = np.mean((1.0 - specular) * diffuse, -1)
@@ -90,7 +90,7 @@ def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
 
 
 def pdf(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
-    """Density of the sampler at ``wo`` [1/sr]."""
+    """Density [1/sr] with which the BSDF's sampling samples ``wo``."""
     p = specular_probability(wi, diffuse, specular)
     up = (wi[..., 2] > 0) & (wo[..., 2] > 0)
     lobe = specular_lobe(wi, wo, alpha_from_roughness(roughness))
@@ -98,14 +98,14 @@ def pdf(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array)
 
 
 def direction(angle_rad: Array, azimuth_rad: Array) -> Array:
-    """Unit vectors (..., 3) at an angle from the normal."""
+    """Unit vectors (..., 3) at ``angle_rad`` from the normal and ``azimuth_rad`` around it."""
     s = np.sin(angle_rad)
     x, y, z = np.broadcast_arrays(s * np.cos(azimuth_rad), s * np.sin(azimuth_rad), np.cos(angle_rad))
     return np.stack([x, y, z], -1)
 
 
 def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array, Array]:
-    """Normals (n, 3) and quadrature weights [sr] of a midpoint grid over slopes up to ``reach`` alpha."""
+    """Normals (num^2, 3) and quadrature weights [sr] of a midpoint grid of slopes up to ``reach`` alpha."""
     edges = np.linspace(-reach * alpha, reach * alpha, num + 1)
     mid = 0.5 * (edges[1:] + edges[:-1])
     x, y = (a.ravel() for a in np.meshgrid(mid, mid))
@@ -115,10 +115,10 @@ def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array
     return normal, (edges[1] - edges[0]) ** 2 / length**3
 
 
-def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: int = 400) -> float:
-    """Directional albedo of the specular term for one ``wi`` (3,), by quadrature over microfacet normals."""
+def specular_albedo_towards(wi: Array, specular: float, roughness: float) -> float:
+    """Directional albedo of the specular lobe for ``wi`` (3,), by quadrature over microfacet normals."""
     alpha = float(alpha_from_roughness(np.float64(roughness)))
-    h, weight = slopes_grid(alpha, num)
+    h, weight = slopes_grid(alpha)
     cos_h = h @ wi
     wo = 2.0 * cos_h[:, None] * h - wi
     g1_i = smith_g1(wi[None], alpha)[0]
@@ -128,5 +128,5 @@ def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: i
 
 
 def directional_albedo(wi: Array, diffuse: float, specular: float, roughness: float) -> float:
-    """Share of the light from ``wi`` that is reflected; exceeds 1 at grazing angles (docs/bsdf.md)."""
+    """Directional albedo of both lobes for ``wi`` (3,); exceeds 1 at grazing angles (docs/bsdf.md)."""
     return (1.0 - specular) * diffuse + specular_albedo_towards(wi, specular, roughness)

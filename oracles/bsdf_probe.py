@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Evaluates the BSDF for NumPy arrays of directions and materials."""
+"""Evaluates the plugin ``cook_torrance`` for NumPy arrays of directions and materials."""
 
 from __future__ import annotations
 
@@ -16,13 +16,9 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 EPS = float(np.finfo(np.float32).eps)
-# Angles of wi from the normal: from straight above to 1e-6 rad above the horizon.
-ANGLES_RAD = np.concatenate(
-    [
-        np.radians([0.0, 1.0, 10.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.9]),
-        np.pi / 2 - np.array([1e-4, 1e-5, 1e-6]),
-    ]
-)
+# Angles of wi from the normal, up to 1e-6 rad above the horizon.
+_DEGREES = [0.0, 1.0, 10.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.9]
+ANGLES_RAD = np.concatenate([np.radians(_DEGREES), np.pi / 2 - np.array([1e-4, 1e-5, 1e-6])])
 ROUGHNESS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 
 
@@ -50,7 +46,7 @@ def _layout(n: int) -> tuple[int, int]:
 
 
 def interaction(wi: np.ndarray) -> Any:
-    """Interaction with the local directions ``wi`` (n, 3); lane i looks up texel i of :func:`material`."""
+    """SurfaceInteraction3f with local directions ``wi`` (n, 3); lane i uses texel i of :func:`material`."""
     n = len(wi)
     width, height = _layout(n)
     index = np.arange(n)
@@ -75,23 +71,16 @@ def _texels(values: np.ndarray) -> np.ndarray:
 
 
 def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **options: Any) -> Any:
-    """A ``cook_torrance`` with ``num`` (n) texels: D, S (n, 3) or a number, R (n,) or a number.
+    """Create a ``cook_torrance`` of n = ``num`` texels from D, S (n, 3) and R (n,), or one number for each.
 
-    Values are set after construction and may be outside the range that the plugin accepts.
+    Values are set after construction, so they may be outside the range that the plugin accepts.
     """
     d, s = (np.broadcast_to(np.asarray(a, np.float32), (num, 3)) for a in (diffuse, specular))
     r = np.broadcast_to(np.asarray(roughness, np.float32), (num,))[:, None]
     channels = {"diffuse_albedo": _texels(d), "specular_albedo": _texels(s), "roughness": _texels(r)}
+    bitmap = dict(type="bitmap", raw=True, filter_type="nearest", wrap_mode="clamp", format="variant")
     textures = {
-        name: {
-            "type": "bitmap",
-            "bitmap": mi.Bitmap(np.zeros_like(texels)),
-            "raw": True,
-            "filter_type": "nearest",
-            "wrap_mode": "clamp",
-            "format": "variant",
-        }
-        for name, texels in channels.items()
+        name: {**bitmap, "bitmap": mi.Bitmap(np.zeros_like(texels))} for name, texels in channels.items()
     }
     bsdf = mi.load_dict({"type": "cook_torrance", **textures, **options})
     parameters = mi.traverse(bsdf)
@@ -102,8 +91,5 @@ def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **option
 
 
 def unit_float32(w: np.ndarray) -> np.ndarray:
-    """Directions rounded to float32, returned as float64: exactly what the tested BSDF receives.
-
-    Not normalised.
-    """
+    """Directions (n, 3) rounded to float32, as the BSDF receives them, as float64; not normalised again."""
     return np.asarray(w, np.float32).astype(np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Index of datasets whose shards tests and studies write directly."""
+"""Creates the index of a dataset whose shards were written without ``datagen run``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from datagen.formats.shard import DatasetIndex, ShardRecord
 
 
 def index_of(name: str, records: Sequence[ShardRecord], buffers: Sequence[str]) -> DatasetIndex:
-    """The index of a complete dataset of shards with ``buffers`` in every view."""
+    """Index of a complete dataset ``name`` with shards ``records`` and ``buffers`` in every view."""
     splits: dict[Split, int] = {"train": 0, "validation": 0, "test": 0}
     for record in records:
         splits[record.split] += 1

@@ -2,8 +2,8 @@
 """A small scene of axis-aligned boxes with exact depth, normals and occlusion, for the multi-view tests.
 
 A floor, a wall and two boxes in front of an empty background. One of the cameras is behind the wall, one
-looks away from all surfaces, and one grazes the floor. Colours are white noise, which reveals every fetch
-from a wrong position.
+faces away from all surfaces, and one is just above the floor. Colours are white noise, so a colour fetched
+from a wrong position is detected.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ POSES = (  # position, target
 
 
 def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> tuple[NDArray, NDArray]:
-    """Ray parameter (N,), Inf without a hit, and outward normal (N, 3) of the first hits of rays (N, 3).
+    """Ray parameters (N,), Inf without a hit, and outward normals (N, 3) at the first hits of rays (N, 3).
 
     ``boxes`` (B, 2, 3): lower and upper corners.
     """
@@ -57,7 +57,7 @@ def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> 
 
 
 def is_occluded(centres: NDArray, points: NDArray) -> NDArray:
-    """Mask (N,) of points (N, 3) occluded from camera centres (N, 3) by other surfaces than their own."""
+    """Mask (N,) of the ``points`` (N, 3) that are occluded from camera ``centres`` (N, 3)."""
     t, _ = hit_boxes(centres, points - centres)
     return t < 1 - 1e-3
 
@@ -68,43 +68,26 @@ def make_views(
     seed: int = 5,
     is_noise: bool = True,
 ) -> list[StatisticsView]:
-    """Views of the scene; ``sizes`` (width, height) are used in turn. 3 % of the pixels are emitters.
+    """Views of the scene at the first ``num_views`` poses, with ``sizes`` (width, height) in a cycle.
 
-    Colours are white noise if ``is_noise``, else they show the normals.
+    Colours are white noise if ``is_noise``, else normals. 3 % of the pixels count as emitters.
     """
     rng = np.random.default_rng(seed)
     views = []
     for index, (position, target) in enumerate(POSES[:num_views]):
         width, height = sizes[index % len(sizes)]
-        camera = Camera(
-            width,
-            height,
-            0.9 * width,
-            0.93 * width,
-            0.5 * width + 0.3,
-            0.5 * height - 0.2,
-            look_at(position, target),
-        )
+        intrinsics = 0.9 * width, 0.93 * width, 0.5 * width + 0.3, 0.5 * height - 0.2
+        camera = Camera(width, height, *intrinsics, look_at(position, target))
         directions = camera.ray_directions().reshape(-1, 3)
         t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
         depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0).reshape(height, width, 1)
         mask = (depth > 0).astype(np.float32)
         emitters = rng.random(mask.shape) < 0.03
         mask[emitters] *= 0.3
-        if is_noise:
-            color = rng.random((height, width, 3))
-        else:
-            color = np.broadcast_to(0.5 + 0.5 * normals.reshape(height, width, 3), (height, width, 3))
-        views.append(
-            StatisticsView(
-                camera,
-                color.astype(np.float32),
-                depth.astype(np.float32),
-                normals.reshape(height, width, 3).astype(np.float32),
-                mask,
-                f"view_{index:02d}",
-            )
-        )
+        normals = normals.reshape(height, width, 3)
+        color = rng.random((height, width, 3)) if is_noise else 0.5 + 0.5 * normals
+        buffers = (array.astype(np.float32) for array in (color, depth, normals))
+        views.append(StatisticsView(camera, *buffers, mask, f"view_{index:02d}"))
     return views
 
 

@@ -10,14 +10,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from datagen.formats.asset import (
-    EnvironmentAsset,
-    MaterialAsset,
-    ObjectAsset,
-    Part,
-    Provenance,
-    SlotMaterial,
-)
+from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset, Part, Provenance, SlotMaterial
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.package import write_package
 from datagen.formats.recipe import RenderRecipe
@@ -32,7 +25,7 @@ GREY = SlotMaterial(diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.0, 0.0, 0
 
 
 def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: bool = False) -> Mesh:
-    """A rectangle whose front faces along edge_u x edge_v, with UVs (0, 0) at its origin."""
+    """Rectangle with a corner ``origin`` [m], UV (0, 0), and a front towards edge_u x edge_v."""
     o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, edge_u, edge_v))
     normal = np.cross(u, v)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -47,7 +40,7 @@ def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: 
 
 
 def box(side: float = 1.0) -> Mesh:
-    """Flat-shaded cube on z = 0 around the z axis, without UVs; ``side`` in metres."""
+    """Flat-shaded cube without UVs, centred on the z axis with its bottom at z = 0; ``side`` in metres."""
     shape = trimesh.creation.box([side, side, side])
     shape.apply_translation([0, 0, side / 2])
     return flat_shaded(Mesh(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32)))
@@ -56,9 +49,9 @@ def box(side: float = 1.0) -> Mesh:
 def down_camera(
     width: int = 8, height: int = 8, view_m: float = 0.01, at: Any = (0.0, 0.0), z: float = 1.0
 ) -> Camera:
-    """Camera at height ``z`` whose image shows ``view_m`` metres of the plane z = 0 across its width.
+    """Camera that looks down from height ``z`` above ``at`` (x, y); its image is ``view_m`` wide at z = 0.
 
-    The image's right is +x and its top is +y.
+    Lengths are in metres. The image's right is +x and its top is +y.
     """
     focal = width * z / view_m
     pose = look_at([at[0], at[1], z], [at[0], at[1], 0.0], up=(0.0, 1.0, 0.0))
@@ -67,10 +60,10 @@ def down_camera(
 
 @dataclass
 class SmallScene:
-    """Input of :func:`renderer`: meshes and materials by name.
+    """Assets of a small library: an environment, objects and materials.
 
-    Of the environment: ``parts``, (mesh, slot) by name; materials ``slots`` by slot; ``files`` by name.
-    ``objects``: (mesh, material of the slot ``skin``) by asset. ``materials``: (material, files) by package.
+    Environment: ``parts``, (mesh, slot) by name; ``slots``, material by slot; ``files``, content by name.
+    ``objects``: (mesh, material of the slot ``skin``) by id. ``materials``: (material, files) by id.
     """
 
     parts: dict[str, tuple[Mesh, str]] = field(
@@ -83,7 +76,7 @@ class SmallScene:
     uv_per_m: float | None = None
 
     def write(self, root: Path) -> Library:
-        """Write the packages to the folder ``root`` and open them."""
+        """Write the packages to the folder ``root`` and open it as a library."""
         environment = EnvironmentAsset(
             id="room",
             title="room",
@@ -116,7 +109,7 @@ class SmallScene:
 
 
 def configure(library: Library, cameras: list[Camera], **fields: Any) -> Configuration:
-    """A configuration of the room that lists every package of the library; ``fields`` override its fields."""
+    """Configuration of the room with all packages of ``library`` as assets; ``fields`` replace its fields."""
     fields.setdefault("environment", PlacedAsset(name="room", asset="room"))
     views = tuple(ViewCamera.from_camera(f"view_{k}", camera) for k, camera in enumerate(cameras))
     assets = {package.id: package.sha256 for package in library}
@@ -130,14 +123,14 @@ def renderer(
     recipe: RenderRecipe | None = None,
     **fields: Any,
 ) -> SceneRenderer:
-    """A renderer of a small scene; by default a grey floor seen from above, direct light, no denoiser."""
+    """Renderer of a small scene; default: a grey floor from above, direct light only, no denoiser."""
     library = (scene or SmallScene()).write(root)
     recipe = recipe or RenderRecipe(path_samples=256, auxiliary_samples=16, max_depth=2, denoise=False)
     return SceneRenderer(configure(library, cameras or [down_camera()], **fields), library, recipe)
 
 
 def placed(x: float, y: float, yaw: float = 0.0, scale: float = 1.0, z: float = 0.0) -> Any:
-    """``world_from_asset`` of a configuration from position [m], yaw [rad] and scale."""
+    """Matrix ``world_from_asset`` as tuples: position [m], ``yaw`` around the z axis [rad], ``scale``."""
     cosine, sine = scale * np.cos(yaw), scale * np.sin(yaw)
     matrix = np.array([[cosine, -sine, 0, x], [sine, cosine, 0, y], [0, 0, scale, z], [0, 0, 0, 1.0]])
     return tuple(tuple(float(c) for c in row) for row in matrix)

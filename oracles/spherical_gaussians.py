@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 def inner_product(axis1: NDArray, sharpness1: float, axis2: NDArray, sharpness2: float) -> float:
-    """Integral over the sphere of the product of two lobes with unit axes (3,), on a grid along its axis."""
+    """Integral over the sphere of the product of two lobes exp(sharpness (axis.w - 1)) with unit axes."""
     axis = sharpness1 * axis1 + sharpness2 * axis2
     length = np.linalg.norm(axis)
     # the product at direction w is exp(axis.w - sharpness1 - sharpness2); z is the cosine of w with the axis
@@ -18,7 +18,7 @@ def inner_product(axis1: NDArray, sharpness1: float, axis2: NDArray, sharpness2:
 
 
 def irradiance(sharpness: float, cos_beta: float, num_z: int = 3000, num_phi: int = 600) -> float:
-    """Integral over the hemisphere of a lobe times the cosine; ``cos_beta`` is that of the lobe's axis."""
+    """Integral over the hemisphere of a lobe x cosine, with the lobe's axis at angle beta to the normal."""
     z = (np.arange(num_z) + 0.5) / num_z
     phi = (np.arange(num_phi) + 0.5) / num_phi * 2 * np.pi
     z, phi = np.meshgrid(z, phi, indexing="ij")

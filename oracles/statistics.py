@@ -2,8 +2,8 @@
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
 The loops follow the definitions literally. The vectorised version must give equal results; it also returns
-each pixel's margin from a decision that could differ in float32, and is the baseline for speed. Both are
-independent of the kernels that they check. A view is any object with ``camera``, ``color`` (H, W, 3),
+how far each pixel is from a decision that could differ in float32, and is the baseline for speed. They
+are independent of the kernels that they check. A view is any object with ``camera``, ``color`` (H, W, 3),
 ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
 
@@ -23,7 +23,7 @@ Occlusion = Callable[[NDArray, NDArray], NDArray]
 
 @dataclass(frozen=True)
 class OracleOptions:
-    """As ``StatisticsOptions`` and ``VisibilityOptions``; ``occlusion`` replaces the test of depth."""
+    """Fields of ``StatisticsOptions`` and ``VisibilityOptions``; ``occlusion`` replaces the depth test."""
 
     best_views: int = 12
     include_self: bool = True
@@ -97,7 +97,7 @@ def _color(view: Any, point: NDArray, options: OracleOptions) -> NDArray:
 def statistics_by_loops(
     views: Sequence[Any], index: int, options: OracleOptions
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Minimum, median, maximum (H, W, 3) and count (H, W) of view ``index``."""
+    """Minimum, median, maximum (H, W, 3) and count (H, W) of the colours of each pixel of view ``index``."""
     own = views[index]
     height, width = own.color.shape[:2]
     centres = [np.asarray(view.camera.world_from_camera, dtype=np.float64)[:3, 3] for view in views]
@@ -142,7 +142,7 @@ def statistics_by_loops(
 def statistics_vectorized(
     views: Sequence[Any], index: int, options: OracleOptions
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
-    """As :func:`statistics_by_loops`, with the margin (H, W) of each pixel's closest decision.
+    """As :func:`statistics_by_loops`; also returns the margin (H, W) of each pixel's closest decision.
 
     The margin is the minimum, over all views, of
 
@@ -158,14 +158,8 @@ def statistics_vectorized(
     rows, columns = np.nonzero((own.depth_z_m[..., 0] > 0) & (own.surface_mask[..., 0] >= 0.5))
     z = own.depth_z_m[rows, columns, 0].astype(np.float64)
     camera = own.camera
-    local = np.stack(
-        [
-            (columns + 0.5 - camera.cx_px) / camera.fx_px * z,
-            (rows + 0.5 - camera.cy_px) / camera.fy_px * z,
-            z,
-        ],
-        axis=-1,
-    )
+    x = (columns + 0.5 - camera.cx_px) / camera.fx_px * z
+    local = np.stack([x, (rows + 0.5 - camera.cy_px) / camera.fy_px * z, z], axis=-1)
     pose = np.asarray(camera.world_from_camera, dtype=np.float64)
     points = local @ pose[:3, :3].T + pose[:3, 3]
     normals = own.normal_world[rows, columns].astype(np.float64)

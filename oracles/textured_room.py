@@ -21,7 +21,7 @@ _AXES = (0, 0, 1, 1, 2, 2)
 
 
 def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
-    """Corners (4, 3) of a box's side, counter-clockwise from inside if ``is_inward``, else from outside."""
+    """Corners (4, 3) of a box's ``side``, counter-clockwise seen from inside (``is_inward``) or outside."""
     axis, at = _AXES[side], (low, high)[side % 2]
     a, b = (axis + 1) % 3, (axis + 2) % 3
     corners = np.empty((4, 3))
@@ -61,7 +61,7 @@ def materials_at(uv: NDArray) -> dict[str, NDArray[np.float32]]:
 
 
 def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4) -> list[Camera]:
-    """Cameras near the walls that look across the room; sizes alternate."""
+    """``num`` cameras near the walls that look across the room; every second ``size`` differs slightly."""
     rng = np.random.default_rng(seed)
     cameras = []
     for index in range(num):
@@ -75,7 +75,7 @@ def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4)
 
 
 class _MapSource:
-    """Source of a view's images: ``maps``, of which the diffuse albedo serves as the photograph."""
+    """Image source of a view with ground truth ``maps``; the diffuse albedo is its photograph."""
 
     def __init__(self, maps: dict[str, NDArray]):
         self.maps = maps
@@ -89,7 +89,7 @@ class _MapSource:
 
 
 def geometry_of(mesh: Mesh) -> CaptureGeometry:
-    """The mesh as geometry with a single part and no lamps."""
+    """Geometry of the mesh with a single part and no lamps."""
     return CaptureGeometry(mesh, (GeometryPart("room", 0, len(mesh.faces)),))
 
 
@@ -100,7 +100,7 @@ def view_maps(mesh: Mesh, camera: Camera) -> dict[str, NDArray]:
 
 
 def uv_of_pixels(mesh: Mesh, camera: Camera) -> tuple[NDArray, NDArray]:
-    """UV (H, W, 2) and depth (H, W) at the pixel centres, NaN and 0 without a hit; tests all triangles."""
+    """UVs (H, W, 2), NaN without a hit, and depth [m] (H, W), 0 without a hit, at the pixel centres."""
     assert mesh.uv is not None
     directions = camera.ray_directions().reshape(-1, 3)
     nearest, uv = np.full(len(directions), np.inf), np.full((len(directions), 2), np.nan)
@@ -126,7 +126,7 @@ def uv_of_pixels(mesh: Mesh, camera: Camera) -> tuple[NDArray, NDArray]:
 def room_capture(
     num: int = 10, size: tuple[int, int] = (96, 72), *, has_equal_views: bool = False
 ) -> Capture:
-    """The room as a capture with ground-truth maps. ``has_equal_views``: equal sizes and square pixels."""
+    """Capture of the room with ground-truth maps; ``has_equal_views``: equal sizes and square pixels."""
     mesh = room_mesh()
     cameras = room_cameras(num, size)
     if has_equal_views:

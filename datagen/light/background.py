@@ -31,8 +31,8 @@ PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
 """Light counts as far if the error by direction is below this share of the error by position."""
 JUDGED_PLACES = 24
-"""Squares along each side of a face of the box in that test, which bins directions as in :data:`FAR`."""
-_MIN_GAIN = 1e-3  # in ln radiance; keeps rounding from deciding
+"""Squares along each side of a face of the box in :func:`is_far`, which bins directions as :data:`FAR`."""
+_MIN_GAIN = 1e-3  # in ln radiance; rounding must not determine the result
 _MAX_PIXELS = 6000  # per view
 
 
@@ -61,7 +61,7 @@ class Layout:
 
     @property
     def directions(self) -> int:
-        """Number of directional bins at one position."""
+        """Number of bins by direction at one position."""
         return self.azimuths * self.heights
 
     @property
@@ -76,7 +76,7 @@ class Layout:
         return self.faces * places**2 * heights * azimuths
 
     def ways(self) -> NDArray[np.float64]:
-        """Unit directions (D, 3) of the bin centres at one position."""
+        """Unit directions (D, 3) of the centres of the bins at one position."""
         row, column = np.divmod(np.arange(self.directions), self.azimuths)
         z = (row + 0.5) / self.heights * 2 - 1
         azimuth = (column + 0.5 - 0.5 * self.azimuths) * (2 * np.pi / self.azimuths)
@@ -84,7 +84,7 @@ class Layout:
         return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
     def bins_of(self, origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
-        """Bins (N,) of rays (N, 3) that start inside the box with corners ``low`` and ``high`` (3,)."""
+        """Bin indices (N,) of rays (N, 3) that start inside the box of corners ``low`` and ``high`` (3,)."""
         azimuth = np.arctan2(direction[:, 1], direction[:, 0]) * (self.azimuths / (2 * np.pi))
         column = np.clip(azimuth + 0.5 * self.azimuths, 0, self.azimuths - 1).astype(np.int64)
         row = np.clip((direction[:, 2] * 0.5 + 0.5) * self.heights, 0, self.heights - 1).astype(np.int64)
@@ -161,7 +161,7 @@ def box_squares(
 
 @dataclass(frozen=True)
 class OutsidePixels:
-    """Background pixels (N,): ``origin``, ``direction`` and ``color`` (N, 3), ``view`` (N,)."""
+    """N background pixels: ``origin``, ``direction`` and ``color`` (N, 3), index of the ``view`` (N,)."""
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -170,7 +170,7 @@ class OutsidePixels:
 
 
 def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
-    """A regular subset of each view's background pixels."""
+    """Evenly spaced background pixels of each view, at most about ``_MAX_PIXELS``."""
     parts: list[tuple[NDArray, ...]] = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
     for number, view in enumerate(views):
         pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())
@@ -183,7 +183,7 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Whether direction predicts the pixels of other views clearly better than position."""
+    """Whether bins by direction predict the pixels of other views clearly better than bins by position."""
     if not len(pixels.view):
         return False
     face, square = box_squares(pixels.origin, pixels.direction, low, high, JUDGED_PLACES)
@@ -235,13 +235,11 @@ def photographed_background(
 
 
 def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDArray[np.float64]:
-    """Features (N, 6) whose distance is that of the bins: position, of which one diagonal of the box is
+    """Points (N, 6) for distances between bins: position, in units in which the diagonal of the box is
     :data:`PLACE_WEIGHT`, and unit direction.
     """
     places = layout.places
-    face, direction = np.divmod(bins, places * places * layout.directions)
-    u, direction = np.divmod(direction, places * layout.directions)
-    v, direction = np.divmod(direction, layout.directions)
+    face, u, v, direction = np.unravel_index(bins, (layout.faces, places, places, layout.directions))
     axis, is_high = face // 2, face % 2
     share = np.zeros((len(bins), 3))
     rows = np.arange(len(bins))
@@ -253,7 +251,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
 
 
 def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Indices (K,) of the bins with at least :data:`MIN_PIXELS` colours, and medians (K, 3) by channel."""
+    """Bins (K,) with at least :data:`MIN_PIXELS` of the colours, and their medians (K, 3) by channel."""
     order = np.argsort(bins, kind="stable")
     keys, first, num = np.unique(bins[order], return_index=True, return_counts=True)
     medians = np.empty((len(keys), 3), np.float32)

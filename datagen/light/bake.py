@@ -25,15 +25,11 @@ from datagen.light.bright_guide import BrightGuide
 from datagen.light.emitters import EmitterSampler
 from datagen.light.radiance_field import MIN_COSINE, Met, RadianceField, lobe_pdf, schlick_weight
 from datagen.multiview.visibility import vectors_from_rows
-from mitsuba_plugins.beckmann import (
-    alpha_from_roughness,
-    sample_visible_normal,
-    smith_g1,
-)
+from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 
 GOLDEN = 0.6180339887498949
-_START = 2e-4  # of the diagonal: offset of a ray's origin from the surface
-_SHADOW = 1e-3  # of the distance to an emitter by which a shadow ray is shortened
+_START = 2e-4  # offset of a ray's origin from the surface, relative to the room's diagonal
+_SHADOW = 1e-3  # shortening of shadow rays, relative to the distance to the emitter
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ class SpecularShading:
 
 
 def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:
-    """``num_rays`` cosine-distributed rays (``mi.Ray3f``) for each point (N, 3) with normal (N, 3), by point.
+    """``num_rays`` cosine-distributed rays (``mi.Ray3f``) from each point (N, 3) with normal (N, 3) in turn.
 
     Origins are offset by ``start_m`` along the normal.
     """
@@ -78,7 +74,7 @@ def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: fl
 
 
 class Baker:
-    """Computes shading at points in a radiance field. ``size_m``: diagonal of the room in metres."""
+    """Computes shading at points in a radiance field; ``size_m`` is the diagonal of the room."""
 
     def __init__(self, field: RadianceField, size_m: float):
         self.field = field
@@ -116,8 +112,8 @@ class Baker:
         num_rays: int,
         seed: int = 0,
     ) -> SpecularShading:
-        """Specular shading of observations, from ``num_rays`` rays each: points (K, 3), normals (K, 3), unit
-        directions to the cameras ``view`` (K, 3) and ``roughness`` (K,)."""
+        """Specular shading of K observations, by ``num_rays`` rays each, from points (K, 3), normals (K, 3),
+        unit directions to the cameras ``view`` (K, 3) and ``roughness`` (K,)."""
         import drjit as dr
         import mitsuba as mi
 
@@ -138,17 +134,16 @@ class Baker:
         scale = 1.0 / num_rays
         ls0, ls1, known, photographed = ls0 * scale, ls1 * scale, known * scale, photographed * scale
         dr.eval(ls0, ls1, known, photographed)
-        return SpecularShading(
-            _rows(ls0), _rows(ls1), np.array(known.numpy()), np.array(photographed.numpy())
-        )
+        shares = np.array(known.numpy()), np.array(photographed.numpy())
+        return SpecularShading(_rows(ls0), _rows(ls1), *shares)
 
     def meet(self, ray: Any, active: Any, sample: Any) -> Met:
         """Trace ``ray`` into the field; reflections at metals sample bright surfaces directly."""
         return self.field.meet(ray, active, sample, self.guide)
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """Sample a point of an emitter: local direction, radiance (0 if occluded), density [1/sr], and mask
-        of the visible points.
+        """Sample a point of an emitter; return its local direction, radiance (0 if occluded), density [1/sr],
+        and whether it is visible from ``p``.
         """
         import drjit as dr
         import mitsuba as mi
@@ -180,7 +175,7 @@ class Baker:
         return dr.select(is_emitter, area * dr.square(met.distance_m) / facing, 0.0)
 
     def lobe_weight(self, pdf: Any, met: Met, ray: Any) -> Any:
-        """Weight, by the balance heuristic, of a ray that was drawn from a lobe with density ``pdf``."""
+        """Weight, by the balance heuristic, of a ray sampled from a lobe with density ``pdf`` [1/sr]."""
         import drjit as dr
         import mitsuba as mi
 
@@ -206,7 +201,7 @@ def _rows(values: Any) -> NDArray[np.float32]:
 
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Five numbers in [0, 1) for sample ``index`` of ``count`` of point ``lane``: a shifted lattice."""
+    """Five numbers in [0, 1) for sample ``index`` of ``count`` at point ``lane``, from a shifted lattice."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed)
@@ -312,9 +307,7 @@ def _specular_loop(
             lobe = lobe_pdf(wi, direction, half, alpha)
             others = light_pdf + baker.guide_pdf(p, frame.to_world(direction))
             arriving = dr.select(
-                counts,
-                radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(others + lobe, 1e-20)),
-                0.0,
+                counts, radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(others + lobe, 1e-20)), 0.0
             )
             light_f = schlick_weight(dr.dot(wi, half))
             ls0 = ls0 + arriving * (1.0 - light_f)

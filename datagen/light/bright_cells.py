@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Bright surfaces that rays seldom hit: lamps that the geometry does not name, and sunlit spots.
+"""Finds bright surfaces that rays seldom hit: lamps not marked in the geometry, and sunlit spots.
 
-Rays drawn from a lobe seldom hit a lamp of a few cells, which may give most of a room's light. Each cluster
-of adjacent bright cells of one side is enclosed in a rectangle perpendicular to the side's axis, towards
-which directions are sampled (:mod:`datagen.light.bright_guide`).
+Rays sampled from a lobe seldom hit a lamp of a few cells, which may be the source of most of a room's light.
+Each cluster of adjacent bright cells of one side is enclosed in a rectangle perpendicular to the side's axis,
+towards which directions are sampled (:mod:`datagen.light.bright_guide`).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _rectangle(
 
 
 def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Ascending row indices of each cluster of adjacent cells (K, 3) of the same ``side`` (K,)."""
+    """Ascending row indices of each cluster of adjacent cells ``at`` (K, 3) of the same ``side`` (K,)."""
     if not len(at):
         return []
     pairs = cKDTree(apart_by_side(at, side)).query_pairs(1.5, p=np.inf, output_type="ndarray")
@@ -76,5 +76,5 @@ def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArr
 
 
 def apart_by_side(at: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Points (K, 4) for neighbour searches among cells (K, 3), far apart for different ``side`` (K,)."""
+    """Points (K, 4) of cells ``at`` (K, 3) for neighbour searches, far apart for different ``side`` (K,)."""
     return np.column_stack([at, side * 4 * int(at.max() + 1)])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ROWS, _NORMAL, _MIDDLE, _SQUARES, _POWER = 7, 3, 4, 5, 6  # vectors of a rectangle on the device
-_MIN_FACING = 0.05  # of the cosine at a rectangle, for points beside or behind it
+_MIN_FACING = 0.05  # minimum cosine at a rectangle, also for points not in front of it
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class BrightRectangle:
 
 
 class BrightGuide:
-    """Samples directions towards K ``rectangles``, on the device."""
+    """Samples directions towards ``rectangles``, inside kernels."""
 
     def __init__(self, rectangles: Sequence[BrightRectangle]):
         import mitsuba as mi
@@ -75,7 +75,7 @@ class BrightGuide:
         return [share / total for share in found]
 
     def sample(self, p: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any]:
-        """Sample a direction from ``p``; also return its density [1/sr], 0 in the plane of the rectangle."""
+        """Sample a direction from ``p`` by numbers in [0, 1) and [0, 1)^2; also return its density [1/sr]."""
         import drjit as dr
         import mitsuba as mi
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cells with the radiance of surfaces: the surfels' cells, larger cells that enclose them, and larger cells
+"""Cells with the radiance of surfaces: those of the surfels, larger ones that enclose them, and larger ones
 outside their grid.
 """
 
@@ -36,10 +36,10 @@ class Cells:
 
 
 def surfel_cells(surfels: Surfels) -> Cells:
+    """Cells of all surfels."""
     grid = surfels.grid
-    return Cells(
-        grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, np.ones(len(surfels), dtype=bool)
-    )
+    is_photographed = np.ones(len(surfels), dtype=bool)
+    return Cells(grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, is_photographed)
 
 
 def unmixed_cells(surfels: Surfels) -> Cells:
@@ -50,7 +50,7 @@ def unmixed_cells(surfels: Surfels) -> Cells:
 
 
 def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Key (N,) of the cell side of points (N, 3) with normals (N, 3), -1 outside the grid."""
+    """Keys (N,) of the cell sides at points (N, 3) with normals (N, 3); -1 outside the grid."""
     at = np.floor((position_m - grid.low) / grid.cell_m).astype(np.int64)
     inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
     key = ((at[:, 0] * grid.shape[1] + at[:, 1]) * grid.shape[2] + at[:, 2]) * NUM_SIDES + side_of(normal)
@@ -58,10 +58,9 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
 
 
 def cell_indices(keys: NDArray[np.int64], shape: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices (K, 3) along the axes, and sides (K,), of cell sides by key, in a grid of ``shape`` (3,)."""
-    side, rest = keys % NUM_SIDES, keys // NUM_SIDES
-    row, z = np.divmod(rest, shape[2])
-    return np.stack([row // shape[1], row % shape[1], z], axis=1), side
+    """Indices along the axes (K, 3) and sides (K,) of the cell sides ``keys`` (K,) of a grid of ``shape``."""
+    *at, side = np.unravel_index(keys, (*shape, NUM_SIDES))
+    return np.stack(at, axis=1), side
 
 
 def side_of(normal: NDArray) -> NDArray[np.int64]:
@@ -71,8 +70,8 @@ def side_of(normal: NDArray) -> NDArray[np.int64]:
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Key (N,) of the cell side of points: in the surfels' grid, else in the larger cells around it (after
-    the grid's keys), else -1.
+    """Keys (N,) of the cell sides at points (N, 3) with normals (N, 3): in the surfels' grid, else in the
+    larger cells around it, with keys after those of the grid, else -1.
     """
     keys = cell_keys(grid, position_m, normal)
     around = cell_keys(_outer_grid(grid), position_m, normal)
@@ -80,7 +79,7 @@ def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArr
 
 
 def _outer_grid(grid: CellGrid) -> CellGrid:
-    """Larger cells that extend beyond the surfels' grid."""
+    """Grid of larger cells that extends beyond the surfels' grid."""
     margin = -(-OUTER_MARGIN_CELLS // OUTER_CELLS)
     side_m = OUTER_CELLS * grid.cell_m
     shape = -(-grid.shape // OUTER_CELLS) + 2 * margin
@@ -88,7 +87,7 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 
 def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
-    """Larger cells with the estimated ``radiance`` (N, 3) of points (N, 3); None if they contain no point."""
+    """Larger cells with the estimated ``radiance`` (N, 3) of points (N, 3); None if none contains a point."""
     outer = _outer_grid(grid)
     keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
     keys, first = keys[keys >= 0], first[keys >= 0]
@@ -96,36 +95,25 @@ def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: 
         return None
     index = np.full(int(np.prod(outer.shape)) * NUM_SIDES, -1, np.int32)
     index[keys] = np.arange(len(keys), dtype=np.int32)
-    is_photographed = np.zeros(len(keys), dtype=bool)
-    return Cells(
-        index, outer.low, outer.cell_m, outer.shape, radiance[first].astype(np.float32), is_photographed
-    )
+    values, is_photographed = radiance[first].astype(np.float32), np.zeros(len(keys), dtype=bool)
+    return Cells(index, outer.low, outer.cell_m, outer.shape, values, is_photographed)
 
 
 def pyramid(cells: Cells) -> list[Cells]:
-    """``cells``, then grids of two and four times their side, with the mean radiance of the cells inside."""
+    """Return ``cells``, and grids of two and four times their side with the mean radiance of cells inside."""
     levels = [cells]
     occupied = np.flatnonzero(cells.index >= 0)
     at, side = cell_indices(occupied, cells.shape)
     row = cells.index[occupied]
     for level in range(1, NUM_LEVELS):
         shape = (cells.shape + (1 << level) - 1) >> level
-        coarse = at >> level
-        key = ((coarse[:, 0] * shape[1] + coarse[:, 1]) * shape[2] + coarse[:, 2]) * NUM_SIDES + side
-        keys, place = np.unique(key, return_inverse=True)
-        num = np.bincount(place)
-        radiance = np.stack([np.bincount(place, cells.radiance[row, c]) / num for c in range(3)], axis=1)
+        key = np.ravel_multi_index((*(at >> level).T, side), (*shape, NUM_SIDES))
+        keys, of_row = np.unique(key, return_inverse=True)
+        num = np.bincount(of_row)
+        radiance = np.stack([np.bincount(of_row, cells.radiance[row, c]) / num for c in range(3)], axis=1)
         index = np.full(int(np.prod(shape)) * NUM_SIDES, -1, np.int32)
         index[keys] = np.arange(len(keys), dtype=np.int32)
-        photographed = np.bincount(place, cells.is_photographed[row]) > 0
-        levels.append(
-            Cells(
-                index,
-                cells.low,
-                cells.cell_m * (1 << level),
-                shape,
-                radiance.astype(np.float32),
-                photographed,
-            )
-        )
+        is_photographed = np.bincount(of_row, cells.is_photographed[row]) > 0
+        side_m = cells.cell_m * (1 << level)
+        levels.append(Cells(index, cells.low, side_m, shape, radiance.astype(np.float32), is_photographed))
     return levels

@@ -41,7 +41,7 @@ WINDOW, MIN_SPREAD = 9, 0.01
 """Side in pixels of the window of the regression for the outside's radiance, and variance of the shares at
 which the regression and the nearest empty pixel have equal weight."""
 SAMPLED_EVERY = 7
-"""One in this number of edge pixels far from mixed surfels is used, only for the slope."""
+"""Of edge pixels far from mixed surfels, which matter only for the slope, one in this number is used."""
 MIN_CONTRAST = 0.2
 """Minimum difference between X and the predicted L, relative to the larger one, of pixels for the slope."""
 EXACT_SLOPE = 0.9
@@ -57,7 +57,7 @@ def unmixed(
     emits: NDArray[np.bool_],
     region_of_face: NDArray[np.int32],
 ) -> list[TracedView]:
-    """The views without the radiance of other surfaces in the edge pixels of mixed surfels.
+    """Remove the radiance of other surfaces from the edge pixels of mixed surfels; return the new views.
 
     ``emits`` (M,) and ``region_of_face`` (M,) are as in :func:`~datagen.light.lighting.light_surfels`.
     """
@@ -66,10 +66,10 @@ def unmixed(
     grid = surfels.grid
     background = photographed_background(views, grid.low, grid.high)
     field = RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
-    edges = [_edge_pixels(surfels, place, view) for place, view in enumerate(views)]
+    edges = [_edge_pixels(surfels, index, view) for index, view in enumerate(views)]
     parts = [_parts(field, view, at, region_of_face) for view, at in zip(views, edges, strict=True)]
     colors = [view.color.reshape(-1, 3)[at] for view, at in zip(views, edges, strict=True)]
-    owner = np.concatenate([surfels.pixel_surfel[place][at] for place, at in enumerate(edges)])
+    owner = np.concatenate([surfels.pixel_surfel[index][at] for index, at in enumerate(edges)])
     color, share = np.concatenate(colors), np.concatenate([part[0] for part in parts])
     other = np.concatenate([part[1] for part in parts])
     if not len(color):
@@ -110,14 +110,14 @@ def edge_slope(
     return (num * slope + PRIOR_PIXELS) / (num + PRIOR_PIXELS)
 
 
-def _edge_pixels(surfels: Surfels, place: int, view: TracedView) -> NDArray[np.int64]:
-    """Flat indices (K,) of a view's unclipped pixels at edges and creases: those of mixed surfels, those
-    around them, and a sample of the rest.
+def _edge_pixels(surfels: Surfels, index: int, view: TracedView) -> NDArray[np.int64]:
+    """Flat indices (K,) of unclipped pixels at edges and creases of view ``index``: those of mixed surfels,
+    those around them, and a sample of the rest.
     """
     from scipy.ndimage import maximum_filter
 
-    owner, shape = surfels.pixel_surfel[place], view.color.shape[:2]
-    at_edge = (owner >= 0) & (surfels.pixel_weight[place] < 1)
+    owner, shape = surfels.pixel_surfel[index], view.color.shape[:2]
+    at_edge = (owner >= 0) & (surfels.pixel_weight[index] < 1)
     is_mixed = at_edge & surfels.is_mixed[owner]
     is_near = maximum_filter(is_mixed.reshape(shape), WINDOW).ravel()
     chosen = at_edge & (is_near | (np.arange(len(owner)) % SAMPLED_EVERY == 0))
@@ -129,7 +129,7 @@ def _edge_pixels(surfels: Surfels, place: int, view: TracedView) -> NDArray[np.i
 def _parts(
     field: RadianceField, view: TracedView, pixel: NDArray[np.int64], region_of_face: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """a_p (K,) and b_p (K, 3) of the pixels with flat indices (K,); see the module's docstring.
+    """Shares a_p (K,) and radiances b_p (K, 3), see the module's docstring, of pixels by flat index (K,).
 
     Surfaces of unknown radiance count as the pixel's own.
     """
@@ -161,8 +161,8 @@ def _parts(
 def _rays_through(
     field: RadianceField, view: TracedView, pixel: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int32]]:
-    """Radiance (K, RAYS, 3) along rays through each pixel, whether it is known (K, RAYS), and the triangles
-    hit (K, RAYS), -1 for none.
+    """Radiance (K, RAYS, 3) along rays through each pixel, whether it is known (K, RAYS), and the triangle
+    hit by each ray (K, RAYS), -1 for none.
     """
     import drjit as dr
     import mitsuba as mi

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Emitters of a room: emissive triangles, their photographed radiance, and their sampling.
 
-The capture's geometry may name emitters; others are found where the radiance of a surface exceeds what an
+The capture's geometry may mark emitters; others are found where the radiance of a surface exceeds what an
 albedo of 1 could reflect (``model.reconstruction.light.lamps``). The triangles of one smooth region form one
 emitter with the median radiance of its pixels.
 """
@@ -49,7 +49,7 @@ class Emitters:
         return ~self.radiance.any(axis=1)
 
     def with_radiance(self, radiance: NDArray) -> Emitters:
-        """The emitters with another ``radiance`` (K, 3)."""
+        """Return the emitters with another ``radiance`` (K, 3) and the corresponding power."""
         cross = np.cross(self.vertices[:, 1] - self.vertices[:, 0], self.vertices[:, 2] - self.vertices[:, 0])
         area = 0.5 * np.linalg.norm(cross, axis=1)
         power = area * (radiance @ LUMINANCE_WEIGHTS)[self.of_face[self.triangles]]
@@ -65,11 +65,8 @@ def photographed_emitters(
     """
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
-        none = np.zeros(0, np.float32)
-        sides = np.ones(len(mesh.faces), np.float32)
-        return Emitters(
-            of_face, none.reshape(0, 3), sides, np.zeros(0, np.int32), none.reshape(0, 3, 3), none
-        )
+        none, sides = np.zeros(0, np.float32), np.ones(len(mesh.faces), np.float32)
+        return Emitters(of_face, none.reshape(0, 3), sides, of_face[:0], none.reshape(0, 3, 3), none)
     regions, of_face[emits] = np.unique(region_of_face[emits], return_inverse=True)
     colors: list[list[NDArray]] = [[] for _ in regions]
     for view in views:
@@ -91,7 +88,7 @@ def photographed_emitters(
 
 
 class EmitterSampler:
-    """Samples points of emitters in proportion to their power, on the device."""
+    """Samples points on emitters in proportion to their power, inside kernels."""
 
     def __init__(self, emitters: Emitters):
         import drjit as dr
@@ -120,7 +117,7 @@ class EmitterSampler:
         luminance = np.maximum(radiance @ LUMINANCE_WEIGHTS, 1e-20)
         total = float(emitters.power[used].astype(np.float64).sum())
         self._area_pdf = upload(luminance / total)  # power / total / area
-        #: density by area with which :meth:`sample` gives a point of a triangle, for rays that hit it
+        # density by area [1/m^2] of :meth:`sample` on each triangle, for rays that hit it
         by_face = np.zeros(len(emitters.of_face), np.float32)
         by_face[triangles] = luminance / total
         self.area_pdf_of_face = mi.Float(by_face)

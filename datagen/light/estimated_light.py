@@ -40,12 +40,12 @@ PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
 1; a region's albedo equals the room's."""
 MAX_LOG_GAIN = 2.5
 HIDDEN_GAIN = 4.0
-"""Surface brighter than this multiple of its estimate is attributed to a lamp that no photograph shows."""
+"""Estimates with a larger gain are attributed to an unphotographed lamp."""
 MAX_REFLECTED = 1.1
 """Maximum ratio of radiance to Ld of a white surface, including noise."""
-_HUBER = 0.25  # in ln L
+_HUBER = 0.25  # threshold, in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
-_MIN_REST = 0.02  # of the irradiance: its parts are sampled separately and need not add up to it exactly
+_MIN_REST = 0.02  # share of the irradiance, whose separately sampled parts need not add up to it
 NUM_OUTSIDE = max(layout.num_gains for layout in (NEAR, FAR))
 NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 
@@ -64,7 +64,7 @@ class EstimateGains:
 
 
 def background_groups(layout: Layout) -> NDArray[np.int64]:
-    """Group of each bin of a :class:`~datagen.light.background.Background`, below :data:`NUM_OUTSIDE`."""
+    """Group (B,), below :data:`NUM_OUTSIDE`, of each of the B bins of a background's ``layout``."""
     shape = layout.faces, layout.places, layout.places, layout.heights, layout.azimuths
     places, heights, azimuths = layout.gain_blocks
     blocks = layout.faces, places, places, heights, azimuths
@@ -75,17 +75,17 @@ def background_groups(layout: Layout) -> NDArray[np.int64]:
 
 
 def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> NDArray[np.int64]:
-    """Group (N,) of surface positions (N, 3) with normals (N, 3); indices start at :data:`NUM_OUTSIDE`."""
+    """Group (N,), from :data:`NUM_OUTSIDE` on, of surface positions (N, 3) with normals (N, 3)."""
     grid = surfels.grid
     side_m = grid.cell_m * float(grid.shape.max()) / ROOM_PARTS
     part = np.floor((position_m - grid.low) / side_m).astype(np.int64)
-    x, y, z = (np.clip(part, -1, ROOM_PARTS) + 1).T  # the outermost parts also take values beyond the limits
+    x, y, z = (np.clip(part, -1, ROOM_PARTS) + 1).T  # the outermost parts extend beyond the grid
     across = ROOM_PARTS + 2
     return NUM_OUTSIDE + ((x * across + y) * across + z) * NUM_SIDES + side_of(normal)
 
 
 def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGains:
-    """Fit the gains of all estimates; ``region`` (N,) is the index of each surfel's smooth region."""
+    """Fit the gains of all groups; ``region`` (N,) is the index of each surfel's smooth region."""
     step = max(1, len(surfels) // MAX_SURFELS)
     position, normal = surfels.position_m[::step], surfels.normal[::step]
     whole = luminance(baker.irradiance(position, normal, RAYS).diffuse.astype(np.float64))
@@ -122,7 +122,7 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGai
 
 
 def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Mean (N,) over each surfel's ``region`` (N,) of samples (K,); the overall mean without samples."""
+    """Mean (N,) of samples (K,) in each surfel's ``region`` (N,); without samples the overall mean."""
     num = int(region.max()) + 1
     count = np.bincount(sampled_region, minlength=num)
     total = np.bincount(sampled_region, values, num)
@@ -134,8 +134,8 @@ def solve_gains(
 ) -> NDArray[np.float64]:
     """Gains (K,) of the estimated ``parts`` (N, K) of the irradiance, whose known part is ``rest`` (N,).
 
-    Of each surfel: ``log_radiance`` and index ``region`` (N,). ``is_outside`` (K,): whether a group is
-    outside the room.
+    ``log_radiance`` (N,): ln L of each surfel; ``region`` (N,): index of its smooth region; ``is_outside``
+    (K,): mask of the groups outside the room.
     """
     num_groups = parts.shape[1]
     region = np.unique(region, return_inverse=True)[1]
@@ -166,7 +166,7 @@ def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
 
 
 def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np.float64]:
-    """Weighted means (N, J) of ``rows`` (N, J) by region, shrunk to the overall mean if samples are few."""
+    """Weighted means (N, J) of ``rows`` (N, J) over each row's region, shrunk towards the overall mean."""
     total = np.bincount(region, weight)
     means = np.stack([np.bincount(region, weight * column) / total for column in rows.T], axis=1)
     own = (total / (total + REGION_PRIOR))[:, None]
@@ -174,7 +174,7 @@ def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np
 
 
 def with_gains(background: Background, gains: NDArray) -> Background:
-    """The background with ``gains`` by group applied to its estimated, but not its photographed, radiance."""
+    """The background with its estimated, not its photographed, radiance multiplied by ``gains`` by group."""
     is_estimated = background.is_known & ~background.is_photographed
     factor = np.where(is_estimated, gains[background_groups(background.layout)], 1.0)[:, None]
     return replace(background, radiance=(background.radiance * factor).astype(np.float32))

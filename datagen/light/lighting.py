@@ -62,8 +62,8 @@ class GatherOptions:
 class Lit:
     """Surfels with their shading.
 
-    ``diffuse`` (N, 3): smoothed Ld of all light; ``hidden`` (N,): share of the light that is attributed to
-    unphotographed lamps.
+    ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``hidden`` (N,): share of the light attributed to
+    unphotographed lamps, in [0, 1].
     """
 
     surfels: Surfels
@@ -85,8 +85,8 @@ def light_surfels(
     """Compute the surfels of the views and their incident light.
 
     ``emits`` (M,): mask of the emissive triangles; ``region_of_face`` (M,): smooth region of each triangle.
-    ``step`` returns a context manager for each stage by name. ``unseen`` returns the emitters completed by
-    unphotographed ones, given the light without those.
+    ``step`` returns a context manager for each stage by name. ``unseen`` returns all emitters from the light
+    without unphotographed ones.
     """
     with step("surfels"):
         surfels = build_surfels(views)
@@ -116,7 +116,7 @@ def light_surfels(
 
 
 def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
-    """The surfels with the radiance of mixed ones bounded by their incident light, as far as that is known.
+    """Bound the radiance of mixed surfels by their incident light, to the degree to which that is known.
 
     Otherwise a slat of a blind that is one pixel wide would have the radiance of the sky behind it.
     ``unmixed`` computes light in the field without mixed surfels.
@@ -141,7 +141,7 @@ def relight(
     is_metal: NDArray[np.bool_],
     options: GatherOptions,
 ) -> Lit:
-    """The surfels with their light computed again, with more rays and with reflections at metals.
+    """Compute the light of the surfels again, with more rays and with reflections at metals.
 
     Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,).
     """
@@ -159,7 +159,7 @@ def _lit(surfels: Surfels, baker: Baker, hidden: NDArray, num_rays: int, options
 
 
 def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
-    """Diffuse shading (N, 3) under the assumption that unknown light is as bright as known light."""
+    """Diffuse shading (N, 3) on the assumption that unknown light is as bright as known light."""
     return irradiance.diffuse / np.maximum(irradiance.known, MIN_KNOWN)[:, None]
 
 
@@ -167,7 +167,7 @@ def _estimated(
     scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
 ) -> tuple[RadianceField, NDArray[np.float64]]:
     """Radiance field with estimates for unphotographed surfaces, and the share (N,) of each surfel's light
-    from unphotographed lamps.
+    that is due to unphotographed lamps.
 
     The estimate is the room's mean reflectance times the incident light times the fitted gain.
     """
@@ -195,13 +195,8 @@ def _estimated(
 def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:
     """A position and normal (K, 3) for each cell without radiance that the surfels' rays hit."""
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
-    ray = cosine_rays(
-        surfels.position_m[::step],
-        surfels.normal[::step],
-        ESTIMATE_RAYS_A_SURFEL,
-        Baker(scene_field, size_m).start_m,
-        seed=0,
-    )
+    origin, normal = surfels.position_m[::step], surfels.normal[::step]
+    ray = cosine_rays(origin, normal, ESTIMATE_RAYS_A_SURFEL, Baker(scene_field, size_m).start_m, seed=0)
     position, facing = scene_field.unknown_hits(ray)
     keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
     chosen = first[keys >= 0]
@@ -209,7 +204,7 @@ def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float
 
 
 def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) -> NDArray[np.float64]:
-    """Median (3,) of pi L / E over surfels in photographed light."""
+    """Median reflectance (3,), pi L / E, of surfels in mostly photographed light; 0.4 without any."""
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)
     used = (lit.photographed > 0.8) & (lit.diffuse.min(axis=1) > 0)
@@ -220,7 +215,7 @@ def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) ->
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
-    """Weighted means (N, K) of ``values`` (N, K) over the nearest surfels with similar normals."""
+    """Weighted means (N, K) of ``values`` (N, K) over ``neighbours`` near surfels with similar normals."""
     distance, index = near_surfels(surfels, neighbours)
     weight = np.exp(-0.5 * (distance / 1.5) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)

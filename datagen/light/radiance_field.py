@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 MIN_COSINE = 0.02
-"""Minimum cosine between the normal and a view's direction; directions of smaller cosine are raised to it."""
+"""Minimum cosine of the angle between normal and direction to the viewer; smaller ones are raised to it."""
 
 
 class Met(NamedTuple):
-    """Result of a ray: ``radiance`` (0 if unknown), ``is_known``, ``is_photographed`` (not estimated).
+    """Result of a ray: ``radiance``, 0 unless ``is_known``; ``is_photographed`` is False for estimates.
 
-    If ``is_front_of_emitter``, then ``face`` is the emitter's triangle, and ``cosine`` is that of its normal
-    with the ray.
+    If ``is_front_of_emitter``, then ``face`` is the emitter's triangle, and ``cosine`` that of the angle
+    between its normal and the ray.
     """
 
     radiance: Any
@@ -56,7 +56,7 @@ class Met(NamedTuple):
 
 @dataclass(frozen=True)
 class Metals:
-    """Metals of the field, by row of the cells' radiance.
+    """Metals of the field. Arrays have a row for each of the K rows of ``Cells.radiance``.
 
     ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). ``start_m`` is the offset of reflected
     rays from the surface.
@@ -69,10 +69,10 @@ class Metals:
 
 
 class Estimated(NamedTuple):
-    """Rays whose radiance is estimated.
+    """K rays whose radiance is estimated: their indices ``ray`` (K,) and their ``radiance`` (K, 3).
 
-    ``ray`` (K,) indices, ``radiance`` (K, 3). ``background_bin`` (K,) for rays that leave the mesh; -1 for
-    the others, which hit surface at ``position_m`` with ``normal``, (K, 3) each.
+    ``background_bin`` (K,): bin of rays that leave the mesh; -1 for the others, which hit a surface at
+    ``position_m`` (K, 3) with ``normal`` (K, 3).
     """
 
     ray: NDArray[np.int64]
@@ -83,7 +83,7 @@ class Estimated(NamedTuple):
 
 
 class _End(NamedTuple):
-    """End of a ray: the result, the surfel's row or -1, the position, the normal towards the ray, and whether
+    """End of a ray: result, row of the cell's radiance or -1, position, normal towards the ray, and whether
     the ray leaves the mesh.
     """
 
@@ -95,9 +95,9 @@ class _End(NamedTuple):
 
 
 class RadianceField:
-    """Radiance along rays, from ``surfels``, ``emitters`` and ``background``.
+    """Radiance along rays in ``scene``, from ``surfels``, ``emitters`` and ``background``.
 
-    ``cells`` (default: those of the surfels) may include estimates; ``outer`` are larger cells around them.
+    ``cells`` (default: those of the surfels) may include estimates; ``outer``: larger cells beyond them.
     """
 
     def __init__(
@@ -169,8 +169,8 @@ class RadianceField:
     def meet(self, ray: Any, active: Any, sample: Any = None, guide: BrightGuide | None = None) -> Met:
         """Trace ``ray`` into the field.
 
-        ``sample``, unused without metals, is for the reflection at a metal: a point of [0, 1)^2 for the half
-        vector, and a number and a point for a direction of ``guide``.
+        ``sample`` is needed with metals only: a point in [0, 1)^2 for the half vector of the reflection, and
+        the random numbers of :meth:`BrightGuide.sample` for ``guide``.
         """
         import drjit as dr
         import mitsuba as mi
@@ -245,25 +245,21 @@ class RadianceField:
         return _End(met, row, si.p, normal, missed)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray]:
-        """Positions and normals (K, 3), towards the rays, of hits on surfaces of unknown radiance."""
+        """Positions (K, 3) and normals (K, 3), towards the rays, of hits on surfaces of unknown radiance."""
         import drjit as dr
         import mitsuba as mi
 
-        si = self.scene.ray_intersect(ray)
-        is_hit = si.is_valid()
-        normal = dr.select(dr.dot(si.sh_frame.n, ray.d) < 0, si.sh_frame.n, -si.sh_frame.n)
-        is_surface = is_hit & (dr.gather(mi.Int32, self._emitter_of_face, si.prim_index, is_hit) < 0)
-        _, is_known, _, _ = self._lookup(si.p, normal, is_surface)
-        position = si.p
-        dr.eval(position, normal, is_surface, is_known)
-        chosen = np.asarray((is_surface & ~is_known).numpy(), dtype=bool)
-        return (
-            np.asarray(position.numpy()).reshape(3, -1).T[chosen],
-            np.asarray(normal.numpy()).reshape(3, -1).T[chosen],
+        end = self._end_of(ray, mi.Bool(True))
+        is_unknown = ~end.leaves & ~end.met.is_known
+        dr.eval(is_unknown, end.position, end.normal)
+        chosen = np.flatnonzero(is_unknown.numpy())
+        position, normal = (
+            np.asarray(values.numpy()).reshape(3, -1).T[chosen] for values in (end.position, end.normal)
         )
+        return position, normal
 
     def estimated(self, ray: Any) -> Estimated:
-        """Those of the rays ``ray`` whose radiance is an estimate."""
+        """Rays among ``ray`` whose radiance is an estimate."""
         import drjit as dr
         import mitsuba as mi
 
@@ -282,8 +278,8 @@ class RadianceField:
     def extended(
         self, position_m: NDArray, normal: NDArray, surfels: Surfels, radiance: NDArray
     ) -> RadianceField:
-        """The field with estimated ``radiance`` (K, 3) of unphotographed surfaces at positions (K, 3) with
-        normals (K, 3), also outside the surfels' grid."""
+        """Return a field with estimated ``radiance`` (K, 3) of unphotographed surfaces added, at positions
+        (K, 3) with normals (K, 3), also outside the surfels' grid."""
         keys = cell_keys(surfels.grid, position_m, normal)
         inside = keys >= 0
         outer = outer_cells(surfels.grid, position_m[~inside], normal[~inside], radiance[~inside])
@@ -308,7 +304,7 @@ class RadianceField:
         is_metal: NDArray[np.bool_],
         start_m: float,
     ) -> RadianceField:
-        """The field with rays reflected at the metals among the ``surfels``.
+        """Return a field that reflects rays at the metals among the ``surfels``.
 
         Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,). ``start_m`` offsets
         the origins of reflected rays.
@@ -320,9 +316,8 @@ class RadianceField:
             np.pad(is_metal, (0, rest)),
             start_m,
         )
-        return RadianceField(
-            self.scene, surfels, self.emitters, self.background, self.cells, metals, self.outer
-        )
+        parts = self.emitters, self.background, self.cells, metals, self.outer
+        return RadianceField(self.scene, surfels, *parts)
 
 
 def schlick_weight(cosine: Any) -> Any:

@@ -27,13 +27,13 @@ CELLS_ACROSS = 300
 MIN_CELL_PIXELS = 1.0
 """Minimum side of a cell in pixels at the median depth; many views would have no pixel in smaller cells."""
 MAX_EDGE_SHARE = 0.5
-"""Share of a surfel's pixels at depth edges above which it is mixed. Not higher, since no edge is found
-between pixels on two slats of a blind, which are in one plane."""
+"""Share of a surfel's pixels at depth edges above which it is mixed. Not higher, since no edge is detected
+between two slats of a blind, which are in one plane."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
 1."""
-_MAX_EXTENT = 1.25  # of the central 98 % of the pixels; pixels beyond count as outside
+_MAX_EXTENT = 1.25  # of the grid, relative to the central 98 % of the pixels; pixels beyond are ignored
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Observations:
 
     The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight``
     (M,), the number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`; ``normal`` (M, 3),
-    the mean over the pixels: on a chair leg or a tap, views from different sides see different normals.
+    the mean over the pixels: on a chair leg or a tap, views from different sides show different normals.
     """
 
     start: NDArray[np.int64]
@@ -76,7 +76,7 @@ class Surfels:
     """Surfels of a room.
 
     ``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,) triangle,
-    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether most of its pixels lie at depth edges,
+    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether most of its pixels are at depth edges,
     where other surfaces contribute to the radiance, ``camera_m`` (V, 3) positions of the cameras. Per
     view: ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
     """
@@ -100,15 +100,15 @@ class Surfels:
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.observations.start))
 
     def directions(self, surfel: NDArray, view: NDArray) -> Floats32:
-        """Unit directions (K, 3) from surfels, by index (K,), to the cameras of views, by index (K,)."""
+        """Unit directions (K, 3) from the surfels of indices ``surfel`` (K,) to the cameras ``view`` (K,)."""
         toward = self.camera_m[view] - self.position_m[surfel]
         return toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9)
 
 
 def build_surfels(views: Sequence[TracedView]) -> Surfels:
-    """Surfels of the non-emitting surfaces in the views.
+    """Build the surfels of the non-emitting surfaces in the views.
 
-    Raises ValueError if the views show no extended surface.
+    Raises ``ValueError`` if the views show no extended surface.
     """
     cameras = [camera_row(view) for view in views]
     low, cell_m, shape = _extent(views)
@@ -122,22 +122,11 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
     grid = CellGrid(low, cell_m, shape, surfel)
 
     def observe(index: int) -> tuple[NDArray, ...]:
-        cell, weight, at_edge = cells[index]
         view = views[index]
-        return _observe_view(
-            cell,
-            weight,
-            at_edge,
-            np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
-            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3), np.float32),
-            view.geometry.depth_z_m.ravel(),
-            cameras[index],
-            low,
-            cell_m,
-            shape,
-            surfel,
-            num,
-        )
+        color = np.ascontiguousarray(view.color.reshape(-1, 3), np.float32)
+        normal = np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3), np.float32)
+        pixels = *cells[index], color, normal, view.geometry.depth_z_m.ravel()
+        return _observe_view(*pixels, cameras[index], low, cell_m, shape, surfel, num)
 
     with ThreadPoolExecutor(num_threads()) as pool:
         seen = list(pool.map(observe, range(len(views))))
@@ -147,7 +136,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
 
 
 def camera_row(view: TracedView) -> NDArray[np.float64]:
-    """A view's camera as one row: rotation (9), position (3), fx, fy, cx, cy, width, height."""
+    """A view's camera as an array (18,): rotation (9), position (3), fx, fy, cx, cy, width, height."""
     camera = view.camera
     matrix = camera.world_from_camera
     return np.array(
@@ -156,9 +145,7 @@ def camera_row(view: TracedView) -> NDArray[np.float64]:
     )  # fmt: skip
 
 
-def _extent(
-    views: Sequence[TracedView],
-) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
+def _extent(views: Sequence[TracedView]) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
     """Corner, cell size and shape of the grid, from a sparse subset of the pixels."""
     points, footprint = [], []
     for view in views:
@@ -244,8 +231,8 @@ def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
 
 @compiled
 def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
-    """Cell (P,) of each pixel, -1 for none, its weight (P,), and whether it lies at a depth edge (P,);
-    ``clipped`` (P,) or empty.
+    """Cell side (P,) of each pixel, -1 for none, its weight (P,), and whether it is at a depth edge (P,);
+    ``clipped`` is (P,) or empty.
     """
     width, height = int(camera[16]), int(camera[17])
     cell = np.full(width * height, -1, np.int32)
@@ -308,7 +295,7 @@ def _observe_view(cell, weight, at_edge, color, normal, depth, camera, low, cell
             sums[at, channel] += w * color[index, channel]
             sums[at, 3 + channel] += w * normal[index, channel]
         place_pixel(index, depth[index], width, camera, here)
-        off = np.float32(0.0 if w == 1.0 else 1e6)  # edge pixels only if no others
+        off = np.float32(0.0 if w == 1.0 else 1e6)  # edge pixels are chosen only if there are no others
         for axis in range(3):
             part = (here[axis] - low[axis]) / cell_m
             off += (part - np.floor(part) - 0.5) ** 2
@@ -332,16 +319,9 @@ def _cells_of(
 ) -> tuple[NDArray[np.int32], Floats32, NDArray[np.bool_]]:
     usable = view.valid_mask & (view.geometry.surface_mask[..., 0] > 0)
     clipped = np.zeros(0, np.bool_) if view.clipped_mask is None else view.clipped_mask.any(axis=2).ravel()
-    return _classify(
-        view.geometry.depth_z_m.ravel(),
-        np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
-        usable.ravel(),
-        clipped,
-        row,
-        low,
-        cell_m,
-        shape,
-    )
+    depth, normal = view.geometry.depth_z_m.ravel(), view.geometry.normal_world.reshape(-1, 3)
+    pixels = depth, np.ascontiguousarray(normal), usable.ravel(), clipped
+    return _classify(*pixels, row, low, cell_m, shape)
 
 
 def _gathered(
@@ -353,19 +333,11 @@ def _gathered(
 ) -> Surfels:
     """Observations of all views ordered by surfel, and a surface point of each surfel."""
     num = int(grid.surfel.max()) + 1
-    surfel = np.concatenate([part[0] for part in seen])
+    surfel, radiance, weight, pixel, distance, pixels, facing = map(np.concatenate, zip(*seen, strict=True))
     view = np.repeat(np.arange(len(views), dtype=np.int32), [len(part[0]) for part in seen])
     order = np.argsort(surfel, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(surfel, minlength=num))]).astype(np.int64)
-    observations = Observations(
-        start,
-        view[order],
-        np.concatenate([part[1] for part in seen])[order],
-        np.concatenate([part[2] for part in seen])[order],
-        np.concatenate([part[6] for part in seen])[order],
-    )
-    pixel = np.concatenate([part[3] for part in seen])
-    distance = np.concatenate([part[4] for part in seen])
+    observations = Observations(start, view[order], radiance[order], weight[order], facing[order])
     ranked = np.lexsort((distance, surfel))
     chosen = ranked[start[:-1]]  # every surfel is observed in some view
     position, normal = np.empty((num, 3), np.float32), np.empty((num, 3), np.float32)
@@ -379,8 +351,8 @@ def _gathered(
         normal[surfel[mine]] = geometry.normal_world.reshape(-1, 3)[at]
         face[surfel[mine]] = geometry.face.ravel()[at]
     radiance = weighted_medians(observations.start, observations.radiance, observations.weight)
-    pixels = np.add.reduceat(np.concatenate([part[5] for part in seen])[order], start[:-1])
-    is_mixed = pixels[:, 1] > MAX_EDGE_SHARE * pixels[:, 0]
+    counts = np.add.reduceat(pixels[order], start[:-1])
+    is_mixed = counts[:, 1] > MAX_EDGE_SHARE * counts[:, 0]
     camera_m = np.array([view.camera.position_m for view in views], np.float32)
     return Surfels(
         grid, position, normal, face, radiance, is_mixed, observations, camera_m, pixel_surfel, pixel_weight
@@ -391,7 +363,8 @@ def _gathered(
 def weighted_medians(start, values, weight):
     """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
 
-    The value at which the cumulative weight reaches one half; if it equals one half, the mean with the next.
+    It is the value at which the cumulative weight exceeds one half; if one half is met exactly, the mean of
+    that value and the next.
     """
     num = len(start) - 1
     found = np.zeros((num, 3), np.float32)
@@ -413,7 +386,7 @@ def weighted_medians(start, values, weight):
 
 
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distances in cells and indices (N, ``num`` or N) of the nearest surfels with similar normals.
+    """Distances in cells, and indices, (N, min(num, N)) each, of the nearest surfels with similar normals.
 
     The first is the surfel itself.
     """
@@ -425,13 +398,12 @@ def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArr
 
 
 def surfel_means(surfels: Surfels, maps: Sequence[NDArray]) -> Floats32:
-    """Weighted means (N, K) of the views' ``maps`` (H, W, K) over all pixels of a surfel."""
+    """Weighted means (N, K) of ``maps``, one (H, W, K) per view, over all pixels of each surfel."""
     channels = maps[0].shape[-1]
     sums, total = np.zeros((len(surfels), channels)), np.zeros(len(surfels))
     for view_map, surfel, weight in zip(maps, surfels.pixel_surfel, surfels.pixel_weight, strict=True):
-        _add_pixels(
-            surfel, weight, np.ascontiguousarray(view_map.reshape(-1, channels), np.float32), sums, total
-        )
+        values = np.ascontiguousarray(view_map.reshape(-1, channels), np.float32)
+        _add_pixels(surfel, weight, values, sums, total)
     return (sums / np.maximum(total, 1e-12)[:, None]).astype(np.float32)
 
 

@@ -22,16 +22,16 @@ from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, s
 from datagen.multiview.compiled import compiled
 
 GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24, fits_estimates=False)
-"""With fewer rays than in the reconstruction and no fitted gains, since inputs of a network may be noisy."""
+"""Fewer rays than in the reconstruction and no fitted gains, since inputs of a network may be noisy."""
 MIRROR_RAYS = 6
-"""Rays per observation and roughness; pixels average several observations."""
+"""Rays per observation and roughness; few, since pixels average several observations."""
 _MIRROR_SEED = 23
 
 
 class ViewLight:
     """Light of all views; :meth:`buffers` evaluates one view.
 
-    ``emits``: mask of the triangles known to emit. The result does not depend on the order of the views.
+    ``emits`` (M,): mask of the emissive triangles. The result does not depend on the order of the views.
     Raises ``ValueError`` if the views show no extended surface.
     """
 
@@ -50,14 +50,10 @@ class ViewLight:
         """Ls0 (M, 3) of every observation at ``roughness``."""
         surfels = self._lit.surfels
         owner = surfels.surfel_of_observation()
-        shading = self._lit.baker.specular(
-            surfels.position_m[owner],
-            surfels.normal[owner],
-            surfels.directions(owner, surfels.observations.view),
-            np.full(len(owner), roughness),
-            MIRROR_RAYS,
-            _MIRROR_SEED,
-        )
+        position, normal = surfels.position_m[owner], surfels.normal[owner]
+        directions = surfels.directions(owner, surfels.observations.view)
+        rough = np.full(len(owner), roughness)
+        shading = self._lit.baker.specular(position, normal, directions, rough, MIRROR_RAYS, _MIRROR_SEED)
         return shading.ls0 / np.maximum(shading.known, MIN_KNOWN)[:, None]
 
     def buffers(self, index: int, color_median: NDArray) -> dict[str, NDArray[np.float32]]:
@@ -71,20 +67,12 @@ class ViewLight:
         rows = np.flatnonzero(surfels.observations.view == place)
         row_of = np.full(len(surfels), -1, np.int64)
         row_of[surfels.surfel_of_observation()[rows]] = rows
-        shape = view.color.shape[:2]
-        values = _interpolated(
-            view.geometry.depth_z_m.ravel(),
-            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
-            surfels.pixel_surfel[place],
-            camera_row(view),
-            surfels.grid.low,
-            surfels.grid.cell_m,
-            surfels.grid.shape,
-            surfels.grid.surfel,
-            row_of,
-            self._of_surfel,
-            self._of_observation,
-        ).reshape(*shape, -1)
+        grid, depth, own = surfels.grid, view.geometry.depth_z_m.ravel(), surfels.pixel_surfel[place]
+        normal = np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3))
+        cells = grid.low, grid.cell_m, grid.shape, grid.surfel
+        sources = row_of, self._of_surfel, self._of_observation
+        values = _interpolated(depth, normal, own, camera_row(view), *cells, *sources)
+        values = values.reshape(*view.color.shape[:2], -1)
         diffuse = values[..., :3]
         is_lit = (diffuse > self._min_diffuse).all(axis=2, keepdims=True)
         reflectance = np.where(is_lit, color_median / np.where(is_lit, diffuse, 1), 0).astype(np.float32)
@@ -96,8 +84,8 @@ class ViewLight:
 def _interpolated(
     depth, normal, own, camera, low, cell_m, shape, surfel, row_of, of_surfel, of_observation
 ):  # fmt: skip
-    """Values (P, K + J) at pixels, interpolated from surfels' (N, K) and observations' (M, J); 0 without a
-    surfel.
+    """Values (P, K + J) at P pixels, interpolated from those of surfels (N, K) and observations (M, J); 0
+    without a surfel.
     """
     num_first, num_second = of_surfel.shape[1], of_observation.shape[1]
     out = np.zeros((len(depth), num_first + num_second), np.float32)
@@ -124,6 +112,6 @@ def _interpolated(
                     out[index, num_first + c] += w * of_observation[row, c]
         for c in range(num_first):
             out[index, c] /= total
-        for c in range(num_second):  # a pixel's own surfel is always observed by its view
+        for c in range(num_second):  # never 0: the view observes the pixel's own surfel
             out[index, num_first + c] /= total_seen
     return out

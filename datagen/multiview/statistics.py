@@ -61,36 +61,21 @@ class StatisticsView:
         cls, camera: Camera, buffers: Mapping[str, NDArray], name: str = "view"
     ) -> StatisticsView:
         """Create the input from a view's buffers by name; ``color`` is ``beauty``."""
-        return cls(
-            camera,
-            buffers["beauty"],
-            buffers["depth_z_m"],
-            buffers["normal_world"],
-            buffers["surface_mask"],
-            name,
-        )
+        color, depth, normal = buffers["beauty"], buffers["depth_z_m"], buffers["normal_world"]
+        return cls(camera, color, depth, normal, buffers["surface_mask"], name)
 
     def problems(self) -> list[Problem]:
-        """All faults of the arrays: shapes that do not match the camera, NaN and Inf."""
+        """List the faults of the arrays: shapes that do not match the camera, NaN and Inf."""
         height, width = self.camera.height_px, self.camera.width_px
-        found = []
-        for field_name, channels in (
-            ("color", 3),
-            ("depth_z_m", 1),
-            ("normal_world", 3),
-            ("surface_mask", 1),
-        ):
-            array = getattr(self, field_name)
-            if array.shape != (height, width, channels):
-                got, expected = f"shape {array.shape}", f"{(height, width, channels)} like its camera"
-                found.append(Problem(self.name, field_name, got, expected, "render the view again"))
+        found, remedy = Problems(self.name), "render the view again"
+        channels = {"color": 3, "depth_z_m": 1, "normal_world": 3, "surface_mask": 1}
+        for name, num_channels in channels.items():
+            array, shape = getattr(self, name), (height, width, num_channels)
+            if array.shape != shape:
+                found.add(name, f"shape {array.shape}", f"{shape} like its camera", remedy)
             elif not np.isfinite(array).all():
-                bad = int(np.count_nonzero(~np.isfinite(array)))
-                found.append(
-                    Problem(
-                        self.name, field_name, f"{bad} NaN or Inf", "finite values", "render the view again"
-                    )
-                )
+                bad = np.count_nonzero(~np.isfinite(array))
+                found.add(name, f"{bad} NaN or Inf", "finite values", remedy)
         return found
 
 
@@ -100,7 +85,7 @@ class StatisticsOptions:
 
     ``best_views``: maximum number k of views used for a pixel, in [4, 24]. ``include_self``: whether the
     pixel's own view is one of the candidates. ``color_fetch``: whether the colour at a projection is that of
-    the nearest pixel, or interpolated between those of the nearest four pixels that have the same depth.
+    the nearest pixel, or interpolated between those of the nearest four pixels whose depths match.
     """
 
     best_views: int = 12
@@ -120,7 +105,7 @@ class StatisticsOptions:
 
 
 def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that show a reflecting surface and get statistics, from buffers (H, W, 1)."""
+    """Mask (H, W) of pixels that show a reflecting surface and have statistics, from buffers (H, W, 1)."""
     return (depth_z_m[..., 0] > 0) & (surface_mask[..., 0] >= MIN_COVERAGE)
 
 
@@ -147,9 +132,8 @@ def compute_statistics(
     raise_problems(problems)
     select_variant()
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
-    return _statistics_of_all(
-        views, packed, options, scene, progress, range(len(views)) if only is None else only
-    )
+    wanted = range(len(views)) if only is None else only
+    return _statistics_of_all(views, packed, options, scene, progress, wanted)
 
 
 def _statistics_of_all(
@@ -182,7 +166,7 @@ def _statistics_of_all(
 
 
 def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Float:
-    """Colours of all views with four floats per pixel (the last is 0), which one packet load fetches."""
+    """Colours of all views as four floats per pixel (the last is 0), for fetching by one packet load."""
     import mitsuba as mi
 
     flat = aligned_empty(packed.num_pixels * 4, np.float32)
@@ -229,7 +213,7 @@ def choose_for_pixels(
     options: StatisticsOptions,
     scene: mi.Scene | None = None,
 ) -> tuple[mi.UInt32, mi.Point3f, Selection]:
-    """Packed indices, world points and chosen views of the pixels of view ``index``, by row (*traced*)."""
+    """Packed indices, world points and chosen views of all pixels of view ``index``, by row (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -323,7 +307,7 @@ def _fetch_bilinear(
         weight = dr.select(dr.abs(depth - at.z_m) <= tolerance, weight, 0)
         total += weight * dr.gather(mi.Vector4f, colors, pixel, active)
         weights += weight
-    # Only traced points can lack a neighbour at p's depth; weights near zero would amplify rounding errors.
+    # Only with visibility by trace can all four depths differ; small weights would amplify rounding errors.
     nearest = dr.gather(mi.Vector4f, colors, _pixel_at(at), active)
     return dr.select(weights > _MIN_WEIGHT, total / weights, nearest)
 
@@ -354,7 +338,7 @@ def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, An
 
 
 def sorting_network(size: int) -> list[tuple[int, int]]:
-    """Compare-exchange pairs of Batcher's odd-even merge sort for any number of values."""
+    """Index pairs to compare and exchange, in order, in Batcher's odd-even merge sort of ``size`` values."""
     pairs = []
     full = 1 << max(size - 1, 0).bit_length()
     run = 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Selects the views whose colours a point's statistics use: the k of least cost in which it is visible.
+"""Selects the views for the statistics of a point: the k of least cost in which it is visible.
 
 cost_i = -n . omega_i + d_ip / max_j d_jp, with j over all cameras and the letters of ``visibility``. Of views
 of equal cost, the lower index comes first, so the result does not depend on the scheduling of the kernel.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OwnView:
-    """The view that the points are pixels of: they count as visible in it, or it is excluded."""
+    """The view whose pixels the points are: chosen like a visible one if ``is_included``, else never."""
 
     index: mi.UInt32
     is_included: bool = True
@@ -33,7 +33,7 @@ class Selection(NamedTuple):
     num_chosen: mi.UInt32
     """Number of chosen views: min(k, number of views in which the point is visible)."""
     costs: dr.Local
-    """(k,) floats, increasing; Inf after the chosen views."""
+    """(k,) costs in increasing order, Inf after the chosen views."""
     views: dr.Local
     """(k,) indices of the chosen views by increasing cost."""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of points in views: packed views, and kernels for projection and occlusion.
+"""Visibility of points in views: kernels for projection and occlusion, and the views as packed arrays.
 
 Letters: p a world point with unit normal n, i a view, o_i its centre, omega_i the unit direction from p to
 o_i, d_ip = |o_i - p|, (x, y, z) the point in view i's camera space, (u, v) its projection in pixels.
@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
+from datagen.foundation.errors import Problems, input_error, raise_problems
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class VisibilityOptions:
 
 
 class Projection(NamedTuple):
-    """Points projected into a view's camera, and the camera itself (*traced*)."""
+    """Projection of points into a view, and the view's camera (*traced*)."""
 
     rotation: mi.Matrix3f
     """camera_from_world."""
@@ -109,11 +109,10 @@ class PackedViews:
         self, cameras: Sequence[Camera], depth_z_m: Sequence[NDArray] | None, name: str = "views"
     ) -> None:
         if not cameras:
-            raise InputError(Problem(name, "", "no views", "at least one view", "add views"))
+            raise input_error(name, "", "no views", "at least one view", "add views")
         if depth_z_m is not None and len(depth_z_m) != len(cameras):
-            raise InputError(
-                Problem(name, "depth_z_m", f"{len(depth_z_m)} buffers", f"{len(cameras)}, one per camera", "")
-            )
+            expected = f"{len(cameras)}, one per camera"
+            raise input_error(name, "depth_z_m", f"{len(depth_z_m)} buffers", expected)
         select_variant()
         import mitsuba as mi
 
@@ -121,17 +120,11 @@ class PackedViews:
         self.num_views = len(cameras)
         self.num_pixels = sum(sizes)
         if self.num_pixels >= _MAX_PIXELS:
-            raise InputError(
-                Problem(
-                    name, "", f"{self.num_pixels} pixels", f"fewer than {_MAX_PIXELS}", "use smaller images"
-                )
-            )
+            got, expected = f"{self.num_pixels} pixels", f"fewer than {_MAX_PIXELS}"
+            raise input_error(name, "", got, expected, "use smaller images")
         first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
         self.first_pixels = first
-        layout = [
-            (offset, camera.width_px, camera.height_px, 0)
-            for offset, camera in zip(first, cameras, strict=True)
-        ]
+        layout = [(at, view.width_px, view.height_px, 0) for at, view in zip(first, cameras, strict=True)]
         self.cameras = mi.Float(aligned(np.concatenate([_camera_row(camera) for camera in cameras])))
         centres = np.array([[*camera.position_m, 0.0] for camera in cameras], dtype=np.float32)
         self.centres = mi.Float(aligned(centres))
@@ -140,7 +133,7 @@ class PackedViews:
 
 
 def aligned_empty(size: int, dtype: Any) -> NDArray:
-    """A flat NumPy array of ``size`` elements in memory aligned for packet loads, which Dr.Jit can share.
+    """Flat, uninitialised array (``size``,) in memory aligned for packet loads, which Dr.Jit can share.
 
     On the CPU, Dr.Jit uses NumPy's memory directly. If that is not aligned, Dr.Jit compiles another kernel
     with scalar gathers instead of packet loads; the allocator would determine which kernel runs.
@@ -152,7 +145,7 @@ def aligned_empty(size: int, dtype: Any) -> NDArray:
 
 
 def aligned(array: NDArray, dtype: Any = None) -> NDArray:
-    """A flat copy of ``array`` in aligned memory."""
+    """Flat copy of ``array`` in aligned memory, as ``dtype`` if given."""
     flat = aligned_empty(array.size, dtype or array.dtype)
     flat[:] = array.ravel()
     return flat
@@ -200,7 +193,7 @@ def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projecti
 
 
 def max_distance(views: PackedViews, points: mi.Point3f) -> mi.Float:
-    """Distance max_j d_jp from each point to the farthest camera, visible or not (*traced*)."""
+    """Distance [m] from each point to the farthest camera, whether it is visible or not (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -274,7 +267,7 @@ def _agrees_with_depth(
 
 
 def vectors_from_rows(rows: NDArray) -> Any:
-    """Convert numbers (N, 3) to a ``mi.Vector3f`` whose kernels are the same for every N.
+    """Convert an array (N, 3) to a ``mi.Vector3f``, such that kernels are the same for every N.
 
     ``mi.Vector3f(array)`` would make N a literal of the kernels.
     """

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.capture import CaptureGeometry, GeometryPart
@@ -16,12 +15,13 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, joined, without_degenerate
 from datagen.foundation.meshes.ply import decode_ply
 from datagen.library import Library
+from datagen.rendering.geometry import placed_mesh
 
 
 def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Join all placed parts; also return notes on properties that the geometry cannot represent.
+    """Join all placed parts to one geometry; also return notes on properties that it cannot represent.
 
     Raises :class:`InputError` for packages that differ from the configuration's, singular transforms and
     unusable meshes.
@@ -64,7 +64,7 @@ def _parts_of(package: Package, placed: PlacedAsset, library: Library | None) ->
         if faults.is_unusable:
             remedy = "re-export the asset"
             raise input_error(package.path, part.mesh, faults, "a surface of finite triangles", remedy)
-        mesh = without_degenerate(_placed(mesh, matrix))
+        mesh = without_degenerate(placed_mesh(mesh, matrix))
         material = _material(placed, asset, part.material, library)
         emission = placed.emission.get(part.material, material.emission)
         is_lamp = emission is not None and any(c > 0 for c in emission)
@@ -86,13 +86,6 @@ def _geometry(found: list[_PlacedPart]) -> tuple[CaptureGeometry, tuple[str, ...
         if part.has_opacity
     )
     return CaptureGeometry(joined([part.mesh for part in found]), tuple(parts)), tuple(notes)
-
-
-def _placed(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
-    world = mesh.transformed(world_from_part)
-    if np.linalg.det(world_from_part[:3, :3]) < 0:  # mirrored: keep the winding outward
-        return Mesh(world.positions, np.ascontiguousarray(world.faces[:, [0, 2, 1]]), world.normals, world.uv)
-    return world
 
 
 def _material(

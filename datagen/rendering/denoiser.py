@@ -8,6 +8,7 @@ auxiliary buffers therefore come from a separate pass (:mod:`mitsuba_plugins.mat
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
@@ -16,14 +17,13 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from datagen.formats.recipe import RenderRecipe
 
-Quality = str
 QUALITIES = ("fast", "balanced", "high")
 
 
 class Denoiser(Protocol):
-    """A denoiser of images. ``name`` is written to the view's record.
+    """A denoiser of images; ``name`` is written to the view's record.
 
-    ``wants_camera_normals``: whether normals are in the camera's frame instead of the world's.
+    ``wants_camera_normals``: whether :meth:`denoise` requires normals in camera instead of world space.
     """
 
     name: str
@@ -39,10 +39,10 @@ class Denoiser(Protocol):
 def auxiliary_albedo(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32], mask: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Reflectance at normal incidence, (1 - S) D + S, as the denoiser's albedo guide; 0 without surface.
+    """Albedo guide (H, W, 3): the reflectance at normal incidence, (1 - S) D + S, times ``mask``.
 
-    ``mask`` (H, W, 1) is the surface's share of the pixel: the denoised image contains only reflected light,
-    which fades to 0 at a surface's edge too.
+    ``mask`` (H, W, 1) is the share of the pixel covered by surface; the image, which contains only reflected
+    light, also fades to 0 at edges.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
@@ -51,11 +51,11 @@ def auxiliary_albedo(
 class OidnDenoiser:
     """Intel Open Image Denoise on the CPU. ``num_threads`` 0 uses all cores. Not safe for concurrent calls.
 
-    ``is_guided`` False omits albedo and normal, to measure their effect. Raises ``ValueError`` if ``quality``
-    is not one of :data:`QUALITIES`.
+    ``is_guided`` False ignores albedo and normal, to measure their effect. Raises ``ValueError`` for a
+    ``quality`` that is not in :data:`QUALITIES`.
     """
 
-    quality: Quality = "high"
+    quality: str = "high"
     num_threads: int = 0
     is_guided: bool = True
     wants_camera_normals: ClassVar[bool] = False
@@ -65,7 +65,7 @@ class OidnDenoiser:
 
         if self.quality not in QUALITIES:
             raise ValueError(f"quality {self.quality!r}; expected one of {', '.join(QUALITIES)}")
-        self.name = f"oidn-{'.'.join(str(v) for v in _oidn_version())}-{self.quality}"
+        self.name = f"oidn-{'.'.join(version('pyoidn').split('.')[:3])}-{self.quality}"
         if not self.is_guided:
             self.name += "-unguided"
         self._device = pyoidn.Device()
@@ -91,7 +91,7 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """A committed filter and its buffers; building takes longer than denoising a small image."""
+        """Create and commit a filter with its buffers for images of ``shape`` (H, W), which is slow."""
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
@@ -122,15 +122,9 @@ class OidnDenoiser:
         self._device.release()
 
 
-def _oidn_version() -> tuple[int, ...]:
-    from importlib.metadata import version
-
-    return tuple(int(part) for part in version("pyoidn").split(".")[:3])
-
-
 @dataclass
 class OptixDenoiser:
-    """NVIDIA's denoiser through Mitsuba; needs the CUDA variant."""
+    """NVIDIA's OptiX denoiser in Mitsuba; requires the CUDA variant."""
 
     wants_camera_normals: ClassVar[bool] = True
 
@@ -158,13 +152,13 @@ class OptixDenoiser:
         return np.maximum(np.array(result, dtype=np.float32)[..., :3], 0.0)
 
 
-def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDenoiser:
-    """The denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN with ``num_threads`` (0: all cores)."""
-    return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)
+def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
+    """Create the denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN."""
+    return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser()
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """OIDN at a quarter of the cost for error estimates; None if the recipe has no denoiser or uses OptiX."""
+    """OIDN at a quarter of the cost, for error estimates; None if the recipe disables it or uses OptiX."""
     from mitsuba_plugins.variant import select_variant
 
     variant = select_variant(recipe.variant)

@@ -26,7 +26,7 @@ EPSILON = 0.01
 def relative_mse_map(
     image: NDArray, reference: NDArray, other_reference: NDArray | None = None, *, exposed: bool = False
 ) -> NDArray[np.float64]:
-    """Per-pixel relMSE (H, W) of linear images (H, W, 3); with two references, pixels can be negative."""
+    """relMSE (H, W) of each pixel of linear images (H, W, 3); may be negative with two references."""
     first = reference.astype(np.float64)
     second = first if other_reference is None else other_reference.astype(np.float64)
     mean = 0.5 * (first + second)
@@ -46,7 +46,7 @@ def relative_mse(
 def relative_mse_of_parts(
     image: NDArray, parts: Sequence[NDArray], *, exposed: bool = False
 ) -> tuple[float, float]:
-    """Mean relMSE of ``image`` (H, W, 3) against four independent references, and its standard error.
+    """Mean relMSE of ``image`` against four independent references ``parts``, and its standard error.
 
     (x - r1)(x - r2) is divided by the brightness in r3 and r4, likewise for all six pairs. Dividing by the
     mean of r1 and r2 would overweight pixels that are dark by chance in both: relative noise s of each

@@ -11,32 +11,31 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, joined
 from datagen.foundation.meshes.ply import decode_ply
 
 if TYPE_CHECKING:
     from datagen.formats.package import Package
 
-DEFAULT_CACHE_BYTES = 256 << 20
+MAX_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:
-    """Cache of decoded meshes by package and file; beyond ``max_bytes``, drops the least recently used."""
+    """Cache of decoded meshes by package and file; drops the least recently used beyond 256 MB."""
 
-    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
-        self.max_bytes = max_bytes
+    def __init__(self) -> None:
         self.num_bytes = 0
         self._meshes: OrderedDict[tuple[str, str], tuple[Mesh, int]] = OrderedDict()
 
     def mesh(self, package: Package, name: str) -> Mesh:
-        """The mesh in file ``name`` of a package. Raises :class:`InputError` if it is broken or unusable."""
+        """Mesh in file ``name`` of a package. Raises :class:`InputError` if it is unreadable or unusable."""
         key = (package.sha256, name)
         if key in self._meshes:
             self._meshes.move_to_end(key)
@@ -48,20 +47,19 @@ class MeshCache:
         num_bytes = sum(a.nbytes for a in arrays if a is not None)
         self._meshes[key] = (mesh, num_bytes)
         self.num_bytes += num_bytes
-        while self.num_bytes > self.max_bytes and len(self._meshes) > 1:
+        while self.num_bytes > MAX_CACHE_BYTES and len(self._meshes) > 1:
             _, (_, dropped) = self._meshes.popitem(last=False)
             self.num_bytes -= dropped
         return mesh
 
 
 def _check(mesh: Mesh, where: str) -> None:
-    """Reject meshes that would cause NaN or crashes; the library checks meshes completely."""
+    """Raise :class:`InputError` for a mesh that would cause NaN or crashes; the library does other checks."""
     arrays = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     indices_fit = len(mesh.faces) > 0 and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.positions)
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
         return
-    faults = inspect_mesh(mesh)
-    raise InputError(Problem(where, "", str(faults), "finite triangles", "export it again"))
+    raise input_error(where, "", inspect_mesh(mesh), "finite triangles", "export it again")
 
 
 @dataclass(frozen=True)
@@ -77,9 +75,8 @@ class GroupKey:
 
 @dataclass
 class MeshGroup:
-    """Triangles of one shape: world-space ``meshes`` and the id of the instance of each mesh."""
+    """Triangles of one shape: world-space ``meshes``, and the instance id of each mesh."""
 
-    key: GroupKey
     meshes: list[Mesh] = field(default_factory=list)
     instances: list[int] = field(default_factory=list)
 
@@ -90,16 +87,20 @@ class MeshGroup:
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """Transform a part for rendering: to world space, winding kept if mirrored, UVs scaled, v downwards."""
+    """Transform a part as :func:`placed_mesh`, multiply its UVs by ``uv_scale``, and point v downwards."""
+    world = placed_mesh(mesh, world_from_part)
+    if mesh.uv is None:
+        return world
+    scaled = mesh.uv.astype(np.float64) * uv_scale
+    return replace(world, uv=np.stack([scaled[:, 0], 1.0 - scaled[:, 1]], axis=1).astype(np.float32))
+
+
+def placed_mesh(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
+    """Transform a mesh to world space, with front faces kept if the transform (4, 4) mirrors."""
     world = mesh.transformed(world_from_part)
-    faces = world.faces
     if np.linalg.det(world_from_part[:3, :3]) < 0:
-        faces = np.ascontiguousarray(faces[:, [0, 2, 1]])
-    uv = mesh.uv
-    if uv is not None:
-        scaled = uv.astype(np.float64) * uv_scale
-        uv = np.stack([scaled[:, 0], 1.0 - scaled[:, 1]], axis=1).astype(np.float32)
-    return Mesh(world.positions, faces, world.normals, uv)
+        return replace(world, faces=np.ascontiguousarray(world.faces[:, [0, 2, 1]]))
+    return world
 
 
 def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
@@ -132,11 +133,10 @@ def make_shape(name: str, mesh: Mesh, bsdf: Any, emission: tuple[float, float, f
     has_normals, has_uv = mesh.normals is not None, mesh.uv is not None
     shape = mi.Mesh(name, len(mesh.positions), len(mesh.faces), props, has_normals, has_uv)
     parameters = mi.traverse(shape)
-    parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(mesh.positions, np.float32).ravel())
-    if mesh.normals is not None:
-        parameters["vertex_normals"] = mi.Float(np.ascontiguousarray(mesh.normals, np.float32).ravel())
-    if mesh.uv is not None:
-        parameters["vertex_texcoords"] = mi.Float(np.ascontiguousarray(mesh.uv, np.float32).ravel())
+    arrays = {"positions": mesh.positions, "normals": mesh.normals, "texcoords": mesh.uv}
+    for kind, array in arrays.items():
+        if array is not None:
+            parameters[f"vertex_{kind}"] = mi.Float(np.ascontiguousarray(array, np.float32).ravel())
     parameters["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
     parameters.update()
     return shape

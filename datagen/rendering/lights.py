@@ -44,7 +44,7 @@ _ENVIRONMENT_FROM_MITSUBA = np.array(
 
 @dataclass
 class LightSetup:
-    """Lights as ``entries`` of the scene's dictionary; ``hidden``: keys of those invisible to camera rays."""
+    """Lights as ``entries`` of a scene's dictionary; ``hidden``: keys of those invisible to the camera."""
 
     entries: dict[str, Any] = field(default_factory=dict)
     hidden: set[str] = field(default_factory=set)
@@ -60,15 +60,8 @@ def make_lights(
     setup = LightSetup()
     skies = [light.name for light in configuration.lights if isinstance(light, EnvironmentLight | SkyLight)]
     if len(skies) > 1:
-        problems.append(
-            Problem(
-                f"configuration {configuration.id}",
-                "lights",
-                ", ".join(skies),
-                "at most one light of type environment or sky",
-                "remove the others",
-            )
-        )
+        where, expected = f"configuration {configuration.id}", "at most one light of type environment or sky"
+        problems.append(Problem(where, "lights", ", ".join(skies), expected, "remove the others"))
         return setup
     for index, light in enumerate(configuration.lights):
         name = f"light_{index}"
@@ -128,20 +121,17 @@ def _spot(light: SpotLight, where: str, problems: list[Problem]) -> Any:
 
     direction = _unit(light.direction, where, "direction", problems)
     if light.beam_width_rad > light.cutoff_rad:
-        got = f"{light.beam_width_rad:g}"
-        problems.append(
-            Problem(where, "beam_width_rad", got, f"at most cutoff_rad = {light.cutoff_rad:g}", "lower it")
-        )
+        got, expected = f"{light.beam_width_rad:g}", f"at most cutoff_rad = {light.cutoff_rad:g}"
+        problems.append(Problem(where, "beam_width_rad", got, expected, "lower it"))
         return None
     if direction is None:
         return None
     up = [0.0, 0.0, 1.0] if abs(direction[2]) < 0.99 else [1.0, 0.0, 0.0]
     origin = np.asarray(light.position_m, dtype=np.float64)
+    target = (origin + direction).tolist()
     return {
         "type": "spot",
-        "to_world": mi.ScalarTransform4f().look_at(
-            origin=origin.tolist(), target=(origin + direction).tolist(), up=up
-        ),
+        "to_world": mi.ScalarTransform4f().look_at(origin=origin.tolist(), target=target, up=up),
         "intensity": _rgb(light.intensity),
         "cutoff_angle": math.degrees(light.cutoff_rad),
         # Mitsuba divides by cutoff - beam width, which must not be 0
@@ -153,22 +143,14 @@ def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -
     direction = _unit(light.direction, where, "direction", problems)
     if direction is None:
         return None
+    sun = {"direction": direction.tolist(), "irradiance": _rgb(light.irradiance)}
     if light.angular_diameter_rad == 0:
-        return {
-            "type": "directional",
-            "direction": direction.tolist(),
-            "irradiance": _rgb(light.irradiance),
-        }
-    return {
-        "type": "sun_disc",
-        "direction": direction.tolist(),
-        "irradiance": _rgb(light.irradiance),
-        "angular_diameter_rad": light.angular_diameter_rad,
-    }
+        return {"type": "directional", **sun}
+    return {"type": "sun_disc", **sun, "angular_diameter_rad": light.angular_diameter_rad}
 
 
 def area_light_mesh(light: AreaLight) -> Mesh:
-    """Mesh of the luminous face of an area light; its front faces along edge_u x edge_v."""
+    """World-space mesh of the emitting side of an area light; its normal is edge_u x edge_v."""
     origin, u, v = (np.asarray(a, dtype=np.float64) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     if light.shape == "rectangle":
         corners = np.stack([origin, origin + u, origin + u + v, origin + v])

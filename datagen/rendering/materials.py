@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
 from datagen.foundation.errors import Problem
-from datagen.rendering.textures import NO_ADJUSTMENT, TextureCache
+from datagen.rendering.textures import TextureCache
 
 if TYPE_CHECKING:
     from datagen.formats.package import Package
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """The material of a slot: an assigned one (``name`` is its asset's id) or its own (``asset/slot``)."""
+    """Material of a slot: assigned (``name`` is the material's id) or the asset's own (``asset/slot``)."""
 
     name: str
     package: Package
@@ -34,7 +34,7 @@ class SurfaceMaterial:
 
     @property
     def key(self) -> tuple:
-        """Hashable key; materials with equal keys have equal BSDFs."""
+        """Hashable key, equal for materials with equal BSDFs."""
         return (self.package.sha256, self.name, self.adjustment)
 
     @property
@@ -46,7 +46,7 @@ class SurfaceMaterial:
 def resolve_materials(
     placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
 ) -> dict[str, SurfaceMaterial]:
-    """Material of each slot by name. Faults are added to ``problems``; slots with faults are left out."""
+    """Materials of a placed asset by slot. Faults are added to ``problems``, and their slots left out."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     where = f"configuration: {placed.name}"
@@ -68,14 +68,11 @@ def resolve_materials(
                 continue
             material, name = source.asset.material, source.asset.id
         emission = placed.emission.get(slot, material.emission)
+        if emission is not None and not any(c > 0 for c in emission):
+            emission = None
+        adjustment, is_assigned = assignment.adjustment, assignment.asset is not None
         resolved[slot] = SurfaceMaterial(
-            name,
-            source,
-            material,
-            assignment.adjustment,
-            emission if emission is not None and any(c > 0 for c in emission) else None,
-            assignment.uv_scale,
-            assignment.asset is not None,
+            name, source, material, adjustment, emission, assignment.uv_scale, is_assigned
         )
     return resolved
 
@@ -83,8 +80,8 @@ def resolve_materials(
 def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_uv: bool = False) -> Any:
     """Create the BSDF of a material: ``cook_torrance``, in ``normalmap`` and ``mask`` if needed.
 
-    ``has_mirrored_uv``: the mesh's UVs run clockwise. Mitsuba's tangent frame is always right-handed and thus
-    flips the bitangent; the normal map's green channel is flipped to compensate.
+    ``has_mirrored_uv``: whether the mesh's UVs are clockwise. Mitsuba's tangent frame, which is always
+    right-handed, flips the bitangent; the normal map's green channel is flipped to compensate.
     """
     import mitsuba as mi
 
@@ -93,9 +90,7 @@ def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_
     for role in ("diffuse_albedo", "specular_albedo", "roughness"):
         description[role] = textures.channel(package, getattr(material, role), role, adjustment)
     if material.normal is not None:
-        normal = textures.channel(
-            package, material.normal, "normal", NO_ADJUSTMENT, flip_green=has_mirrored_uv
-        )
+        normal = textures.channel(package, material.normal, "normal", flip_green=has_mirrored_uv)
         description = {"type": "normalmap", "normalmap": normal, "bsdf": description}
     if material.opacity is not None and material.opacity != 1.0:
         opacity = textures.channel(package, material.opacity, "opacity")

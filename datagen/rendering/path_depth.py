@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Path depth that bounds the truncation, from the reflectance of the scene.
+"""Computes the path depth that bounds the truncation, from the reflectance of the scene.
 
 Each bounce scales light by the reflectance rho of the surface. Paths of d segments end after d - 1 bounces
 and lack the share rho^(d-1) of all reflected light: the truncation.
@@ -22,10 +22,10 @@ MAX_DEPTH = 64
 
 
 def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
-    """Reflectance in [0, 1] of the surfaces in ground-truth ``buffers`` (H, W, C) of views; 0 without any.
+    """Reflectance in [0, 1] of the surfaces in views with the ground truth ``buffers``, (H, W, C) by name.
 
-    Root mean square over pixels in the channel where it is highest; the mean would be too small, since bright
-    surfaces contribute more light.
+    It is the root mean square over pixels of the channel where that is highest; the mean would be too small,
+    since bright surfaces contribute more light. 0 without surfaces.
     """
     squares, weight = np.zeros(3), 0.0
     for view in buffers:
@@ -37,7 +37,7 @@ def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
 
 
 def depth_for(reflectance: float, max_energy_left: float) -> int:
-    """Minimum depth, clamped to [2, 64], for which the truncation is at most ``max_energy_left``."""
+    """Minimum path depth, clamped to [2, 64], with a truncation of at most ``max_energy_left``."""
     if reflectance <= 0.0:
         return MIN_DEPTH
     if reflectance >= 1.0:

@@ -24,7 +24,7 @@ _SHADOW_DISTANCE_FACTOR = 2.0
 
 
 class PinholePixels(mi.Sensor):
-    """A sensor with the intrinsics of a :class:`Camera`; :meth:`set_camera` sets it."""
+    """Pinhole sensor with pose and intrinsics of a :class:`Camera`, set by :meth:`set_camera`."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)
@@ -42,7 +42,7 @@ class PinholePixels(mi.Sensor):
     m_clip: Any  # near depth, and far minus near depth
 
     def set_camera(self, camera: Camera) -> None:
-        """Set the camera. Raises ``ValueError`` if its resolution differs from the film's."""
+        """Set pose and intrinsics. Raises ``ValueError`` if camera and film differ in resolution."""
         if (camera.width_px, camera.height_px) != (self.width_px, self.height_px):
             got = f"{camera.width_px}x{camera.height_px}"
             raise ValueError(f"camera of {got} pixels; the film has {self.width_px}x{self.height_px}")
@@ -66,7 +66,7 @@ class PinholePixels(mi.Sensor):
     def sample_ray(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """Ray through position ``sample2`` of the film in [0, 1]^2 (x right, y down), and the weight 1."""
+        """Ray through position ``sample2`` in [0, 1]^2 of the film (x right, y down), and its weight 1."""
         position_px = sample2 * mi.ScalarVector2f(self.width_px, self.height_px)
         ray = rays_through(self.view, position_px)
         ray.time = time
@@ -74,7 +74,7 @@ class PinholePixels(mi.Sensor):
 
     @property
     def view(self) -> tuple[Any, ...]:
-        """The camera as input of :func:`rays_through`: opaque arrays, which become kernel arguments."""
+        """Camera parameters for :func:`rays_through`, as opaque arrays, which become kernel arguments."""
         return (self.m_position, self.m_right, self.m_down, self.m_forward, self.m_centre, self.m_clip)
 
     def sample_ray_differential(
@@ -90,7 +90,7 @@ class PinholePixels(mi.Sensor):
 
 
 def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
-    """Rays of a sensor (its :attr:`PinholePixels.view`) through positions on the film in pixels."""
+    """Camera rays of a sensor's :attr:`PinholePixels.view` through film positions ``position_px``."""
     origin, right, down, forward, centre, clip = view
     offset = position_px - centre
     ray = dr.zeros(mi.Ray3f)
@@ -102,7 +102,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
 
 
 def outside_distance(scene: Any) -> float:
-    """Distance in metres at which one is outside a scene, from any of its points; 2 for an empty scene."""
+    """Distance [m] from any point of a scene beyond which all points are outside; 2 for an empty scene."""
     box = scene.bbox()
     extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
     reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
@@ -145,11 +145,11 @@ class SunDisc(mi.Emitter):
         dr.make_opaque(self.distance)
 
     def is_environment(self) -> bool:
-        """False: rays never hit it."""
+        """False, since rays never hit the disc."""
         return False
 
     def sample_direction(self, it: mi.Interaction3f, sample: Array, active: Array = True) -> tuple[Any, Any]:
-        """Sample a direction, uniformly over the disc's solid angle, and return its radiance / density."""
+        """Sample a direction uniformly over the disc's solid angle; return it and its radiance / density."""
         one_minus_cos = sample.x * self.one_minus_cos
         sine = dr.sqrt(dr.maximum(one_minus_cos * (2.0 - one_minus_cos), 0.0))
         sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)
@@ -168,19 +168,19 @@ class SunDisc(mi.Emitter):
         return ds, dr.select(active, self.irradiance.eval(si, active) * self.weight, 0.0)
 
     def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
-        """Zero: rays never hit a delta."""
+        """Zero, since rays never hit the disc."""
         return mi.Float(0.0)
 
     def eval_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
-        """Zero, see :meth:`pdf_direction`."""
+        """Zero, since rays never hit the disc."""
         return mi.Color3f(0.0)
 
     def eval(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """Zero: the disc is invisible."""
+        """Zero, since rays never hit the disc."""
         return mi.Color3f(0.0)
 
     def bbox(self) -> mi.ScalarBoundingBox3f:
-        """Empty: the light has no position."""
+        """Empty, since the light has no position."""
         return mi.ScalarBoundingBox3f()
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
@@ -196,7 +196,7 @@ _registered: set[str] = set()
 
 
 def register_rendering_plugins() -> None:
-    """Register both plugins and those of ``mitsuba_plugins`` with Mitsuba, under the active variant."""
+    """Register the plugins of this module and of ``mitsuba_plugins`` for the active Mitsuba variant."""
     from mitsuba_plugins import register
 
     register()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A configuration's scene and the data that its views share: path tracer, materials, path depth, sensors.
+"""A configuration's scene and the data shared by its views: path tracer, materials, path depth, sensors.
 
-Sky guide and irradiance cache are estimated from fixed views, so a view's bytes do not depend on the views
-rendered before it or on the process.
+Sky guide and irradiance cache are estimated from a fixed set of views, so the bytes of a view do not depend
+on the views rendered before it or on the process.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
 
 
 def release_memory() -> None:
-    """Release memory of earlier scenes: Dr.Jit keeps freed arrays and kernels, and glibc keeps freed pages.
+    """Release memory of earlier scenes, since Dr.Jit keeps freed arrays and kernels, and glibc freed pages.
 
     Otherwise a worker's memory grows by about 15 MB per configuration. Kernels that are needed again are
     loaded from Dr.Jit's cache on disk within milliseconds.
@@ -63,7 +63,7 @@ def release_memory() -> None:
 
 
 class PreparedScene:
-    """A built scene with the data that its views share. Selects the recipe's Mitsuba variant.
+    """A built scene with the data shared by its views. Selects the recipe's Mitsuba variant.
 
     Raises the errors of :func:`select_variant` and :func:`build_scene`.
     """
@@ -91,7 +91,7 @@ class PreparedScene:
         self.prepare_paths()
 
     def reseed(self, seed: int) -> None:
-        """Use another configuration seed with the same built scene."""
+        """Replace the configuration's seed, and estimate sky guide and irradiance cache again."""
         self.configuration = self.configuration.model_copy(update={"seed": seed})
         self.prepare_paths()
 
@@ -115,7 +115,7 @@ class PreparedScene:
         return self.configuration.cameras[index].camera()
 
     def sensor(self, camera: Camera) -> Any:
-        """A Mitsuba sensor of this camera, valid until the next call: cameras of equal size share it."""
+        """Mitsuba sensor of ``camera``, valid until the next call; cameras of equal size share one."""
         size = (camera.width_px, camera.height_px)
         if size not in self._sensors:
             self._sensors[size] = sensor_for(camera)
@@ -123,7 +123,7 @@ class PreparedScene:
         return self._sensors[size]
 
     def coarse_maps(self) -> Iterator[dict[str, NDArray]]:
-        """Ground truth (H, W, C) by buffer name of up to ``MAX_COARSE_VIEWS`` views, as coarse images."""
+        """Yield ground truth (H, W, C) by buffer of up to ``MAX_COARSE_VIEWS`` views, at low resolution."""
         from mitsuba_plugins.material_buffers import render_material_buffers
 
         for index, small in self._coarse_cameras():

@@ -15,24 +15,22 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import RenderRecipe
-from datagen.foundation.cameras import Camera
 from datagen.rendering.denoiser import Denoiser, OidnDenoiser, make_denoiser
 from datagen.rendering.prepared_scene import PreparedScene
 from datagen.rendering.sample_budget import SampleBudget
-from datagen.rendering.scene_builder import AssetCaches, BuiltScene
+from datagen.rendering.scene_builder import AssetCaches
 from datagen.rendering.schedule import interleaved
 from datagen.rendering.view_job import Finishing, IsEnough, RenderedView, ViewJob
 
 if TYPE_CHECKING:
     from datagen.library import Library
-    from datagen.rendering.transport.integrator import PathTracer
 
 
-class SceneRenderer:
+class SceneRenderer(PreparedScene):
     """Renders the views of one configuration.
 
     Selects the recipe's Mitsuba variant. ``caches`` None uses the process-wide caches. ``estimator`` denoises
@@ -51,57 +49,22 @@ class SceneRenderer:
         is_enough: IsEnough | None = None,
     ):
         start = time.perf_counter()
-        self.scene = PreparedScene(configuration, library, recipe, caches)
+        super().__init__(configuration, library, recipe, caches)
         denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
-        budget = (
-            SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
-            if recipe.max_rel_mse is not None and recipe.max_path_samples is not None
-            else None
-        )
+        budget = None
+        if recipe.max_rel_mse is not None and recipe.max_path_samples is not None:
+            budget = SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
         self._finishing = Finishing(denoiser, estimator or denoiser, budget, is_enough)
         self.seconds_to_build = time.perf_counter() - start
-
-    @property
-    def configuration(self) -> Configuration:
-        """The configuration, with the seed in use."""
-        return self.scene.configuration
-
-    @property
-    def recipe(self) -> RenderRecipe:
-        """The recipe's rendering options."""
-        return self.scene.recipe
-
-    @property
-    def variant(self) -> str:
-        """The Mitsuba variant."""
-        return self.scene.variant
-
-    @property
-    def built(self) -> BuiltScene:
-        """The Mitsuba scene and its tables of names."""
-        return self.scene.built
-
-    @property
-    def tracer(self) -> PathTracer:
-        """The path tracer shared by all views."""
-        return self.scene.tracer
 
     @property
     def denoiser(self) -> Denoiser | None:
         """The denoiser of finished views."""
         return self._finishing.denoiser
 
-    def sensor(self, camera: Camera) -> Any:
-        """See :meth:`PreparedScene.sensor`."""
-        return self.scene.sensor(camera)
-
-    def reseed(self, seed: int) -> None:
-        """Render with another configuration seed from now on, as a new renderer would, in the same scene."""
-        self.scene.reseed(seed)
-
     def view_job(self, index: int) -> ViewJob:
-        """The job of view ``index``, to be advanced step by step; its ground truth is already traced."""
-        return ViewJob(self.scene, self._finishing, index)
+        """Start the job of view ``index``: trace its ground truth and return the job, to be run in steps."""
+        return ViewJob(self, self._finishing, index)
 
     def render_view(self, index: int) -> RenderedView:
         """Render view ``index``: all of ``RENDERED_BUFFERS``, and ``beauty_noisy`` if the recipe keeps it.
@@ -123,10 +86,8 @@ class SceneRenderer:
     def close(self) -> None:
         """Release the scene and the denoisers, but not the shared caches."""
         finishing, self._finishing = self._finishing, Finishing(None, None, None, None)
-        denoisers = [finishing.denoiser] + [finishing.estimator] * (
-            finishing.estimator is not finishing.denoiser
-        )
-        for denoiser in denoisers:
+        denoisers = {id(denoiser): denoiser for denoiser in (finishing.denoiser, finishing.estimator)}
+        for denoiser in denoisers.values():
             if isinstance(denoiser, OidnDenoiser):
                 denoiser.close()
-        self.scene.close()
+        super().close()

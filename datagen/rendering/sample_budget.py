@@ -47,7 +47,7 @@ these means is taken, so that edges get samples even where their halves agree by
 MAX_GROWTH = 4
 """Maximum factor by which a pass multiplies a tile's samples: few samples give a poor error estimate."""
 MIN_SHARE = 0.05
-"""Fraction of the tiles' mean error that is added to every tile's, for light that no sample has found yet."""
+"""Fraction of the mean error of all tiles added to each tile, for light that no sample has hit yet."""
 CLAMP_BLUR_PX = 2.0
 """Standard deviation of the Gaussian that smooths the clamped energy of single pixels."""
 MIN_PASS = 0.1
@@ -58,10 +58,9 @@ SAMPLE_STEP = 4
 
 @dataclass(frozen=True)
 class PathSums:
-    """Sums over light paths.
+    """Sums over light paths: ``radiance`` (H, W, 3) and number of paths ``counts`` (H, W).
 
-    ``radiance`` (H, W, 3), the luminance (H, W) removed from it by a clamp, and ``counts`` (H, W), paths per
-    pixel. The default is zero and broadcasts to any image.
+    ``removed_luminance`` (H, W) was removed by a clamp. The default is zero and broadcasts to any image.
     """
 
     radiance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1, 3)))
@@ -85,23 +84,23 @@ class PathSums:
         return (self.radiance / self.counts[..., None]).astype(np.float32)
 
     def removed_mean(self) -> NDArray[np.float64]:
-        """Luminance (H, W) removed from the mean by the clamp."""
+        """Luminance (H, W) that the clamp removed from the mean radiance."""
         return self.removed_luminance / self.counts
 
     def removed_share(self) -> float:
-        """Share, in [0, 1], of the image's luminance that the clamp has removed."""
+        """Share, in [0, 1], of the image's luminance that the clamp removed; 0 without samples."""
         removed = float((self.removed_luminance / self.counts).sum())
         kept = float((luminance(self.radiance) / self.counts).sum())
-        return removed / max(removed + kept, 1e-300)  # without samples: 0
+        return removed / max(removed + kept, 1e-300)
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
     """Estimated error of a view.
 
-    ``rel_mse`` of the finished image and its ``standard_error``. Of one half: its ``spread``, its squared
-    bias as measured (possibly negative) and the standard error of that measurement, ``bias_error``.
-    ``spread_map`` (H, W): the spread of each pixel.
+    ``rel_mse`` of the finished image, with its ``standard_error``. For one denoised half: mean ``spread`` and
+    ``spread_map`` (H, W) by pixel; ``measured_bias``, the squared bias as measured (possibly negative), with
+    its standard error ``bias_error``.
     """
 
     rel_mse: float
@@ -113,7 +112,7 @@ class ErrorEstimate:
 
     @property
     def bound(self) -> float:
-        """Estimate plus one standard error, which is compared with the target and recorded.
+        """``rel_mse`` plus one standard error, as compared with the target and recorded.
 
         Sampling stops when an estimate is low, often by chance: in the median over finished views, the
         estimate is three quarters of the true error, and the bound is equal to it (decision 70).
@@ -129,9 +128,9 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the error of the mean of both halves. Arrays are (H, W, 3), except ``removed`` (H, W).
 
-    ``visible_emission``, free of noise, is added to the image and affects only its brightness. Without a
-    denoiser, ``denoised`` are the halves themselves. ``removed``: luminance that a clamp removed from each
-    half.
+    ``visible_emission``, free of noise, is added to the image and affects only its brightness. ``denoised``
+    are the denoised halves or, without a denoiser, the halves themselves. ``removed``: luminance that a clamp
+    removed from each half.
     """
     a, b = (half.astype(np.float64) for half in halves)
     clean_a, clean_b = (image.astype(np.float64) for image in denoised)
@@ -204,7 +203,7 @@ class SampleBudget:
     max_samples: int
 
     def is_met(self, estimate: ErrorEstimate) -> bool:
-        """Whether the target is met with a margin of one standard error."""
+        """Whether ``rel_mse`` plus one standard error is at most the target."""
         return estimate.bound <= self.max_rel_mse
 
     def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -212,7 +211,7 @@ class SampleBudget:
         return np.full(shape, min(FIRST_SAMPLES, self.max_samples) // 2, np.int64)
 
     def next_counts(self, counts: NDArray[np.int64], estimate: ErrorEstimate) -> NDArray[np.int64]:
-        """Samples (H, W) to add to one half, which has ``counts`` (H, W) samples so far; all 0: stop."""
+        """Samples (H, W) to add to each half, which has ``counts`` (H, W) so far; all 0 to stop."""
         nothing = np.zeros_like(counts)
         if self.is_met(estimate):
             return nothing
@@ -235,7 +234,7 @@ class SampleBudget:
 
 
 def _around(spread_map: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Maximum (H, W) of the local means around each pixel."""
+    """Maximum (H, W) around each pixel of the local means of a map (H, W)."""
     from scipy import ndimage
 
     return ndimage.maximum_filter(ndimage.uniform_filter(spread_map, AROUND_PX), AROUND_PX)
@@ -266,7 +265,7 @@ class _Tiles:
 def _distribute(
     errors: NDArray[np.float64], counts: NDArray[np.float64], areas: NDArray[np.float64], added: float
 ) -> NDArray[np.float64]:
-    """New sample counts of the tiles, on average at most ``added`` per pixel higher; all arrays (R, C).
+    """Increase the tiles' sample ``counts`` by at most ``added`` per pixel on average; all arrays (R, C).
 
     If errors are inversely proportional to counts, as variances are, their sum is minimal for counts
     proportional to the root of error x count. No count falls or grows by more than the factor ``MAX_GROWTH``,

@@ -7,6 +7,7 @@ and follow the configuration's order.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part
 from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.lights import EnvironmentLight
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 from datagen.rendering.geometry import (
     GroupKey,
     MeshCache,
@@ -46,15 +47,10 @@ class AssetCaches:
     textures: TextureCache = field(default_factory=TextureCache)
 
 
-_process_caches: AssetCaches | None = None
-
-
+@functools.cache
 def process_caches() -> AssetCaches:
     """The caches of this process, created on first use."""
-    global _process_caches
-    if _process_caches is None:
-        _process_caches = AssetCaches()
-    return _process_caches
+    return AssetCaches()
 
 
 @dataclass
@@ -76,28 +72,20 @@ class BuiltScene:
 
     @property
     def num_triangles(self) -> int:
-        """Number of triangles of all assets."""
+        """Number of triangles of all assets, without lights."""
         return sum(len(faces) for faces in self.face_instances.values())
 
 
 def sensor_for(camera: Camera) -> Any:
-    """A ``pinhole_pixels`` sensor with a box filter for ``camera``."""
+    """Create a ``pinhole_pixels`` sensor with a box filter for ``camera``."""
     import mitsuba as mi
 
     from datagen.rendering.plugins import register_rendering_plugins
 
     register_rendering_plugins()
-    sensor = mi.load_dict(
-        {
-            "type": "pinhole_pixels",
-            "film": {
-                "type": "hdrfilm",
-                "width": camera.width_px,
-                "height": camera.height_px,
-                "rfilter": {"type": "box"},
-            },
-        }
-    )
+    size = {"width": camera.width_px, "height": camera.height_px}
+    film = {"type": "hdrfilm", **size, "rfilter": {"type": "box"}}
+    sensor = mi.load_dict({"type": "pinhole_pixels", "film": film})
     sensor.set_camera(camera)
     return sensor
 
@@ -119,29 +107,23 @@ def build_scene(
     _check_packages(configuration, library)
     caches.textures.forget_variations()
     builder = _Builder(configuration, library, caches)
-    builder.add_placed(configuration.environment)
-    for placed in configuration.objects:
+    for placed in (configuration.environment, *configuration.objects):
         builder.add_placed(placed)
     black = mi.load_dict(
         {"type": "cook_torrance", "diffuse_albedo": BLACK_ALBEDO, "specular_albedo": BLACK_ALBEDO}
     )
     lights = make_lights(configuration, library, black, builder.problems)
-    if builder.problems:
-        raise InputError(*builder.problems)
+    raise_problems(builder.problems)
     return builder.finish(lights.entries, lights.hidden)
 
 
 def _check_packages(configuration: Configuration, library: Library) -> None:
     """Check that the library has every used asset, with the hash recorded in the configuration."""
-    where = f"configuration {configuration.id}"
-    used = {placed.asset for placed in (configuration.environment, *configuration.objects)}
+    used = {light.asset for light in configuration.lights if isinstance(light, EnvironmentLight)}
     for placed in (configuration.environment, *configuration.objects):
-        used |= {a.asset for a in placed.materials.values() if a.asset is not None}
-    used |= {
-        light.asset for light in configuration.lights if isinstance(light, EnvironmentLight) and light.asset
-    }
-    problems: list[Problem] = []
-    for asset_id in sorted(used):
+        used |= {placed.asset, *(assignment.asset for assignment in placed.materials.values())}
+    problems = Problems(f"configuration {configuration.id}")
+    for asset_id in sorted(filter(None, used)):
         try:
             got = library.package(asset_id).sha256
         except InputError as error:
@@ -149,18 +131,15 @@ def _check_packages(configuration: Configuration, library: Library) -> None:
             continue
         expected = configuration.assets.get(asset_id)
         if expected is None:
-            problems.append(
-                Problem(where, f"assets.{asset_id}", "", f"the package's hash {got}", "plan it again")
-            )
+            problems.add(f"assets.{asset_id}", "", f"the package's hash {got}", "plan it again")
         elif got != expected:
             remedy = "restore the package of that hash, or plan the configuration again"
-            problems.append(Problem(where, f"assets.{asset_id}", f"{got} in the library", expected, remedy))
-    if problems:
-        raise InputError(*problems)
+            problems.add(f"assets.{asset_id}", f"{got} in the library", expected, remedy)
+    raise_problems(problems)
 
 
 class _Builder:
-    """Collects groups of triangles, ids and faults over the placed assets in order."""
+    """Collects groups of triangles, ids and faults of the placed assets, in order."""
 
     def __init__(self, configuration: Configuration, library: Library, caches: AssetCaches):
         self.library, self.caches = library, caches
@@ -172,27 +151,23 @@ class _Builder:
         self.instance_names: dict[int, str] = {}
 
     def add_placed(self, placed: PlacedAsset) -> None:
-        """Add every part of a placed asset."""
-        package = self.library.package(placed.asset)
+        """Add all parts of a placed asset."""
+        package, where = self.library.package(placed.asset), f"configuration: {placed.name}"
         asset = package.asset
         if not isinstance(asset, ObjectAsset | EnvironmentAsset):
             got, expected = f"{placed.asset!r} ({asset.kind})", "an object or an environment"
-            self.problems.append(Problem(f"configuration: {placed.name}", "asset", got, expected))
+            self.problems.append(Problem(where, "asset", got, expected))
             return
         world_from_asset = np.asarray(placed.world_from_asset, dtype=np.float64)
         if not abs(np.linalg.det(world_from_asset[:3, :3])) > 1e-18:
-            self.problems.append(
-                Problem(
-                    f"configuration: {placed.name}", "world_from_asset", "singular", "an invertible matrix"
-                )
-            )
+            self.problems.append(Problem(where, "world_from_asset", "singular", "an invertible matrix"))
             return
         surfaces = resolve_materials(placed, package, self.library, self.problems)
         is_object = isinstance(asset, ObjectAsset)
         instance = self._new_instance(placed.name) if is_object else 0
         for part in asset.parts:
             if part.material not in surfaces:
-                continue  # its fault is already in problems
+                continue  # resolve_materials has added its fault
             if not is_object:
                 instance = self._new_instance(f"{placed.name}/{part.name}")
             self._add_part(part, package, surfaces[part.material], world_from_asset, instance)
@@ -226,14 +201,9 @@ class _Builder:
         pieces = split_by_uv_handedness(world) if has_normal_map else [(False, world)]
         self._register_material(surface)
         for has_mirrored_uv, piece in pieces:
-            key = GroupKey(
-                surface.key,
-                surface.emission,
-                piece.normals is not None,
-                piece.uv is not None,
-                has_mirrored_uv,
-            )
-            group = self.groups.setdefault(key, MeshGroup(key))
+            has_normals, has_uv = piece.normals is not None, piece.uv is not None
+            key = GroupKey(surface.key, surface.emission, has_normals, has_uv, has_mirrored_uv)
+            group = self.groups.setdefault(key, MeshGroup())
             group.meshes.append(piece)
             group.instances.append(instance)
 
@@ -243,15 +213,14 @@ class _Builder:
         self.surfaces[surface.key] = surface
         new_id = len(self.material_ids) + 1
         self.material_ids[surface.key] = new_id
-        taken = set(self.material_names.values())
         name, count = surface.name, 1
-        while name in taken:
+        while name in self.material_names.values():
             count += 1
             name = f"{surface.name}#{count}"
         self.material_names[new_id] = name
 
     def finish(self, light_entries: dict[str, Any], hidden: set[str]) -> BuiltScene:
-        """Upload meshes, textures and lights, and return the scene."""
+        """Upload meshes, textures and lights and return the scene; raise :class:`InputError` for faults."""
         import mitsuba as mi
 
         bsdfs: dict[tuple[Hashable, bool], Any] = {}
@@ -261,11 +230,9 @@ class _Builder:
         for index, (key, group) in enumerate(self.groups.items()):
             bsdf_key = (key.bsdf, key.has_mirrored_uv)
             if bsdf_key not in bsdfs:
-                surface = self.surfaces[key.bsdf]
+                surface, textures = self.surfaces[key.bsdf], self.caches.textures
                 try:
-                    bsdfs[bsdf_key] = make_bsdf(
-                        surface, self.caches.textures, has_mirrored_uv=key.has_mirrored_uv
-                    )
+                    bsdfs[bsdf_key] = make_bsdf(surface, textures, has_mirrored_uv=key.has_mirrored_uv)
                 except InputError as error:
                     self.problems.extend(error.problems)
                     continue
@@ -273,17 +240,15 @@ class _Builder:
             mesh, face_instances[name] = group.joined()
             description[name] = make_shape(name, mesh, bsdfs[bsdf_key], key.emission)
             shape_materials[name] = self.material_ids[key.bsdf]
-        if self.problems:
-            raise InputError(*self.problems)
+        raise_problems(self.problems)
         description.update(light_entries)
         scene = mi.load_dict(description, optimize=False)
-        return BuiltScene(
-            scene, self.instance_names, self.material_names, face_instances, shape_materials, hidden
-        )
+        names = self.instance_names, self.material_names
+        return BuiltScene(scene, *names, face_instances, shape_materials, hidden)
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """Factor of the part's UVs: the assignment's, else for the real size of an assigned material, else 1."""
+    """Factor of a part's UVs: the assignment's, else that for an assigned material's real size, else 1."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ids of merged shapes for the ground-truth pass: the instance is looked up by triangle, not by shape."""
+"""Ids of merged shapes for the ground-truth pass, looked up by triangle instead of by shape."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ Array = Any
 class MergedShapeMaterials(SceneMaterials):
     """:class:`SceneMaterials` of a :class:`BuiltScene`.
 
-    Every triangle of the scene has an index (from 1; 0 is "none"), by which ids are looked up. Lights hidden
-    from the camera count as surfaces without opacity.
+    Ids are looked up by the index of a triangle in the scene, from 1; 0 is "none". Lights hidden from the
+    camera count as surfaces without opacity.
     """
 
     def __init__(self, built: BuiltScene):

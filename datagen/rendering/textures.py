@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 Role = Literal["diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"]
 SCALAR_ROLES = ("roughness", "opacity")
 NO_ADJUSTMENT = ColorAdjustment()
-DEFAULT_CACHE_BYTES = 256 << 20
-_MIN_SATURATION = 1e-3  # an F0 below counts as grey, whose saturation is rounding
+MAX_CACHE_BYTES = 256 << 20
+_MIN_SATURATION = 1e-3  # less saturated F0 is grey up to rounding
 
 
 def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustment) -> NDArray[np.float32]:
@@ -66,22 +66,21 @@ def adjusted_constant(
 
 
 class TextureCache:
-    """Cache of uploaded textures by content; beyond ``max_bytes``, drops the least recently used.
+    """Cache of uploaded textures by content; drops the least recently used beyond 256 MB.
 
-    Adjusted textures hardly ever recur in another configuration: they are shared within a configuration and
-    dropped by :meth:`forget_variations`. ``shrink``: textures are averaged over squares of this many texels a
-    side, in linear values, before upload.
+    Adjusted textures, which hardly ever recur in another configuration, are kept until
+    :meth:`forget_variations`. ``shrink``: side in texels of the squares over which linear values are averaged
+    before upload.
     """
 
-    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES, shrink: int = 1):
-        self.max_bytes = max_bytes
+    def __init__(self, shrink: int = 1):
         self.shrink = shrink
         self.num_bytes = 0
         self._textures: OrderedDict[tuple, tuple[Any, int]] = OrderedDict()
         self._variations: dict[tuple, Any] = {}
 
     def forget_variations(self) -> None:
-        """Drop adjusted textures; scenes keep those that they use."""
+        """Drop the adjusted textures; existing scenes keep theirs."""
         self._variations.clear()
 
     def channel(
@@ -93,7 +92,7 @@ class TextureCache:
         *,
         flip_green: bool = False,
     ) -> Any:
-        """A Mitsuba texture of the channel ``role`` of a material; for a constant, the texture's dictionary.
+        """Mitsuba texture of the channel ``role`` of a material; for a constant, a texture's dictionary.
 
         ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
         and for images with NaN or Inf.
@@ -121,7 +120,7 @@ class TextureCache:
             return texture
         self._textures[key] = (texture, values.size * 2)
         self.num_bytes += values.size * 2
-        while self.num_bytes > self.max_bytes and len(self._textures) > 1:
+        while self.num_bytes > MAX_CACHE_BYTES and len(self._textures) > 1:
             _, (_, num_bytes) = self._textures.popitem(last=False)
             self.num_bytes -= num_bytes
         return texture

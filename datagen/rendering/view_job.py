@@ -34,17 +34,19 @@ HALF_MAX = 65504.0
 COARSE_SAMPLES = 16
 """Paths per pixel of the coarse image whose exposure sets the firefly clamp."""
 MIN_LIT = 0.05
-"""Minimum share of lit pixels in that image for clamping."""
+"""Minimum share of lit pixels in the coarse image for clamping."""
 _FULL_COVERAGE_SLACK = 1e-5  # rounding error of a sum of float32 shares
 
 
 class RenderError(RuntimeError):
-    """Raised for a view with NaN or Inf, which is discarded."""
+    """Raised for a view that is discarded because of NaN or Inf."""
 
 
 @dataclass
 class RenderedView:
-    """A finished view: ``buffers`` (H, W, C) by name, fields of its JSON, and ``seconds`` by stage."""
+    """A finished view: ``buffers`` (H, W, C) by name, names of instances and materials by id, its record, and
+    ``seconds`` by stage.
+    """
 
     index: int
     buffers: dict[str, NDArray]
@@ -62,8 +64,8 @@ IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
 class Finishing:
     """Denoisers and stopping criteria of views.
 
-    ``denoiser`` of the image; ``estimator``, which denoises the halves whose difference estimates the error;
-    ``budget`` of samples (None: the recipe's fixed number); ``is_enough``, see :data:`IsEnough`.
+    ``denoiser`` is for images, ``estimator`` for the halves from which the error is estimated. ``budget``:
+    None for the recipe's fixed number of samples. ``is_enough``: see :data:`IsEnough`.
     """
 
     denoiser: Denoiser | None
@@ -73,9 +75,9 @@ class Finishing:
 
 
 class ViewJob:
-    """A view whose samples are accumulated, in two independent ``halves`` if there is a budget.
+    """Renders a view by accumulating samples, in two independent ``halves`` if there is a budget.
 
-    Raises :class:`InputError` if the configuration has no such view.
+    Raises :class:`InputError` if the configuration has no view ``index``.
     """
 
     def __init__(self, scene: PreparedScene, finishing: Finishing, index: int):
@@ -97,7 +99,7 @@ class ViewJob:
         self.clamp_limit = self._clamp_limit()
 
     def steps(self, pool: ThreadPoolExecutor) -> Steps[RenderedView]:
-        """Run the job by steps: trace on this thread, estimate errors and denoise in ``pool``."""
+        """Run the job in steps, denoising in ``pool``; yield futures to wait for, and return the view."""
         if self.budget is None:
             self.add_pass(self.scene.recipe.path_samples or 0)
         else:
@@ -121,10 +123,8 @@ class ViewJob:
             sensor = self._sensor()
             for half, purpose in enumerate(["path"] if self.budget is None else ["path/a", "path/b"]):
                 seed, before = self.scene.seed(self.index, purpose), self.halves[half].counts
-                sums = self.scene.tracer.accumulate(
-                    sensor, counts, seed, limit=self.clamp_limit, before=before
-                )
-                self.halves[half] = self.halves[half] + sums
+                accumulate = self.scene.tracer.accumulate
+                self.halves[half] += accumulate(sensor, counts, seed, limit=self.clamp_limit, before=before)
 
     def estimate_error(self) -> ErrorEstimate:
         """Estimate the view's error from its samples so far, and set ``is_enough``.
@@ -178,9 +178,8 @@ class ViewJob:
             clipped_pixels=int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1))),
             **self._quality_record(sums),
         )
-        ordered = {
-            name: buffers[name].reshape(*noisy.shape[:2], BUFFERS[name].num_channels) for name in names
-        }
+        shape = noisy.shape[:2]
+        ordered = {name: buffers[name].reshape(*shape, BUFFERS[name].num_channels) for name in names}
         built = self.scene.built
         instances, materials = (
             {str(k): name for k, name in names_of.items()}
@@ -194,11 +193,9 @@ class ViewJob:
         if denoiser is None:
             return noisy
         if self._guides is None:
-            buffers = self.buffers
-            albedo = auxiliary_albedo(
-                buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
-            )
-            normal = buffers["normal_world"]
+            names = ("diffuse_albedo", "specular_albedo", "surface_mask")
+            albedo = auxiliary_albedo(*(self.buffers[name] for name in names))
+            normal = self.buffers["normal_world"]
             if denoiser.wants_camera_normals:
                 world_from_camera = self.scene.camera(self.index).world_from_camera
                 normal = normal @ world_from_camera[:3, :3].astype(np.float32)
@@ -275,7 +272,7 @@ class ViewJob:
         for name, array in buffers.items():
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 bad = ~np.isfinite(array).all(axis=-1)
-                row, column = (int(v) for v in np.argwhere(bad)[0])
+                row, column = np.argwhere(bad)[0]
                 raise RenderError(
                     f"configuration {configuration.id}, "
                     f"view {configuration.cameras[self.index].name}: {int(bad.sum())} pixels of {name} are "

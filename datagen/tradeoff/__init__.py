@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Measures error against time for all settings that affect time, and recommends a setting for an error."""
+"""Measures error and time of all settings that affect time, and recommends a setting for a given error."""

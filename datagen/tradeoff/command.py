@@ -21,14 +21,12 @@ EXIT_INTERRUPTED = 75
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest errors that the recommended setting may have; None sets no limit."""
+    """Maximum errors of the recommended setting; None for no limit."""
 
     rel_mse: Annotated[
         float | None,
         typer.Option(
-            "--max-rel-mse",
-            min=0,
-            help="Recommend the cheapest setting with at most this relMSE of beauty.",
+            "--max-rel-mse", min=0, help="Recommend the cheapest setting with at most this relMSE of beauty."
         ),
     ] = None
     maps_error: Annotated[
@@ -36,7 +34,7 @@ class Limits:
         typer.Option(
             "--max-maps-error",
             min=0,
-            help="The same limit for the mean absolute error of the ground-truth maps.",
+            help="Maximum mean absolute error of the ground-truth maps of the recommended setting.",
         ),
     ] = None
     statistics_error: Annotated[
@@ -44,7 +42,7 @@ class Limits:
         typer.Option(
             "--max-statistics-error",
             min=0,
-            help="The same limit for the mean absolute error of the statistics.",
+            help="Maximum mean absolute error of the statistics of the recommended setting.",
         ),
     ] = None
 
@@ -57,7 +55,7 @@ def tradeoff(
     limits: Limits,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned trials and stop.")] = False,
 ) -> None:
-    """Measure error against time for all settings that affect time, and recommend a setting for an error.
+    """Measure error and time of all settings that affect time, and recommend a setting for a given error.
 
     Example: python -m datagen.tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
     """

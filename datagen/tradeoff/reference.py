@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: MIT
 """References for the tradeoff: converged views of a configuration, rendered once and stored.
 
-A reference contains, for each view, two independent images (so that their noise adds nothing to the errors in
-expectation, see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed
-from the denoised means of both images with traced visibility and the maximum number of best views. Its name
-is the hash of everything that affects it, so it is never reused for another library, configuration,
-resolution, sample count or renderer.
+A reference contains, for each view, two independent images (whose noise does not affect the expectation of
+errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed from
+the denoised means of both images with traced visibility and the maximum number of best views. Its name is the
+hash of everything that affects it, so it is never reused for another library, configuration, resolution,
+sample count or renderer.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,7 +64,7 @@ def reference_key(configuration: Configuration, samples: int) -> str:
 
 @dataclass(frozen=True)
 class Reference:
-    """Converged views on disk: ``folder`` contains ``view_000.npz`` etc. and ``statistics.npz``."""
+    """Converged views on disk: ``folder`` contains ``view_000.npz``, ... and ``statistics.npz``."""
 
     folder: Path
     num_views: int
@@ -87,41 +86,37 @@ class Reference:
         return self.num_made == self.num_views and self.statistics_path.is_file()
 
     def halves(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The two independent images (H, W, 3) of a view."""
+        """The two independent images (H, W, 3) of view ``index``."""
         with np.load(self.view_path(index)) as data:
             return data["first"], data["second"]
 
     def maps(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """Ground-truth maps (H, W, C) of a view by buffer."""
+        """Ground-truth maps (H, W, C) of view ``index`` by buffer name."""
         with np.load(self.view_path(index)) as data:
             return {name: data[name] for name in MAPS}
 
     def statistics(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """Statistics (H, W, 3) of a view by buffer."""
+        """Colour statistics (H, W, 3) of view ``index`` by buffer name."""
         with np.load(self.statistics_path) as data:
             return {name: data[f"{name}_{index}"] for name in STATISTICS}
 
     def exposure(self, index: int) -> float:
-        """Exposure of a view, by which errors of radiance are multiplied."""
+        """Exposure of view ``index``, by which errors of radiance are multiplied."""
         first, second = self.halves(index)
         return exposure_for(0.5 * (first + second))
 
 
 def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
-    """Write an ``npz`` file; it appears whole or not at all."""
+    """Write ``arrays`` to an ``npz`` file atomically."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     np.savez(partial, **arrays)
     publish(partial, path)
 
 
 def make_reference(
-    configuration: Configuration,
-    library: Library,
-    reference: Reference,
-    samples: int,
-    report: Callable[[], None],
+    configuration: Configuration, library: Library, reference: Reference, samples: int
 ) -> None:
-    """Render the missing parts of a reference; ``report`` is called after each view."""
+    """Render and store the missing parts of ``reference`` with ``samples`` paths per pixel and image."""
     reference.folder.mkdir(parents=True, exist_ok=True)
     recipe = RenderRecipe(
         variant="auto",
@@ -139,14 +134,13 @@ def make_reference(
         halves = [_converged(renderer, index, samples, half) for half in (0, 1)]
         maps = {name: buffers[name].astype(BUFFERS[name].dtype).astype(np.float32) for name in MAPS}
         write_arrays(reference.view_path(index), {"first": halves[0], "second": halves[1], **maps})
-        report()
     if not reference.statistics_path.is_file():
         write_arrays(reference.statistics_path, _statistics(renderer, configuration, reference))
     renderer.close()
 
 
 def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np.float32]:
-    """Mean (H, W, 3) of ``samples`` paths per pixel, with visible emission; ``half`` selects the seeds."""
+    """Mean radiance (H, W, 3) of ``samples`` paths per pixel, with seeds that depend on ``half``, 0 or 1."""
     sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
     total, done = np.zeros((1, 1, 3)), 0
     while done < samples:
@@ -172,11 +166,7 @@ def _statistics(
             normal = normal @ camera.camera().world_from_camera[:3, :3].astype(np.float32)
         # denoising impairs visible lights, whose pixels have no statistics
         color = denoiser.denoise(mean, albedo, normal)
-        views.append(
-            StatisticsView(
-                camera.camera(), color, maps["depth_z_m"], maps["normal_world"], maps["surface_mask"]
-            )
-        )
+        views.append(StatisticsView.from_buffers(camera.camera(), {**maps, "beauty": color}))
     options = StatisticsOptions(best_views=BEST_VIEWS, visibility=VisibilityOptions(mode="trace"))
     found = compute_statistics(views, options, scene=renderer.built.scene)
     return {f"{name}_{k}": result[name] for k, result in enumerate(found) for name in STATISTICS}

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Chooses a setting from trials: means over configurations, Pareto front and recommendation."""
+"""Selects settings from trials: means over configurations, Pareto front and recommendation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -23,12 +23,12 @@ RENDER_FIELDS = (
     "firefly_clamp",
     "irradiance_cache",
 )
-"""Fields that a recommendation may change; other fields change the content of a view, not its accuracy."""
+"""Fields that a recommendation may change; the others change the content of a view."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """Means of a setting over all configurations; ``worst_rel_mse`` is the maximum over them."""
+    """Means of a setting's trials over all configurations; ``worst_rel_mse`` is the maximum over them."""
 
     setting: Setting
     rel_mse: float
@@ -42,7 +42,7 @@ class Point:
 
 
 def points_of(trials: Iterable[Trial]) -> list[Point]:
-    """A point for each setting that was measured on every configuration of ``trials``."""
+    """Points of the settings that were measured on every configuration of ``trials``."""
     by_setting: dict[Setting, dict[str, Trial]] = {}
     for trial in trials:
         by_setting.setdefault(Setting(**trial.setting), {})[trial.configuration] = trial
@@ -56,17 +56,7 @@ def points_of(trials: Iterable[Trial]) -> list[Point]:
             setting=setting,
             rel_mse=mean(found, "rel_mse"),
             worst_rel_mse=max(trial.rel_mse for trial in found.values()),
-            **{
-                name: mean(found, name)
-                for name in (
-                    "maps_error",
-                    "statistics_error",
-                    "bytes_a_view",
-                    "path_samples",
-                    "cpu_s",
-                    "wall_s",
-                )
-            },
+            **{field.name: mean(found, field.name) for field in fields(Point)[3:]},
         )
         for setting, found in by_setting.items()
         if set(found) == configurations
@@ -88,12 +78,12 @@ def pareto_front(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
 
 
 def comparable(points: Iterable[Point], base: Setting) -> list[Point]:
-    """Points that differ from the base only in :data:`RENDER_FIELDS`."""
+    """Points whose settings differ from the base only in :data:`RENDER_FIELDS`."""
     return [p for p in points if set(p.setting.differences(base)) <= set(RENDER_FIELDS)]
 
 
 def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
-    """The Pareto front of processor seconds and relMSE, among :func:`comparable` points."""
+    """Pareto front of processor seconds and relMSE among the :func:`comparable` points, cheapest first."""
     found = comparable(points, base)
     return [found[k] for k in pareto_front([p.cpu_s for p in found], [p.rel_mse for p in found])]
 
@@ -101,7 +91,7 @@ def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
 def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) -> Point:
     """The cheapest comparable point whose errors are at most ``limits`` (by field of :class:`Point`).
 
-    Raises :class:`InputError`, with the least errors measured, if there is none.
+    Raises :class:`InputError`, which states the smallest errors measured, if there is none.
     """
     found = comparable(points, base)
     meets = [p for p in found if all(getattr(p, name) <= limit for name, limit in limits.items())]
@@ -119,9 +109,9 @@ def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) 
 def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s") -> float:
     """Cost of ``point`` divided by the cost at which the Pareto front of ``others`` reaches its error.
 
-    ``cost`` is a field of :class:`Point`. The front is interpolated in logarithms between its points; below 1
-    the point extends the front. The result is 0 for an error below the front's least; an error above that of
-    the front's cheapest point is compared with this point.
+    ``cost`` is a field of :class:`Point`. The front is interpolated in logarithms between its points. The
+    result is below 1 for a point that extends the front, and 0 for an error below the whole front. An error
+    above that of the front's cheapest point is compared with this point.
     """
     costs = [getattr(p, cost) for p in others]
     front = [others[k] for k in pareto_front(costs, [p.rel_mse for p in others])]
@@ -134,6 +124,6 @@ def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s"
 
 
 def as_row(point: Point) -> dict[str, Any]:
-    """A point as a dictionary of its setting's fields and its means."""
+    """Fields of the point's setting and its means in one dictionary."""
     values = asdict(point)
     return {**values.pop("setting"), **values}

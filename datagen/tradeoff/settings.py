@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Settings that trade accuracy for time: one setting, the sweeps around a base point, and the factorial.
 
-Every field of :class:`Setting` affects time. The base point is the recipe's defaults with a fixed number of
-samples; a sweep varies one field, and the factorial combines the four that interact: auxiliary buffers matter
-only through the denoiser, both affect the number of samples needed, and the irradiance cache makes samples
+Every field of :class:`Setting` affects time. The base point has the recipe's defaults and a fixed number of
+samples; a sweep varies one field, and the factorial combines the four fields that interact: auxiliary buffers
+matter only to the denoiser, both affect the number of samples needed, and the irradiance cache makes samples
 cheaper and less noisy.
 """
 
@@ -20,7 +20,7 @@ from datagen.foundation.errors import Problem, raise_problems
 from datagen.foundation.exr import COMPRESSIONS
 
 DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
-"""OIDN's network sizes, guided by albedo and normal; ``unguided``: ``high`` without guides; OptiX."""
+"""No denoiser; OIDN's qualities, with guides; OIDN's ``high`` without guides; OptiX."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Setting:
     variant: str = "llvm_ad_rgb"
 
     def recipe(self) -> RenderRecipe:
-        """The renderer's part of the setting."""
+        """Recipe for the renderer with the fields of the setting that concern it."""
         common = {
             "variant": self.variant,
             "max_depth": self.max_depth,
@@ -93,14 +93,14 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "variant": ("llvm_ad_rgb", "cuda_ad_rgb"),
     "quality": tuple(QUALITIES),
 }
-"""Values of each field, which are varied one field at a time."""
+"""Values of each field for its sweep."""
 FACTORIAL: dict[str, tuple[Any, ...]] = {
     "path_samples": (2, 4, 8, 16, 32),
     "auxiliary_samples": (16, 64),
     "denoiser": ("fast", "balanced", "high"),
     "irradiance_cache": (0, 1),
 }
-"""Values of the fields that interact, of which all combinations are measured."""
+"""Values of the fields of the factorial, of which all combinations are measured."""
 _LIMITS: dict[str, tuple[float, float]] = {
     "firefly_clamp": (0.0, 1e6),
     "irradiance_cache": (0, 1),
@@ -110,7 +110,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 
 def base_setting(variant: str) -> Setting:
-    """The base point of the sweeps for a Mitsuba variant."""
+    """Base point of the sweeps, with the default denoiser of the Mitsuba ``variant``."""
     return Setting(variant=variant, denoiser="optix" if variant.startswith("cuda") else "high")
 
 
@@ -144,7 +144,7 @@ def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: boo
 
 
 def _checked(name: str, value: Any) -> Any:
-    """``value`` as the type of field ``name``. Raises :class:`ValueError` for an invalid one."""
+    """Convert ``value`` to the type of field ``name``. Raises :class:`ValueError` if it is invalid."""
     kind = type(getattr(Setting(), name))
     if kind is str and value not in SWEEPS[name]:
         raise ValueError(f"one of {', '.join(SWEEPS[name])}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs a sweep: references, then trials, in a worker process per variant, with all results on disk.
+"""Runs a sweep: references, then trials, in one worker process per variant, with all results on disk.
 
 ``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` are finished results; an interrupted sweep
 continues from them, and other sweeps in the same folder reuse them.
@@ -12,10 +12,11 @@ import os
 import platform
 import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +27,7 @@ from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import QUALITIES
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import Problem, Problems, input_error, raise_problems
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.tradeoff.reference import Reference, make_reference, reference_key, sized
@@ -51,24 +52,23 @@ class SweepOptions:
     ] = 512
     sweeps: Annotated[
         tuple[str, ...],
-        typer.Option("--sweep", help="Setting to vary: NAME or NAME=VALUE,VALUE, repeatable."),
+        typer.Option("--sweep", help="Field to vary: NAME or NAME=VALUE,VALUE, repeatable."),
     ] = tuple(SWEEPS)
     with_factorial: Annotated[
         bool,
         typer.Option(
             "--factorial/--no-factorial",
-            help="Also all combinations of samples, auxiliary samples, denoiser and irradiance cache.",
+            help="Measure all combinations of samples, auxiliary samples, denoiser and irradiance cache.",
         ),
     ] = True
     variant: Annotated[
-        str | None,
-        typer.Option(help="Mitsuba variant of the base point; default: the fastest available."),
+        str | None, typer.Option(help="Mitsuba variant of the base point; default: the fastest available.")
     ] = None
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A configuration at the sweep's resolution, with its reference."""
+    """A configuration at the sweep's resolution, its library and its reference."""
 
     configuration: Configuration
     library_paths: tuple[str, ...]
@@ -76,7 +76,7 @@ class Subject:
     reference_samples: int
 
     def trial_path(self, out: Path, setting: Setting) -> Path:
-        """Path of a trial's record, named by a hash of the setting, its quality and the software versions."""
+        """Path of a trial's result, named by a hash of setting, quality and software versions."""
         meaning = QUALITIES[setting.quality] if setting.quality else None  # type: ignore[index]
         key = sha256_hex(canonical_json([asdict(setting), meaning, pixel_versions()]))[:16]
         return out / "trials" / f"{self.reference.folder.name}-{key}.json"
@@ -93,52 +93,43 @@ class Sweep:
         _check(out, options)
         self.base = base_setting(resolve_variant(options.variant))
         self.settings = planned_settings(self.base, options.sweeps, options.with_factorial)
-        self.unavailable = tuple(s for s in self.settings if not _is_available(s))
+        self.unavailable = tuple(s for s in self.settings if s.variant == CUDA_VARIANT and not has_cuda())
         self.settings = [s for s in self.settings if s not in self.unavailable]
         self.subjects = self._find_subjects(DatasetFolder(folder))
 
     def _find_subjects(self, folder: DatasetFolder) -> list[Subject]:
         options = self.options
         units = folder.read_plan().units
-        wrong = [index for index in options.configurations if not 0 <= index < len(units)]
-        if wrong:
-            raise InputError(
-                *(
-                    Problem(folder.root, "--configuration", str(index), f"0 ... {len(units) - 1}")
-                    for index in wrong
-                )
-            )
-        paths = folder.library_paths()
+        problems = Problems(folder.root)
+        for index in options.configurations:
+            if not 0 <= index < len(units):
+                problems.add("--configuration", index, f"0 ... {len(units) - 1}")
+        raise_problems(problems)
+        paths = tuple(map(str, folder.library_paths()))
         subjects = []
         for index in options.configurations:
             configuration = sized(folder.read_configuration(units[index]), options.size, options.views)
             key = reference_key(configuration, options.reference_samples)
             reference = Reference(self.out / "references" / key, len(configuration.cameras))
-            subjects.append(
-                Subject(configuration, tuple(str(p) for p in paths), reference, options.reference_samples)
-            )
+            subjects.append(Subject(configuration, paths, reference, options.reference_samples))
         return subjects
 
     def pending(self) -> list[tuple[Subject, Setting]]:
-        """Trials (subject and setting) without a stored result, in order."""
-        return [
-            (subject, setting)
-            for subject in self.subjects
-            for setting in self.settings
-            if not subject.trial_path(self.out, setting).is_file()
-        ]
+        """Pairs (subject, setting) without a stored trial, in order."""
+        pairs = product(self.subjects, self.settings)
+        return [(s, setting) for s, setting in pairs if not s.trial_path(self.out, setting).is_file()]
 
     def missing_views(self) -> int:
-        """Number of reference views without a stored result."""
+        """Number of reference views that are not yet stored."""
         return sum(s.reference.num_views - s.reference.num_made for s in self.subjects)
 
     def trials(self) -> list[Trial]:
         """All stored trials of this sweep."""
-        paths = (s.trial_path(self.out, setting) for s in self.subjects for setting in self.settings)
+        paths = (s.trial_path(self.out, setting) for s, setting in product(self.subjects, self.settings))
         return [read_trial(path) for path in paths if path.is_file()]
 
     def description(self) -> dict[str, str]:
-        """Conditions of the sweep for its report: configurations, views, references, machine, software."""
+        """Conditions of the sweep, by name, for its report."""
         options = self.options
         return {
             "configurations": ", ".join(s.configuration.id for s in self.subjects),
@@ -150,20 +141,23 @@ class Sweep:
         }
 
     def run(self, report: Callable[[str, int], None] = lambda what, done: None) -> list[Trial]:
-        """Compute the missing results; ``report(what, steps)`` is called when views and trials are finished.
+        """Compute the missing references and trials, and return all trials of the sweep.
 
-        Finished results are kept after an interrupt, and after the death of a worker, which raises
-        :class:`RuntimeError`.
+        ``report(what, steps)`` is called when views or trials are finished. Finished results are kept after
+        an interrupt, and if the worker process dies, which raises :class:`RuntimeError`.
         """
         for subject in self.subjects:
             if not subject.reference.is_complete:
+                reported = subject.reference.num_made
                 with _worker() as pool:
-                    before = subject.reference.num_made
                     future = pool.submit(_make_reference, subject)
-                    while not future.done():
-                        before = _report_views(subject, before, report)
-                        _wait(future)
-                    _report_views(subject, before, report)
+                    is_done = False
+                    while not is_done:
+                        is_done = bool(wait([future], timeout=0.5).done)
+                        made = subject.reference.num_made
+                        if made > reported:
+                            report(f"{subject.configuration.id}: reference", made - reported)
+                            reported = made
                     future.result()
         (self.out / "trials").mkdir(parents=True, exist_ok=True)
         for variant in (CPU_VARIANT, CUDA_VARIANT):
@@ -180,7 +174,7 @@ class Sweep:
 
 
 def _check(out: Path, options: SweepOptions) -> None:
-    """Raise :class:`InputError` with all faults of a sweep's folder, resolution and variant."""
+    """Raise :class:`InputError` with all faults of the output folder, the resolution and the variant."""
     problems = []
     if out.exists() and not out.is_dir():
         problems.append(Problem(out, "--out", "a file", "a folder", "choose another --out"))
@@ -188,10 +182,7 @@ def _check(out: Path, options: SweepOptions) -> None:
         expected = "an empty folder, or one of an earlier sweep"
         problems.append(Problem(out, "--out", "a folder with other files", expected, "choose another --out"))
     if min(options.size) < MIN_SIDE_PX or max(options.size) > MAX_SIDE_PX:
-        got, expected = (
-            f"{options.size[0]} x {options.size[1]}",
-            f"sides of {MIN_SIDE_PX} ... {MAX_SIDE_PX}",
-        )
+        got, expected = "{} x {}".format(*options.size), f"sides of {MIN_SIDE_PX} ... {MAX_SIDE_PX}"
         problems.append(Problem("--size", "", got, expected, "correct it"))
     if options.variant is not None and options.variant not in VARIANTS:
         expected = f"one of {', '.join(VARIANTS)}"
@@ -202,32 +193,16 @@ def _check(out: Path, options: SweepOptions) -> None:
 
 
 def read_trial(path: Path) -> Trial:
-    """Read a stored trial. Raises :class:`InputError` if it is damaged."""
+    """Read a stored trial. Raises :class:`InputError` if the file is unreadable or no trial."""
     try:
         return Trial(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
         raise input_error(path, "", str(error), "a trial", "remove the file and run again") from None
 
 
-def _is_available(setting: Setting) -> bool:
-    return setting.variant != CUDA_VARIANT or has_cuda()
-
-
-def _report_views(subject: Subject, before: int, report: Callable[[str, int], None]) -> int:
-    made = subject.reference.num_made
-    if made > before:
-        report(f"{subject.configuration.id}: reference", made - before)
-    return made
-
-
-def _wait(future: object) -> None:
-    assert isinstance(future, Future)
-    wait([future], timeout=0.5)
-
-
 @contextmanager
 def _worker() -> Iterator[ProcessPoolExecutor]:
-    """A pool of one rendering process, since a process cannot change its variant."""
+    """Pool of one process, since a process cannot change its variant. RuntimeError if the process dies."""
     pool = ProcessPoolExecutor(1, get_context("spawn"), _start_worker)
     try:
         yield pool
@@ -250,9 +225,7 @@ def _start_worker() -> None:
 
 def _make_reference(subject: Subject) -> None:
     with Library(subject.library_paths) as library:
-        make_reference(
-            subject.configuration, library, subject.reference, subject.reference_samples, lambda: None
-        )
+        make_reference(subject.configuration, library, subject.reference, subject.reference_samples)
 
 
 def _measure(subject: Subject, setting: Setting) -> Trial:

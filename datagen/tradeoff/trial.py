@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Measures one setting on one configuration: seconds by stage, errors against the reference, bytes per view.
 
-Stages run one after the other so that their seconds are separate; in production they overlap, and a view
-costs about their processor seconds divided by the cores. The first view is rendered twice, so that
-compilation is not counted. Seconds are medians over views, plus a view's share of the preparation of the
-whole scene.
+Stages run one after the other so that their seconds can be measured separately; in production they overlap,
+and a view takes about their processor seconds divided by the number of cores. The first view is rendered
+twice, which excludes compilation. Seconds are medians over views, plus a view's share of the preparation of
+the scene.
 
 * ``rel_mse``: exposed relMSE of the stored beauty (``datagen.rendering.error``), mean over views;
 * ``maps_error``: mean absolute error of D, S, R and the normal, over surface pixels;
@@ -45,35 +45,33 @@ STAGES = ("learn", "render", "statistics", "compress")
 
 
 class Stopwatch:
-    """Wall-clock and processor seconds by stage, with an entry per view."""
+    """Measures wall-clock and processor seconds by stage, one entry per view."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[tuple[float, float]]] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the time of a block as an entry of stage ``name``."""
+        """Measure the seconds of this context as an entry of stage ``name``."""
         cpu, wall = time.process_time(), time.perf_counter()
         yield
         entry = (time.perf_counter() - wall, time.process_time() - cpu)
         self.seconds.setdefault(name, []).append(entry)
 
     def medians(self) -> dict[str, dict[str, float]]:
-        """Medians over views of each stage, and as ``total`` their sums."""
+        """Medians over views, ``wall_s`` and ``cpu_s``, of each stage, and their sums as ``total``."""
+        kinds = ("wall_s", "cpu_s")
         found = {
-            name: {
-                "wall_s": stats.median(wall for wall, _ in entries),
-                "cpu_s": stats.median(cpu for _, cpu in entries),
-            }
+            name: dict(zip(kinds, map(stats.median, zip(*entries, strict=True)), strict=True))
             for name, entries in self.seconds.items()
         }
-        found["total"] = {kind: sum(stage[kind] for stage in found.values()) for kind in ("wall_s", "cpu_s")}
+        found["total"] = {kind: sum(stage[kind] for stage in found.values()) for kind in kinds}
         return found
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Result of a setting on a configuration; see the module's docstring."""
+    """Result of a setting on a configuration; the module's docstring defines errors and seconds."""
 
     configuration: str
     setting: dict[str, Any]
@@ -93,15 +91,16 @@ class Trial:
 
 
 def measure(configuration: Configuration, library: Library, reference: Reference, setting: Setting) -> Trial:
-    """Render, process, store and compare every view of a reference's configuration with ``setting``."""
+    """Render, process and store every view with ``setting``, and compare it with the reference."""
     at_size = _scaled(configuration, setting.image_scale)
     caches = AssetCaches(MeshCache(), TextureCache(shrink=setting.texture_shrink))
     start = time.process_time()
     renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
     build_cpu_s = time.process_time() - start
-    preparing = _preparation(renderer)
+    preparing, watch = Stopwatch(), Stopwatch()
+    with preparing.stage("learn"):  # again, with compiled kernels
+        renderer.prepare_paths()
     renderer.render_view(0)
-    watch = Stopwatch()
     rendered = []
     for index in range(reference.num_views):
         with watch.stage("render"):
@@ -123,7 +122,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     errors = [_errors(reference, index, buffers) for index, buffers in enumerate(stored)]
     seconds = watch.medians()
     total = seconds.pop("total")
-    seconds["learn"] = {kind: spent / len(rendered) for kind, spent in preparing.items()}
+    seconds["learn"] = {kind: spent / len(rendered) for kind, spent in preparing.medians()["learn"].items()}
     total = {kind: spent + seconds["learn"][kind] for kind, spent in total.items()}
     passes = sorted({name for view in rendered for name in view.seconds})
     map_errors = {name: float(np.mean([e[name] for e in errors])) for name in ERROR_MAPS}
@@ -140,31 +139,20 @@ def measure(configuration: Configuration, library: Library, reference: Reference
         cpu_s=total["cpu_s"],
         wall_s=total["wall_s"],
         stages=seconds,
-        passes_wall_s={
-            name: stats.median(view.seconds.get(name, 0.0) for view in rendered) for name in passes
-        },
+        passes_wall_s={name: stats.median(v.seconds.get(name, 0.0) for v in rendered) for name in passes},
         build_cpu_s=build_cpu_s,
         num_views=len(rendered),
     )
 
 
-def _preparation(renderer: SceneRenderer) -> dict[str, float]:
-    """Seconds to compute sky guide and irradiance cache again, with compiled kernels."""
-    cpu, wall = time.process_time(), time.perf_counter()
-    renderer.scene.prepare_paths()
-    return {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-
-
 def _scaled(configuration: Configuration, share: float) -> Configuration:
     if share == 1.0:
         return configuration
-    cameras = tuple(
-        ViewCamera.from_camera(
-            view.name, view.camera().scaled(round(view.width_px * share), round(view.height_px * share))
-        )
-        for view in configuration.cameras
-    )
-    return configuration.model_copy(update={"cameras": cameras})
+    cameras = []
+    for view in configuration.cameras:
+        scaled = view.camera().scaled(round(view.width_px * share), round(view.height_px * share))
+        cameras.append(ViewCamera.from_camera(view.name, scaled))
+    return configuration.model_copy(update={"cameras": tuple(cameras)})
 
 
 def _denoiser(setting: Setting) -> OidnDenoiser | None:
@@ -182,15 +170,13 @@ def _gather(
     scene: Any,
     watch: Stopwatch,
 ) -> Iterator[dict[str, NDArray]]:
-    """Yield the statistics of all views; compilation in the first launch is not timed."""
+    """Yield the statistics of each view by buffer, timed without the compilation of the first launch."""
     views = [
         StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
         for camera, buffers in zip(configuration.cameras, stored, strict=True)
     ]
-    options = StatisticsOptions(
-        best_views=setting.best_views,
-        visibility=VisibilityOptions(mode="trace" if setting.visibility == "trace" else "depth"),
-    )
+    visibility = VisibilityOptions(mode="trace" if setting.visibility == "trace" else "depth")
+    options = StatisticsOptions(best_views=setting.best_views, visibility=visibility)
     next(iter(compute_statistics(views, options, scene=scene)))
     results = iter(compute_statistics(views, options, scene=scene))
     for _ in views:
@@ -200,16 +186,14 @@ def _gather(
 
 
 def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
-    """A view as an EXR file, as in shards or with every float channel in single precision."""
+    """Encode a view as an EXR file, as in shards or with every float channel in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
-    channels = {
-        channel: np.ascontiguousarray(
-            array[..., k], dtype=np.uint32 if BUFFERS[name].pixel_type == "uint" else np.float32
-        )
-        for name, array in buffers.items()
-        for k, channel in enumerate(BUFFERS[name].exr_channels)
-    }
+    channels = {}
+    for name, array in buffers.items():
+        dtype = np.uint32 if BUFFERS[name].pixel_type == "uint" else np.float32
+        for k, channel in enumerate(BUFFERS[name].exr_channels):
+            channels[channel] = np.ascontiguousarray(array[..., k], dtype=dtype)
     header = {"compression": COMPRESSIONS[setting.compression], "type": OpenEXR.scanlineimage}
     stream = io.BytesIO()
     with OpenEXR.File(header, channels) as file:
@@ -218,7 +202,7 @@ def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
 
 
 def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> dict[str, float]:
-    """Errors of a view's stored buffers against the reference."""
+    """Errors, by measure, of the stored buffers of view ``index`` against the reference."""
     first, second = reference.halves(index)
     size = (first.shape[1], first.shape[0])
     found = {"rel_mse": relative_mse(_at_size(buffers["beauty"], size), first, second, exposed=True)}

@@ -44,7 +44,7 @@ _COLORS = {"fast": "#e69f00", "balanced": "#56b4e9", "high": "#0072b2", "none": 
 
 @dataclass(frozen=True)
 class Results:
-    """Results of a sweep, the recommendation, and the limits that it meets."""
+    """Trials and conditions of a sweep, and the recommended point with the error limits that it meets."""
 
     trials: Sequence[Trial]
     base: Setting
@@ -55,7 +55,7 @@ class Results:
 
 
 def csv_columns() -> list[str]:
-    """Columns of the CSV file, in order."""
+    """Names of the CSV file's columns, in order."""
     setting = [field.name if field.name != "path_samples" else "samples_asked" for field in fields(Setting)]
     return ["configuration", *setting, *MEASURES, *(f"{stage}_cpu_s" for stage in STAGES)]
 
@@ -64,14 +64,14 @@ def write_results(results: Results, out: Path) -> list[Path]:
     """Write ``tradeoff.csv``, ``.json``, ``.html`` and the figures ``front.png``, ``sweeps.png``."""
     out.mkdir(parents=True, exist_ok=True)
     points = points_of(results.trials)
-    figures = {"front.png": _png(front_figure(points, results)), "sweeps.png": None}
-    sweeps = sweeps_figure(points, results.base)
-    figures["sweeps.png"] = _png(sweeps) if sweeps is not None else None
+    figures = {"front.png": _png(front_figure(points, results))}
+    if (sweeps := sweeps_figure(points, results.base)) is not None:
+        figures["sweeps.png"] = _png(sweeps)
     content = {
         "tradeoff.csv": _csv(results.trials).encode(),
         "tradeoff.json": canonical_json(_summary(results, points)),
         "tradeoff.html": _page(results, points, figures).encode(),
-        **{name: data for name, data in figures.items() if data is not None},
+        **figures,
     }
     for name, data in content.items():
         write_bytes_atomically(out / name, data)
@@ -115,7 +115,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def front_figure(points: Sequence[Point], results: Results) -> Figure:
-    """Plot error against processor seconds: comparable settings, front, qualities, recommendation."""
+    """Plot relMSE against processor seconds of comparable settings; mark Pareto front and recommendation."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
@@ -124,16 +124,8 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
         _draw_point(axes, point)
     front = front_of(points, results.base)
     axes.plot([p.cpu_s for p in front], [p.rel_mse for p in front], "-", color="#333333", lw=1, zorder=1)
-    if results.recommended is not None:
-        axes.plot(
-            results.recommended.cpu_s,
-            results.recommended.rel_mse,
-            "o",
-            ms=16,
-            mfc="none",
-            mec="#d55e00",
-            mew=2,
-        )
+    if (best := results.recommended) is not None:
+        axes.plot(best.cpu_s, best.rel_mse, "o", ms=16, mfc="none", mec="#d55e00", mew=2)
     if results.limits and "rel_mse" in results.limits:
         axes.axhline(results.limits["rel_mse"], color="#d55e00", lw=1, ls="--")
     axes.set(
@@ -151,28 +143,20 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
 
 
 def _draw_point(axes: Axes, point: Point) -> None:
-    setting = point.setting
+    setting, at = point.setting, (point.cpu_s, point.rel_mse)
     color = _COLORS.get(setting.denoiser, "#cc79a7")
     if setting.quality:
-        axes.plot(point.cpu_s, point.rel_mse, "*", ms=15, color="#009e73", mec="black", zorder=3)
-        axes.annotate(
-            setting.quality, (point.cpu_s, point.rel_mse), (8, 4), textcoords="offset points", fontsize=9
-        )
+        axes.plot(*at, "*", ms=15, color="#009e73", mec="black", zorder=3)
+        axes.annotate(setting.quality, at, (8, 4), textcoords="offset points", fontsize=9)
         return
     marker = {16: "s", 64: "o"}.get(setting.auxiliary_samples, "D")
     is_plain = setting.max_depth == 8 and setting.russian_roulette_depth == 5 and not setting.firefly_clamp
     if not is_plain:
-        axes.plot(point.cpu_s, point.rel_mse, "x", ms=5, color="#777777")
+        axes.plot(*at, "x", ms=5, color="#777777")
         return
     edge = "black" if setting.irradiance_cache else color
-    axes.plot(point.cpu_s, point.rel_mse, marker, ms=6, color=color, mec=edge, mew=1.2, zorder=2)
-    axes.annotate(
-        str(setting.path_samples),
-        (point.cpu_s, point.rel_mse),
-        (4, -9),
-        textcoords="offset points",
-        fontsize=7,
-    )
+    axes.plot(*at, marker, ms=6, color=color, mec=edge, mew=1.2, zorder=2)
+    axes.annotate(str(setting.path_samples), at, (4, -9), textcoords="offset points", fontsize=7)
 
 
 def _add_legend(axes: Axes) -> None:
@@ -194,7 +178,7 @@ def _add_legend(axes: Axes) -> None:
 
 
 def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
-    """Plot errors, time and bytes relative to the base by each swept field; None without a sweep."""
+    """Plot errors, time and bytes relative to the base, one panel per swept field; None without a sweep."""
     from matplotlib.figure import Figure
 
     base_point = next((p for p in points if p.setting == base), None)
@@ -257,19 +241,16 @@ _COLUMNS = {
 }
 
 
-def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes | None]) -> str:
+def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes]) -> str:
     parts = ["<h1>Error against time</h1>", _description(results)]
     if results.recommended is not None and results.limits:
         limits = ", ".join(f"{name} at most {limit:g}" for name, limit in results.limits.items())
         text = f"For {limits}: {results.recommended.setting.text(results.base)}"
-        parts += [
-            f"<h2>Recommended</h2><p>{html.escape(text)}</p>",
-            _table([results.recommended], results.base),
-        ]
+        table = _table([results.recommended], results.base)
+        parts += [f"<h2>Recommended</h2><p>{html.escape(text)}</p>", table]
     for name, title in (("front.png", "Pareto front"), ("sweeps.png", "One field at a time")):
-        data = figures[name]
-        if data is not None:
-            source = base64.b64encode(data).decode()
+        if name in figures:
+            source = base64.b64encode(figures[name]).decode()
             parts.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{source}">')
     parts += ["<h2>Pareto-optimal settings</h2>", _table(front_of(points, results.base), results.base)]
     parts += ["<h2>All settings</h2>", _table(points, results.base)]
@@ -281,22 +262,18 @@ def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes | 
 
 
 def _description(results: Results) -> str:
-    rows = [
-        f"<tr><td>{html.escape(k)}</td><td>{html.escape(str(v))}</td></tr>"
-        for k, v in results.description.items()
-    ]
-    missing = ", ".join(sorted({s.text(results.base) for s in results.unavailable}))
-    if missing:
-        rows.append(f"<tr><td>not available here</td><td>{html.escape(missing)}</td></tr>")
-    return f"<table>{''.join(rows)}</table>"
+    values = dict(results.description)
+    if missing := ", ".join(sorted({s.text(results.base) for s in results.unavailable})):
+        values["not available here"] = missing
+    cells = ((html.escape(k), html.escape(str(v))) for k, v in values.items())
+    return f"<table>{''.join(f'<tr><td>{k}</td><td>{v}</td></tr>' for k, v in cells)}</table>"
 
 
 def _table(points: Sequence[Point], base: Setting) -> str:
     head = "".join(f"<th>{title}</th>" for title, _ in _COLUMNS.values())
     rows = []
     for point in points:
-        cells = "".join(
-            f"<td>{form.format(getattr(point, name))}</td>" for name, (_, form) in _COLUMNS.items()
-        )
+        values = (form.format(getattr(point, name)) for name, (_, form) in _COLUMNS.items())
+        cells = "".join(f"<td>{value}</td>" for value in values)
         rows.append(f"<tr><td>{html.escape(point.setting.text(base))}</td>{cells}</tr>")
     return f'<div class="wide"><table><tr><th>setting</th>{head}</tr>{"".join(rows)}</table></div>'

@@ -23,7 +23,7 @@ Array = Any
 
 
 class SceneEmitters:
-    """The emitters of one scene, chosen by ``light_sampler`` or, if that is None, uniformly by Mitsuba."""
+    """The emitters of a scene, chosen by ``light_sampler`` or, if that is None, uniformly by Mitsuba."""
 
     def __init__(self, built: BuiltScene):
         self.scene = built.scene
@@ -40,11 +40,11 @@ class SceneEmitters:
         return self._is_hidden_shape is not None
 
     def tables(self) -> list[Any]:
-        """Arrays that kernels read in addition to their arguments."""
+        """Arrays that recorded kernels read in addition to their arguments."""
         return [self._is_hidden_shape, *([] if self.light_sampler is None else self.light_sampler.arrays())]
 
     def is_hidden(self, si: Any, depth: Array) -> Array:
-        """Mask of camera rays that hit an emitter hidden from them."""
+        """Mask of the hits ``si`` of camera rays (``depth`` 0) on emitters hidden from the camera."""
         if self._is_hidden_shape is None:
             return mi.Bool(False)
         shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)
@@ -63,7 +63,7 @@ class SceneEmitters:
         return emitter.eval(si, shown), weight
 
     def sample(self, si: Any, numbers: Any, record: Array, active: Array) -> tuple[Any, Any]:
-        """Sample a direction to an emitter; also return its radiance / density, attenuated by occluders.
+        """Sample a direction to an emitter; return a DirectionSample3f and the attenuated radiance / density.
 
         ``numbers`` is the path's sampler, ``record`` the irradiance cache record of ``si``, or 0.
         """
@@ -106,7 +106,7 @@ class SceneEmitters:
 
 
 def _hidden_table(built: BuiltScene) -> Any:
-    """Whether each shape, by registry index, is hidden from the camera."""
+    """Mask (mi.Bool), by registry index, of the shapes hidden from the camera."""
     from mitsuba_plugins.surface_material import registry_indices  # needs a selected variant
 
     registry = registry_indices(built.scene)

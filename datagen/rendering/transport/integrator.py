@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 Array = Any
 
 MAX_LANES = 1 << 24
-"""Light paths per launch, 36 bytes each; views with more are traced in several launches."""
+"""Maximum number of light paths per launch, at 36 bytes each; larger views need several launches."""
 TINY = 1e-30
 """Keeps the clamp's quotient finite for paths without light."""
 
@@ -51,7 +51,7 @@ _LIVE: weakref.WeakSet[PathTracer] = weakref.WeakSet()
 
 
 def forget_recordings() -> None:
-    """Drop the recorded kernels of all tracers; must be called before Dr.Jit's kernel cache is emptied."""
+    """Drop the recorded kernels of all tracers; to be called before Dr.Jit's kernel cache is emptied."""
     for tracer in list(_LIVE):
         tracer.forget_recordings()
 
@@ -98,7 +98,7 @@ class PathTracer:
         self.forget_recordings()
 
     def gather_irradiance(self, materials: SceneMaterials, sensors: Iterable[Any], seed: int) -> None:
-        """Fill irradiance cache and light sampler from ``sensors``; later paths may end in the cache."""
+        """Estimate irradiance cache and light sampler from ``sensors``; later paths may end in the cache."""
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
@@ -140,7 +140,7 @@ class PathTracer:
         grid: tuple[int, int] | None = None,
         before: NDArray[np.int64] | int = 0,
     ) -> PathSums:
-        """Sums over ``num_samples`` paths per pixel, a number or an array (H, W).
+        """Sums over ``num_samples`` paths per pixel, one number or an array (H, W).
 
         Where a path's light of two or more bounces exceeds ``limit`` in its largest channel, it is scaled
         down to the limit, and the removed luminance is summed too. Direct light, such as patches of sun, is
@@ -236,14 +236,14 @@ class PathTracer:
 
     @dr.syntax
     def sample(self, sampler: Any, ray: Array, with_visible_emission: bool = True) -> tuple[Array, Array]:
-        """Radiance of one path per camera ray: by at most one bounce, and by two or more (Color3f each)."""
+        """Radiance of one path per camera ray: after at most one bounce, and after more (Color3f each)."""
         scene, emitters, ctx = self.scene, self.emitters, mi.BSDFContext()
         cache: Any = self.irradiance
         walk = Walk(ray)  # current segment and previous vertex
         direct, indirect = mi.Color3f(0.0), mi.Color3f(0.0)
         throughput = mi.Color3f(1.0)
         record = mi.UInt32(0)  # this vertex's record in the irradiance cache
-        spread_m = mi.Float(0.0)  # side in metres of the area over which the path has spread
+        spread_m = mi.Float(0.0)  # side in metres of the area to which the path has spread
         is_cached = mi.Bool(False)  # whether the path may end in the cache here
         cached = mi.Color3f(0.0)  # mean incident radiance from the cache
         narrow_pdf: Any = mi.Float(NARROW_PDF)  # paths continue in directions of at least this density

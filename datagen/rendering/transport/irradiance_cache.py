@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Irradiance of a scene's surfaces, gathered once for all views of a configuration.
 
-Most of a path's time and variance comes after its first bounce, and all views of a room need the same
-quantity there: the irradiance of the walls. Surfaces are divided into cells (cubes, each split by six
+Most of a path's time and variance is due to the segments after its first bounce, where all views of a room
+need the same quantity: the irradiance of the walls. Surfaces are divided into cells (cubes, each split by six
 orientations), and the irradiance E of each cell is estimated beforehand from all cameras together
 (:mod:`.irradiance_gathering`). A path may then end where it has spread over more than a few cells:
 
@@ -30,16 +30,16 @@ Array = Any
 PRIOR_SAMPLES = 4.0
 """Weight of the neighbourhood's mean in the mean of a cell, in samples."""
 LEVELS = 3
-"""Number of nested neighbourhoods, each of twice the side of the next smaller one."""
+"""Number of nested neighbourhoods; each has twice the side of the next smaller one."""
 MIN_SPREAD = 8.0
 """Minimum spread of a path, in cell sides, for ending in the cache."""
 NARROW_PDF = 0.4
-"""Density [1/sr] of directions from which on paths continue, since the mean radiance over all directions is
-too coarse for them. A diffuse lobe has at most 1 / pi."""
+"""Minimum density [1/sr] of directions in which paths continue instead of ending in the cache, whose mean
+over all directions is too coarse for narrow lobes. A diffuse lobe has at most 1 / pi."""
 
 
 class SurfaceCells:
-    """A grid of cubes over a box, each split by six orientations, with about ``max_cells`` cells.
+    """A grid of cubes over a box, each split into six orientations, with about ``max_cells`` cells in total.
 
     The side ``side_m`` of a cube is at least 1/512 of the box's longest side.
     """
@@ -61,7 +61,7 @@ class SurfaceCells:
         return [self.low, self.side, self.counts]
 
     def index(self, point: Array, normal: Array) -> tuple[Any, Any]:
-        """Index of the cell at a surface point with a normal, and whether the point is inside the box."""
+        """Index of the cell of a surface point and its normal, and whether the point is inside the box."""
         position = dr.floor((point - self.low) / self.side)
         is_inside = dr.all((position >= 0.0) & (position < mi.Vector3f(self.counts)))
         cube: Any = mi.Vector3u(dr.select(is_inside, position, 0.0))
@@ -147,12 +147,12 @@ class IrradianceCache:
         self.means = mi.Float(np.column_stack([means, is_known]).astype(np.float32).ravel())
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
-        """Index of the record at a surface point with a normal, 0 for none."""
+        """Record of the cell of a surface point and its normal; 0 for none."""
         cell, is_inside = self.cells.index(point, normal)
         return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
 
     def record_at(self, si: Any, direction: Array, active: Array) -> Array:
-        """Index of the record where a ray of ``direction`` hits a surface, 0 for none."""
+        """Record at the hit ``si`` of a ray of ``direction``; 0 for none."""
         return self.record(si.p, facing_normal(si, direction), active)
 
     def irradiance(self, record: Array, active: Array) -> tuple[Any, Any]:
@@ -180,6 +180,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side in metres of the area at hit ``si`` over which a direction of density ``pdf`` [1/sr] spreads."""
+    """Side [m] of the area at hit ``si`` that corresponds to a direction of density ``pdf`` [1/sr]."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

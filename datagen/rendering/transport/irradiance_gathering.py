@@ -45,7 +45,7 @@ BOX_PERCENTILE = 0.2
 BOX_MARGIN = 0.05
 """Margin of the box on each side, as a fraction of its longest side."""
 MIN_HITS = 64
-"""Minimum number of hits for a cache."""
+"""Minimum number of hits on surfaces for gathering a cache."""
 BOUNCES = 3
 """Number of bounces of a path in the later rounds, more where the irradiance is still unknown."""
 WARM_UP_BOUNCES = 64
@@ -61,7 +61,7 @@ WARM_UP_SHARE = 4
 def gather_irradiance(
     emitters: SceneEmitters, materials: SceneMaterials, sensors: Iterable[Any], seed: int
 ) -> IrradianceCache | None:
-    """Gather the irradiance of surfaces on paths from ``sensors``; None if too few rays hit a surface.
+    """Gather the irradiance of surfaces along paths from ``sensors``; None if too few rays hit a surface.
 
     An iterator of ``sensors`` may yield one object repeatedly, with another camera each time.
     """
@@ -107,9 +107,7 @@ def gather_irradiance(
 def _observed(
     vertices: list[tuple[Any, ...]], num_techniques: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Cells (N,) and samples (N, 3 + T), as arguments of :meth:`IrradianceCache.add`, from the result of
-    :func:`_walk`.
-    """
+    """Convert the result of :func:`_walk` to arguments of :meth:`IrradianceCache.add`."""
     cells, samples = [], []
     for cell, is_found, irradiance, technique, contribution in vertices:
         chosen = np.array(is_found)
@@ -125,7 +123,7 @@ def _observed(
 
 
 def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: int) -> Any:
-    """``num_rays`` rays, divided equally between the views and uniformly distributed over each."""
+    """``num_rays`` camera rays, divided equally between the views and uniform over each image."""
     from datagen.rendering.plugins import rays_through  # needs a selected variant
 
     parts = []
@@ -145,7 +143,7 @@ def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: 
 
 
 def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
-    """Points (N, 3) hit by rays ``ray`` and by their cosine-distributed bounces."""
+    """Points (N, 3) hit by the rays ``ray`` and after their cosine-distributed bounces."""
     launch: Any = dr.opaque(mi.UInt32, (seed + 1) & 0xFFFFFFFF)
     lane: Any = dr.arange(mi.UInt32, dr.width(ray))
     numbers = OwenSobol(dr.zeros(mi.UInt32, dr.width(ray)), mi.sample_tea_32(lane, launch)[0])
@@ -161,20 +159,13 @@ def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
 
 @dr.syntax
 def _walk(
-    emitters: Any,
-    scene: Any,
-    materials: Any,
-    cache: Any,
-    light_sampler: Any,
-    ray: Any,
-    numbers: Any,
-    is_warm: Any,
+    emitters: Any, scene: Any, materials: Any, cache: Any, sampler: Any, ray: Any, numbers: Any, is_warm: Any
 ) -> list[tuple[Any, ...]]:
-    """For each vertex of a path: cell, validity, a sample of its irradiance, and :func:`_attributed` of its
-    shadow ray.
+    """Trace a path; return for each vertex the cell, whether it is valid, a sample of the irradiance, and
+    :func:`_attributed` of the shadow ray.
 
-    The light that reaches a vertex from the next one is reflectance x cached irradiance if ``is_warm`` and if
-    that is known, else that of the rest of the path.
+    The light from the next vertex is reflectance x cached irradiance if ``is_warm`` and this is known, else
+    that of the rest of the path.
     """
     walk = Walk(ray)
     cells: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
@@ -182,7 +173,7 @@ def _walk(
     irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
     contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]
-    # From radiosity at the end of the segment to irradiance at each earlier vertex
+    # factors from radiosity at the end of the segment to irradiance at each earlier vertex
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     active = mi.Bool(True)
     while active:
@@ -211,7 +202,7 @@ def _walk(
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
         weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
         direct = dr.select(bounces & (ds.pdf > 0.0), radiance * cosine * weight, 0.0)
-        technique, contribution = _attributed(light_sampler, ds, radiance, direct)
+        technique, contribution = _attributed(sampler, ds, radiance, direct)
         cell, is_inside = cache.cells.index(si.p, normal)
         for bounce in range(BOUNCES + 1):
             irradiance[bounce] += dr.select(arrives, throughput[bounce] * arriving, 0.0)
@@ -238,9 +229,9 @@ def _walk(
 
 
 def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, direct: Any) -> tuple[Any, Any]:
-    """Technique of a shadow ray, and the luminance of ``direct`` x the root of the technique's probability.
+    """Technique of a shadow ray, and luminance of ``direct`` x square root of the technique's probability.
 
-    The mean square of the latter over all rays equals the second moment over the technique's rays.
+    The mean square of the latter over all rays is the second moment over the technique's rays.
     """
     if light_sampler is None:
         return mi.UInt32(0), mi.Float(0.0)

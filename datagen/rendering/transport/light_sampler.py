@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Learned light sampling: probabilities, estimated by cell, for choosing an emitter.
+"""Learned light sampling: an emitter is chosen with probabilities that are estimated by cell.
 
 Mitsuba chooses among emitters with equal probability: in a room with a lamp and a sky, half of the shadow
 rays go to the occluded one. While irradiance is gathered (:mod:`.irradiance_gathering`), the second moment of
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 Array = Any
 
 SLOTS = 32
-"""Minimum number of slots in a row of the table, which has at least twice as many slots as techniques.
-Probabilities are multiples of the inverse of that number, which is also their minimum."""
+"""Minimum number of slots in a row of the table; a row has at least twice as many slots as techniques.
+Probabilities are multiples of 1 / slots, and at least 1 / slots."""
 MAX_LEARNED = 16
-"""Maximum number of techniques for learning: with more, tables would be large and estimates poor."""
+"""Maximum number of techniques for learned sampling; with more, tables are large and estimates poor."""
 MAX_TECHNIQUES = 512
 """Maximum number of techniques, since the table's entries have 10 bits; with more, Mitsuba chooses uniformly,
 without a sky guide."""
@@ -82,15 +82,15 @@ class LightSampler:
         return dr.gather(mi.UInt32, self.index_of_emitter, registry)
 
     def _row(self, record: Array) -> Array:
-        """Row of the tables for a record."""
+        """Row of a record in the tables."""
         return record if self.num_records > 1 else mi.UInt32(0)
 
     def probability(self, record: Array, technique: Array) -> Array:
-        """Probability of choosing a technique."""
+        """Probability with which ``technique`` is chosen at a record."""
         return dr.gather(mi.Float, self.probabilities, self._row(record) * self.num_techniques + technique)
 
     def choose(self, record: Array, sample: Array) -> tuple[Any, Any]:
-        """Technique chosen by a number in [0, 1), and the number rescaled to [0, 1) for reuse."""
+        """Technique chosen at a record by ``sample`` in [0, 1), and ``sample`` rescaled for reuse."""
         scaled = sample * self.num_slots
         slot = cell_of(scaled, self.num_slots)
         packed: Any = dr.gather(mi.UInt32, self.table, self._row(record) * self.num_slots + slot)
@@ -159,7 +159,7 @@ class LightSampler:
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """The sampler before learning: the guide gets ``guide.share``, and the emitters equal parts of the rest.
+    """The sampler without estimates: ``guide.share`` for the guide, equal parts of the rest for emitters.
 
     None for less than two techniques or more than :data:`MAX_TECHNIQUES`.
     """
@@ -173,7 +173,7 @@ def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
 
 
 def whole_slots(weights: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
-    """Divide ``num_slots`` slots of each row among the techniques: one each, the rest by weights (P, T)."""
+    """Slots (P, T) of each technique, ``num_slots`` per row: one each, the rest by ``weights`` (P, T)."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.full_like(weights, 1.0 / weights.shape[1])
     parts = np.divide(weights, total, out=uniform, where=total > 0.0)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Suspend the garbage collector.
+    """Suspend Python's garbage collector in this context.
 
     Dr.Jit aborts the process ("enqueue_host_func(): this function cannot be recorded") if an array in NumPy's
     memory is freed while a function is recorded. The collector may free arrays of an earlier scene at any

@@ -42,18 +42,17 @@ NEIGHBOUR_SHARE = 0.05
 """Fraction of a cell's weight added to each of its eight neighbours, since openings are larger than observed.
 """
 MIN_ESCAPES = 256
-"""Minimum number of rays leaving the room for a guide."""
+"""Minimum number of rays that leave the room for fitting a guide."""
 MAX_SHARE = 0.5
 """Maximum share of the shadow rays sampled by the guide instead of emitter sampling."""
 MIN_SHARE = 0.1
-"""Minimum share of the sky in the direct light for a guide."""
+"""Minimum share of the sky in the direct light for fitting a guide."""
 
 
 class SkyGuide:
-    """A density of directions towards openings, for points inside its box.
+    """A distribution of directions towards openings, for points inside a box.
 
-    ``share`` of the shadow rays is sampled from it, unless the light sampler has learned other probabilities
-    (:mod:`.light_sampler`).
+    ``share``: fraction of the shadow rays sampled from it until :mod:`.light_sampler` has estimates by cell.
     """
 
     def __init__(
@@ -97,7 +96,7 @@ class SkyGuide:
         return dr.gather(mi.Float, self.density, cell) * dr.square(t) / dr.maximum(dr.abs(along), 1e-9)
 
     def sample(self, point: Array, choice: Array, sample: Array) -> Array:
-        """Sample a direction from ``point``, inside the box; ``choice`` and ``sample`` are in [0, 1)."""
+        """Sample a direction from ``point`` in the box by ``choice`` in [0, 1) and ``sample`` in [0, 1)^2."""
         entry = cell_of(choice * TABLE, TABLE)
         cell = dr.gather(mi.UInt32, self.table, entry)
         face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
@@ -119,7 +118,7 @@ def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
-    """Exits of rays from the box: cell, distance, and the component of the direction normal to the face.
+    """Exits of rays from a box: cell, distance, and the direction's component normal to the face.
 
     The cell is always valid, even for NaN input of lanes without a vertex.
     """
@@ -140,7 +139,7 @@ def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[
 
 
 def fit_sky_guide(scene: Any, observations: SkyObservations) -> SkyGuide | None:
-    """Fit a guide; None if too few rays leave the scene or the sky's share of the light is too small."""
+    """Fit a guide; None if too few rays leave the scene or too little of the light is from the sky."""
     from scipy import ndimage
 
     share = observations.sky_share()

@@ -40,11 +40,11 @@ class SkyObservations:
     others: float
 
     def clamped_radiance(self) -> NDArray[np.float64]:
-        """``radiance`` (E,) without its highest values, because rays hit the sun's disc only by chance."""
+        """``radiance`` (E,) clamped to its 99.5th percentile; rays hit the sun's disc only by chance."""
         return np.minimum(self.radiance, np.percentile(self.radiance, RADIANCE_PERCENTILE))
 
     def sky_share(self) -> float:
-        """Share of the sky without its sun in the direct light at the points, in [0, 1]."""
+        """Share, in [0, 1], of the sky without its sun in the direct light at the points."""
         if not self.radiance.size:
             return 0.0
         sky = np.pi * float(self.clamped_radiance().sum()) / len(self.points_m)
@@ -57,8 +57,8 @@ def observe_sky(
 ) -> SkyObservations:
     """Observe the sky along paths from the cameras.
 
-    ``camera_rays``: for each camera, its rays and the sampler of their paths. ``is_hidden(si, depth)``:
-    whether a light that was hit is hidden from the camera.
+    ``camera_rays``: for each camera, its rays and the sampler of their paths. ``is_hidden(si, depth)``: mask
+    of hits on lights hidden from the camera.
     """
     points, origins, directions, radiance = [], [], [], []
     sums = np.zeros(2)
@@ -76,20 +76,14 @@ def observe_sky(
         sums += [np.array(part).astype(np.float64).sum() for part in irradiance]
     points_m = np.concatenate(points)
     environment, others = (float(total) / max(len(points_m), 1) for total in sums)
-    return SkyObservations(
-        points_m,
-        np.concatenate(origins),
-        np.concatenate(directions),
-        np.concatenate(radiance),
-        environment,
-        others,
-    )
+    origin, direction, luminance = (np.concatenate(parts) for parts in (origins, directions, radiance))
+    return SkyObservations(points_m, origin, direction, luminance, environment, others)
 
 
 @dr.syntax
 def _walk(scene: Any, is_hidden: Any, ray: Any, numbers: Any) -> tuple[list[tuple[Any, ...]], list[Any]]:
-    """Trace paths. Returns origin, direction, luminance of the environment and end of the segment after each
-    bounce, and the irradiance at all vertices from the environment and from other lights.
+    """Trace paths. Returns origin, direction, luminance of the environment and kind of end of the segment
+    after each bounce, and the sums over all vertices of irradiance from the environment and other lights.
     """
     walk = Walk(ray)
     environment: Any = mi.EmitterPtr(scene.environment())

@@ -23,7 +23,7 @@ _UNIT = 2.0**-24
 
 
 class OwenSobol:
-    """A sampler of one sequence per lane, usable as a loop state and as an argument of recorded functions.
+    """Sampler of one sequence per lane, usable as state of a loop and as argument of recorded functions.
 
     ``index``: index of the lane's sample within its pixel; ``key``: hash of the pixel. Lanes with equal keys
     and different indices are points of one sequence; the sequences of different keys are independent.
@@ -67,7 +67,7 @@ def _scramble(reversed_bits: Array, seed: Array) -> Array:
 
 
 def _hash(x: Array) -> Array:
-    """A 32-bit mixer (Wellons's ``triple32`` family, two rounds)."""
+    """32-bit hash (Wellons's ``triple32`` family, two rounds)."""
     x = x ^ (x >> 16)
     x = x * 0x21F0AAAD
     x = x ^ (x >> 15)

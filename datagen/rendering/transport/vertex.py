@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One step of a random walk, inside kernels: for path integrator, irradiance cache and sky guide.
+"""Steps of random walks inside kernels, for path integrator, irradiance cache and sky guide.
 
 Surfaces that a ray passes through (partial opacity, lights hidden from the camera) are not vertices: they do
 not add to the path depth, and the MIS weight of emission behind them is that of the last bounce.
@@ -23,19 +23,11 @@ INVERSE_PI = 1.0 / np.pi
 
 
 class Walk:
-    """State of one random walk per lane; a variable of Dr.Jit's loops."""
+    """State of one random walk per lane, usable as state of Dr.Jit's loops."""
 
     # Dr.Jit uses the names only; the types are unknown until a variant is selected.
     DRJIT_STRUCT: ClassVar[dict[str, type]] = dict.fromkeys(
-        (
-            "ray",
-            "depth",
-            "num_crossed",
-            "previous",
-            "previous_pdf",
-            "previous_is_delta",
-            "previous_record",
-        ),
+        ("ray", "depth", "num_crossed", "previous", "previous_pdf", "previous_is_delta", "previous_record"),
         object,
     )
 
@@ -49,7 +41,7 @@ class Walk:
         self.previous_record: Any = mi.UInt32(0)  # irradiance cache record of that vertex; 0: none
 
     def intersect(self, scene: Any, active: Array) -> Any:
-        """Surface interaction at the end of the segment."""
+        """Surface interaction at the end of the current segment, in ``active`` lanes."""
         return scene.ray_intersect(self.ray, mi.RayFlags.All, coherent=False, active=active)
 
     def advance(
@@ -62,8 +54,8 @@ class Walk:
         is_delta: Array = False,
         record: Array = 0,
     ) -> None:
-        """Continue from ``si``: on a bounce (``bounces``) in ``direction``, sampled with density ``pdf``;
-        otherwise straight on. ``passes``: whether the ray passes through the surface without a vertex.
+        """Set the next segment, from ``si``: where ``bounces``, in ``direction`` sampled with density ``pdf``
+        [1/sr], else straight on. ``passes``: mask of rays that pass through the surface without a vertex.
         """
         self.ray = si.spawn_ray(dr.select(bounces, direction, self.ray.d))
         self.previous = dr.select(bounces, mi.Interaction3f(si), self.previous)
@@ -75,7 +67,7 @@ class Walk:
 
 
 def facing_normal(si: Any, direction: Array) -> Array:
-    """Geometric normal at hit ``si`` on the side from which a ray of ``direction`` arrives."""
+    """Geometric normal at hit ``si``, on the side that a ray of ``direction`` arrives from."""
     return dr.mulsign(mi.Vector3f(si.n), -dr.dot(si.n, direction))
 
 
@@ -86,7 +78,7 @@ def cosine_bounce(normal: Array, sample: Array) -> tuple[Any, Any]:
 
 
 def power_heuristic(pdf: Array, other: Array) -> Array:
-    """MIS weight of a sample of density ``pdf`` by Veach's power heuristic; 0 if both densities are 0."""
+    """MIS weight, by Veach's power heuristic, of a sample of density ``pdf``; 0 if both densities are 0."""
     square, other_square = dr.square(pdf), dr.square(other)
     total = square + other_square
     return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)

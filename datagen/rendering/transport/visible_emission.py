@@ -26,7 +26,7 @@ LATTICE = (0.7548776662466927, 0.5698402909980532)
 def render_visible_emission(
     emitters: SceneEmitters, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int
 ) -> NDArray[np.float32]:
-    """Visible emission (P, 3) of flat pixel indices (P,), from ``num_samples`` lattice points per pixel."""
+    """Visible emission (P, 3) of the pixels with flat indices (P,), from ``num_samples`` rays each."""
     width, height = (int(v) for v in sensor.film().crop_size())
     with dr.suspend_grad():
         count = dr.opaque(mi.UInt32, num_samples)
