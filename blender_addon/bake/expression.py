@@ -112,7 +112,7 @@ def operate(name: str, *arguments: Expression) -> Expression:
         if name in ("minimum", "maximum") and a == b:
             return a
         if name == "divide" and a == b and a.width == width:
-            return ONE  # if both are 0 the lobe is invisible, so that its value does not matter
+            return ONE  # if both are 0 the lobe is invisible, so its value does not matter
         if name == "subtract" and is_constant(a, 1) and _is_complement(b) and b.width == width:
             return b.arguments[1]  # type: ignore[union-attr]
     return Operation(name, arguments, width)
