@@ -2,7 +2,7 @@
 """Generates the API reference and the index of decisions of the documentation site.
 
 MkDocs calls the ``on_...`` functions (``hooks`` in mkdocs.yml), and mkdocstrings calls the extension. Modules
-and decisions are listed from the files, so that none is omitted.
+and decisions are listed from the files, so none is omitted.
 """
 
 from __future__ import annotations
@@ -42,10 +42,7 @@ def api_pages() -> dict[str, list[str]]:
 
 
 def _api_page(owner: str, modules: list[str]) -> str:
-    lines = [f"# {owner}", ""]
-    for module in modules:
-        lines += [f"::: {module}", ""]
-    return "\n".join(lines)
+    return "\n".join([f"# {owner}\n", *(f"::: {module}\n" for module in modules)])
 
 
 def _api_index(pages: dict[str, list[str]]) -> str:
@@ -70,20 +67,14 @@ def _api_index(pages: dict[str, list[str]]) -> str:
 
 def decisions() -> list[tuple[str, str]]:
     """File name and title of every decision, by number."""
-    found = []
-    for path in sorted((REPOSITORY / "docs" / "decisions").glob("[0-9]*.md")):
-        found.append((path.name, path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")))
-    return found
+    paths = sorted((REPOSITORY / "docs" / "decisions").glob("[0-9]*.md"))
+    return [(path.name, path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")) for path in paths]
 
 
 def _decisions_index() -> str:
-    lines = [
-        "# Decisions",
-        "",
-        "Reasons for choices that depart from a source, or that a later reader would question.",
-        "",
-    ]
-    return "\n".join([*lines, *(f"- [{title}]({name})" for name, title in decisions())]) + "\n"
+    text = "Reasons for choices that depart from a source, or that a later reader would question."
+    lines = [f"- [{title}]({name})" for name, title in decisions()]
+    return "\n".join(["# Decisions", "", text, "", *lines]) + "\n"
 
 
 def on_config(config: Any) -> Any:

@@ -36,7 +36,7 @@ class Progress:
 def write_target(
     reader: Reader, contents: Contents, writer: PackageWriter
 ) -> Generator[Progress, None, None]:
-    """Bake the materials of a target and write its package; yields the progress."""
+    """Bake the materials of ``contents`` and write its package with ``writer``; yields the progress."""
     target = contents.target
     description: dict[str, Any] = {
         "format": FORMAT,
@@ -74,7 +74,7 @@ def _library_material(reader: Reader, material: bpy.types.Material, writer: Pack
 
 
 class _Assembly:
-    """Bakes and writes the parts of one object or environment."""
+    """Bakes the materials of one object or environment, and writes its parts."""
 
     def __init__(self, job: Reader, contents: Contents, writer: PackageWriter):
         self.job, self.contents, self.writer = job, contents, writer
@@ -105,14 +105,14 @@ class _Assembly:
             self.contents.num_triangles += len(mesh.triangles)
 
     def _slots(self, key: int) -> list[int]:
-        """Indices of the material slots of a mesh that have triangles."""
+        """Indices of the material slots that triangles of the mesh ``key`` use."""
         if key not in self._used_slots:
             found = np.unique(self.contents.gathered.meshes[key].triangle_slots)
             self._used_slots[key] = [int(slot) for slot in found]
         return self._used_slots[key]
 
     def _find_windows(self) -> None:
-        """Compute the bounding box of each material's texture coordinates over all meshes that use it."""
+        """Compute, for each material, the bounding box of its texture coordinates over all meshes."""
         for instance in self.contents.gathered.instances:
             mesh = self.contents.gathered.meshes[instance.mesh_key]
             for slot in self._slots(instance.mesh_key):
@@ -236,14 +236,9 @@ class _Assembly:
             while slot_name in self.materials:
                 number += 1
                 slot_name = f"{base} {number}"
-        entry = material_entry(
-            baked,
-            slug(slot_name),
-            material_classes(material, job.problems),
-            job.approximations(name),
-            self.writer,
-            job.settings.texture_bits,
-        )
+        classes, texts = material_classes(material, job.problems), job.approximations(name)
+        bits = job.settings.texture_bits
+        entry = material_entry(baked, slug(slot_name), classes, texts, self.writer, bits)
         entry["replaceable_by"] = list(replaceable_by(material, job.problems))
         origin = material.get("sm_baked_from") or (name if slot_name != name else None)
         if origin is not None:
@@ -257,7 +252,7 @@ class _Assembly:
         return slot_name, baked
 
     def _window_side(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:
-        """Side of the square that the window covers on the surface, in Blender units; it scales bumps."""
+        """Side, in Blender units, of the square on the surface that the window covers; it scales bumps."""
         mesh = self.contents.gathered.meshes[instance.mesh_key]
         frame = plan.frame
         layer = (frame.layer if frame is not None else "") or mesh.active_uv
@@ -269,7 +264,7 @@ class _Assembly:
         return 1.0 / density if density else 1.0
 
     def _thing(self, instance: Instance) -> bpy.types.Object:
-        """The session's object with the instance's mesh and transform, created on first use."""
+        """The object that is baked for an instance: one per mesh, with the instance's transform."""
         if instance.mesh_key not in self._things:
             self._things[instance.mesh_key] = self.job.session.object_of(
                 self.contents.copies[instance.mesh_key]
@@ -288,7 +283,7 @@ class _Assembly:
         return self._layouts[key]
 
     def description(self) -> dict[str, Any]:
-        """The materials, parts, lights and bounds of ``asset.json``, after all parts are written."""
+        """The fields materials, parts, lights and bounds of ``asset.json``, once :meth:`run` has ended."""
         offset = np.zeros(3)
         result: dict[str, Any] = {"materials": self.materials}
         tagged = self.contents.target.tagged

@@ -64,7 +64,7 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
 
 
 def settings_from(arguments: argparse.Namespace) -> ExportSettings:
-    """Settings from the arguments of the same names."""
+    """Create the settings from the arguments of the same names."""
     names = {field.name for field in fields(ExportSettings)}
     given = {name: value for name, value in vars(arguments).items() if name in names}
     return ExportSettings(**{**given, "only": tuple(arguments.only)})
@@ -87,7 +87,7 @@ def quiet_stdout() -> Iterator[None]:
 
 
 class ProgressLine:
-    """Progress on standard error: a bar on a terminal; otherwise, as in a log, a line every 30 seconds."""
+    """Prints progress to standard error: a bar on a terminal; otherwise a line every 30 seconds."""
 
     def __init__(self) -> None:
         self.is_terminal = sys.stderr.isatty()
@@ -106,7 +106,7 @@ class ProgressLine:
             print(f"{time.strftime('%H:%M:%S')} {fraction:4.0%} {left} {progress.text}", file=sys.stderr)
 
     def end(self) -> None:
-        """Remove the bar."""
+        """Remove the bar from the terminal."""
         if self.is_terminal:
             print("\r\033[K", end="", file=sys.stderr)
 
@@ -178,7 +178,7 @@ def leave(code: int) -> NoReturn:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point with the bpy module from PyPI: open the file and export it; returns the exit code."""
+    """Open a file with the bpy module from PyPI and export it; returns the exit code."""
     arguments = build_parser().parse_args(argv)
     if arguments.blend is None or not arguments.blend.is_file():
         print(f"error: {arguments.blend}: no such file; give the path of a .blend file", file=sys.stderr)

@@ -11,20 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+def pixels_of(image: bpy.types.Image) -> NDArray[np.float32]:
+    """Pixels (H, W, C) of an image of Blender, row 0 at the top."""
+    pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(image.size[1], image.size[0], image.channels)[::-1]
+
+
 def read_linear(path: Path) -> NDArray[np.float32]:
-    """Pixels (H, W, 3) of an image file without colour conversion, row 0 at the top."""
+    """Read pixels (H, W, 3) of an image file without colour conversion, row 0 at the top."""
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.name = "Non-Color"
-        pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-        image.pixels.foreach_get(pixels)
-        return pixels.reshape(image.size[1], image.size[0], image.channels)[::-1, :, :3].copy()
+        return pixels_of(image)[..., :3].copy()
     finally:
         bpy.data.images.remove(image)
 
 
 def render_linear(scene: bpy.types.Scene) -> NDArray[np.float32]:
-    """Render the scene's camera; linear Rec.709 (H, W, 3), row 0 at the top."""
+    """Render the view of the scene's camera; returns linear Rec.709 (H, W, 3), row 0 at the top."""
     render = scene.render
     render.image_settings.file_format = "OPEN_EXR"
     render.image_settings.color_depth = "32"

@@ -108,13 +108,9 @@ class _Nodes:
         return node
 
     def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
-        """Diffuse of (1 - S) D plus Metallic of S; F82 with a white edge tint is Schlick's approximation."""
+        """Add Diffuse of (1 - S) D and Metallic of S, whose F82 with a white edge tint is Schlick's."""
         self.tree.nodes.remove(self.principled_node)
-        gloss, lambert, total = (
-            self._new("BsdfMetallic"),
-            self._new("BsdfDiffuse"),
-            self._new("AddShader"),
-        )
+        gloss, lambert, total = map(self._new, ("BsdfMetallic", "BsdfDiffuse", "AddShader"))
         gloss.distribution, gloss.fresnel_type = "BECKMANN", "F82"
         gloss.inputs["Edge Tint"].default_value = (1, 1, 1, 1)
         self._channel(specular, gloss.inputs["Base Color"])

@@ -28,7 +28,7 @@ _OFF_CENTRE_M = 1e-4
 
 @dataclass
 class Imported:
-    """The new collection, and remarks on parts of the package that Blender cannot represent exactly."""
+    """Result of an import: the new collection, and remarks on content that Blender represents inexactly."""
 
     collection: bpy.types.Collection
     remarks: list[str] = field(default_factory=list)
@@ -154,13 +154,13 @@ def _add_parts(
 
 
 def _is_sheared(matrix: NDArray[np.float64]) -> bool:
-    """Whether a matrix (4, 4) is more than a location, rotation and scale."""
+    """Whether location, rotation and scale cannot represent a matrix (4, 4)."""
     kept = np.array(Matrix.LocRotScale(*Matrix(matrix.tolist()).decompose()))
     return bool(np.abs(kept - matrix).max() > _SHEAR * np.abs(matrix[:3, :3]).max() + 1e-6)
 
 
 def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int32]]:
-    """Vertex columns (N,) by name and triangles (M, 3) of a package's PLY; others raise ``ValueError``."""
+    """Read a package's PLY: vertex columns (N,) by name, triangles (M, 3). Others raise ``ValueError``."""
     content = path.read_bytes()
     end = content.find(b"end_header\n")
     if not content.startswith(b"ply") or end < 0:

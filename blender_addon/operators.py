@@ -199,10 +199,8 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
         _redraw(context)
 
     def _succeed(self, result: ExportResult) -> set[str]:
-        text = (
-            f"{len(result.packages)} packages, {result.num_instances} instances, "
-            f"{result.num_triangles} triangles"
-        )
+        counts = f"{result.num_instances} instances, {result.num_triangles} triangles"
+        text = f"{len(result.packages)} packages, {counts}"
         options().show(result.problems, text)
         self.report({"INFO"}, text)
         return {"FINISHED"}
@@ -295,7 +293,7 @@ class SCENE_MATERIALS_OT_select_problem(bpy.types.Operator):
             return {"CANCELLED"}
         thing = context.view_layer.objects.get(chosen.problems[chosen.active_problem].object)
         if thing is None:
-            self.report({"INFO"}, "the problem is not of an object")
+            self.report({"INFO"}, "the problem does not concern an object")
             return {"CANCELLED"}
         for other in context.selected_objects:
             other.select_set(False)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .bake.plan import PlainImage
 from .bake.textures import BakedMaterial, BakedTexture
+from .cycles import pixels_of
 from .gather.mesh import MeshArrays, Submesh
 from .gather.tags import slug
 from .write import PackageWriter, exr_bytes, ply_bytes, png_bytes, quantize, srgb_encoded
@@ -49,9 +50,7 @@ def image_file(image: bpy.types.Image, writer: PackageWriter) -> str:
             content = path.read_bytes()
         if content:
             return writer.add("textures", stem, suffix, content)
-    pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-    image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(image.size[1], image.size[0], image.channels)[::-1]
+    pixels = pixels_of(image)
     if image.is_float:
         rgb = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
         return writer.add("textures", stem, ".exr", exr_bytes(rgb))
@@ -92,7 +91,7 @@ def mesh_file(part: Submesh, stem: str, writer: PackageWriter) -> str:
 
 
 def uv_density(part: Submesh, matrix: NDArray[np.float64]) -> float | None:
-    """Median UV units per metre over triangles, None without UVs or area; ``matrix``: metres_from_part."""
+    """Median UV units per metre over triangles, None without UVs or area; ``matrix`` is metres_from_part."""
     if part.uv is None or len(part.faces) == 0:
         return None
     faces = part.faces if len(part.faces) <= 20_000 else part.faces[:: len(part.faces) // 20_000]
@@ -123,7 +122,5 @@ def box_uv(mesh: MeshArrays, metres: NDArray[np.float64]) -> NDArray[np.float32]
     columns = np.array([[1, 2], [0, 2], [0, 1]])[axis]
     uv = np.zeros((len(mesh.corner_vertices), 2), np.float32)
     for corner in range(3):
-        chosen = corners[:, corner]
-        values = np.take_along_axis(chosen, columns, axis=1)
-        uv[mesh.triangles[:, corner]] = values
+        uv[mesh.triangles[:, corner]] = np.take_along_axis(corners[:, corner], columns, axis=1)
     return uv

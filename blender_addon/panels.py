@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import bpy
 
 from .operators import options
 
+_WIDTH = 34  # characters per line of a problem's details
 _ICONS = {"error": "ERROR", "approximation": "INFO", "note": "DOT"}
 _OBJECT_TAGS = (("sm_category", "cup"), ("sm_supports", "table, shelf, counter"), ("sm_license", "CC0-1.0"))
 _MARKER_TAGS = {"support_surface": (("sm_kind", "table"),), "light_slot": (("sm_kind", "area"),)}
@@ -102,23 +105,12 @@ class SCENE_MATERIALS_PT_export(_Panel, bpy.types.Panel):
     @staticmethod
     def _details(layout: bpy.types.UILayout, item: bpy.types.PropertyGroup) -> None:
         box = layout.box()
-        width = 34
-        for text, icon in (
-            (item.place, "OBJECT_DATA"),
-            (item.message, "INFO"),
-            (item.remedy, "TOOL_SETTINGS"),
-        ):
-            lines = _wrapped(text, width)
-            for index, line in enumerate(lines):
+        texts = ((item.place, "OBJECT_DATA"), (item.message, "INFO"), (item.remedy, "TOOL_SETTINGS"))
+        for text, icon in texts:
+            for index, line in enumerate(textwrap.wrap(text, _WIDTH)):
                 box.label(text=line, icon=icon if index == 0 else "BLANK1")
         if item.object:
             box.operator("scene_materials.select_problem", icon="RESTRICT_SELECT_OFF")
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    import textwrap
-
-    return textwrap.wrap(text, width) if text else []
 
 
 CLASSES = (SCENE_MATERIALS_UL_problems, SCENE_MATERIALS_PT_tags, SCENE_MATERIALS_PT_export)

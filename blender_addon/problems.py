@@ -15,7 +15,7 @@ class Problem:
 
     ``severity``: ``error`` stops the export; ``approximation`` is exported differently from Blender's
     rendering; ``note`` changes nothing. ``message`` states the finding and, for an approximation, the size of
-    the error; ``remedy`` tells the artist how to avoid the problem.
+    the error; ``remedy`` is an instruction that avoids the problem.
     """
 
     severity: str
@@ -37,7 +37,7 @@ class Problem:
 
 
 class ProblemList:
-    """Problems in the order found, each once."""
+    """List of distinct problems, in the order in which they were added."""
 
     def __init__(self) -> None:
         self._entries: dict[Problem, None] = {}

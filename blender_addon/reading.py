@@ -100,11 +100,7 @@ class Reader:
     def prepare(self, target: Target) -> Contents:
         """Read a target and plan its materials; adds every problem to the list."""
         contents = Contents(target)
-        fallback = {
-            "license": self.settings.license,
-            "author": self.settings.author,
-            "source": self.settings.source,
-        }
+        fallback = {key: getattr(self.settings, key) for key in ("license", "author", "source")}
         contents.extra["provenance"] = provenance(target.tagged, fallback, self.problems)
         if target.kind == "material":
             self.plan(target.tagged.name)
@@ -158,12 +154,9 @@ class Reader:
                 for layer in plan.dependencies.uv_layers if has_textures else ():
                     if (layer or mesh.active_uv) not in mesh.uv_layers:
                         wanted = f"the UV map {layer!r}" if layer else "a UV map"
+                        message = f"the material needs {wanted}, which the mesh does not have"
                         self.problems.add(
-                            ERROR,
-                            f"the material needs {wanted}, which the mesh does not have",
-                            "unwrap the mesh",
-                            object=instance.owner,
-                            material=name,
+                            ERROR, message, "unwrap the mesh", object=instance.owner, material=name
                         )
 
     def _prepare_lights(self, contents: Contents, depsgraph: bpy.types.Depsgraph) -> None:
@@ -212,9 +205,7 @@ class Reader:
             for thing in sorted(things, key=lambda t: t.name)
             if thing.type == "CAMERA" and not thing.hide_render and role_of(thing) != "ignore"
         ]
-        contents.extra["cameras"] = [
-            {**vars(camera), "asset_from_camera": camera.asset_from_camera} for camera in cameras if camera
-        ]
+        contents.extra["cameras"] = [dict(vars(camera)) for camera in cameras if camera]
         light = gather_world(scene, self.session, self.problems, min(self.settings.max_texture_px, 2048))
         if light is not None:
             entry, image = light

@@ -18,7 +18,7 @@ class ExportSettings:
     become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects, collections or
     materials to export (empty: everything tagged). ``license``, ``author``, ``source``: provenance where the
     asset has no such tags. ``apply_box_uv``: meshes without UVs get a box projection of one unit per metre,
-    so that other materials can be assigned to them. ``report``: write the fidelity report. ``report_python``:
+    so other materials can be assigned to them. ``report``: write the fidelity report. ``report_python``:
     Python executable, with this project installed, that renders the report.
     """
 

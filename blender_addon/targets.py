@@ -15,7 +15,7 @@ from .settings import ExportSettings
 
 @dataclass(frozen=True)
 class Target:
-    """One package to write. ``tagged``: the block with the tags; ``owners``: names of its objects."""
+    """An asset to export. ``tagged``: the data-block with its tags; ``owners``: names of its objects."""
 
     kind: str
     id: str
@@ -33,7 +33,7 @@ def _identify(block: bpy.types.ID, fallback: str) -> tuple[str, str]:
 
 
 def find_targets(scene: bpy.types.Scene, settings: ExportSettings, problems: ProblemList) -> list[Target]:
-    """The packages that the settings select, in order of their ids; adds errors to ``problems``."""
+    """The assets that the settings select, in the order of their ids; adds errors to ``problems``."""
     targets: list[Target] = []
     if settings.kind in ("auto", "material"):
         targets += _material_targets(settings)
@@ -41,11 +41,9 @@ def find_targets(scene: bpy.types.Scene, settings: ExportSettings, problems: Pro
     if settings.kind in ("auto", "object"):
         targets += [_target("object", block, owners) for block, owners in objects]
         if settings.kind == "object" and not objects and not settings.only:
-            problems.add(
-                ERROR,
-                "nothing is tagged as an object",
-                "set sm_role = object on objects or collections",
-            )
+            message = "nothing is tagged as an object"
+            remedy = "set sm_role = object on objects or collections"
+            problems.add(ERROR, message, remedy)
     if settings.kind in ("auto", "environment"):
         environments = _tagged(scene, "environment")
         taken = frozenset().union(*(owners for _, owners in objects)) if objects else frozenset()

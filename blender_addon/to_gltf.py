@@ -36,7 +36,7 @@ def read(path: Path) -> None:
 
 
 def leave_out_images(folders: list[Path]) -> None:
-    """Remove images whose files are outside ``folders``, and print each."""
+    """Remove images whose files are outside ``folders``, and print the name of each."""
     for image in list(bpy.data.images):
         if image.packed_file is not None or not image.filepath:
             continue

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes asset packages: JSON, PLY, PNG and EXR bytes from arrays. Needs NumPy only, no bpy.
 
-Equal input gives equal bytes. A package appears whole or not at all: it is written to a temporary folder next
-to its path, which is then renamed.
+Equal input gives equal bytes. A package is written atomically: to a temporary folder next to its path, which
+is then renamed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def ply_bytes(
     uv: NDArray[np.float32] | None,
     faces: NDArray[np.int32],
 ) -> bytes:
-    """Binary little-endian PLY of positions and normals (N, 3), UVs (N, 2) if given, and faces (T, 3)."""
+    """Encode positions and normals (N, 3), UVs (N, 2) if given, and faces (T, 3) as binary PLY."""
     names = ["x", "y", "z", "nx", "ny", "nz"] + (["u", "v"] if uv is not None else [])
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(positions)}"]
     lines += [f"property float {name}" for name in names]
@@ -44,20 +44,20 @@ def ply_bytes(
 
 
 def srgb_encoded(linear: NDArray) -> NDArray:
-    """sRGB encoding of linear values in [0, 1]."""
+    """Encode linear values in [0, 1] with the sRGB transfer function."""
     return np.where(
         linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(np.maximum(linear, 1e-12), 1 / 2.4) - 0.055
     )
 
 
 def quantize(values: NDArray, bits: int) -> NDArray:
-    """Values in [0, 1] as unsigned integers of 8 or 16 bits, rounded."""
+    """Round values in [0, 1] to unsigned integers of 8 or 16 bits."""
     top = (1 << bits) - 1
     return np.floor(np.clip(values, 0, 1) * top + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def png_bytes(pixels: NDArray) -> bytes:
-    """PNG of (H, W, C) uint8 or uint16, C = 1, 3 or 4, row 0 at the top.
+    """Encode (H, W, C) uint8 or uint16, C = 1, 3 or 4, row 0 at the top, as PNG.
 
     Each row uses whichever of the five filters gives the smallest sum of absolute differences.
     """
@@ -72,15 +72,9 @@ def png_bytes(pixels: NDArray) -> bytes:
     above[1:] = rows[:-1]
     corner = np.zeros_like(rows)
     corner[1:, step:] = rows[:-1, :-step]
-    candidates = np.stack(
-        [
-            rows,
-            rows - left,
-            rows - above,
-            rows - ((left.astype(np.int16) + above) // 2).astype(np.uint8),
-            rows - _paeth(left, above, corner),
-        ]
-    )
+    average = ((left.astype(np.int16) + above) // 2).astype(np.uint8)
+    predictions = (np.zeros_like(rows), left, above, average, _paeth(left, above, corner))
+    candidates = np.stack([rows - prediction for prediction in predictions])
     size = np.minimum(candidates, np.negative(candidates))  # of each byte as a signed number
     best = size.sum(axis=2, dtype=np.uint32).argmin(axis=0)
     filtered = candidates[best, np.arange(height)]
@@ -105,7 +99,7 @@ def _paeth(left: NDArray, above: NDArray, corner: NDArray) -> NDArray:
 
 
 def exr_bytes(pixels: NDArray) -> bytes:
-    """OpenEXR of (H, W, 3) linear Rec.709 as half floats, ZIP-compressed scan lines, row 0 at the top."""
+    """Encode (H, W, 3) linear Rec.709, row 0 at the top, as OpenEXR: half floats, scan lines, ZIP."""
     height, width, _ = pixels.shape
     half = np.clip(pixels, 0, 65504).astype("<f2")
     planes = half[..., ::-1]  # EXR sorts channels by name: B, G, R
@@ -143,7 +137,7 @@ def exr_bytes(pixels: NDArray) -> bytes:
 
 
 def _exr_zip(block: bytes) -> bytes:
-    """Compress by OpenEXR's ZIP: even bytes, then odd ones, differences, zlib; raw if that is not smaller."""
+    """Compress bytes by OpenEXR's ZIP; unchanged if that is not smaller."""
     source = np.frombuffer(block, np.uint8)
     split = np.concatenate([source[0::2], source[1::2]]).astype(np.int16)
     split[1:] = (split[1:] - split[:-1] + (128 + 256)) % 256
@@ -152,7 +146,7 @@ def _exr_zip(block: bytes) -> bytes:
 
 
 def rounded(value: Any) -> Any:
-    """JSON data with floats rounded to nine significant digits; NaN and Inf raise ``ValueError``."""
+    """Round the floats of JSON data to nine significant digits; NaN and Inf raise ``ValueError``."""
     if isinstance(value, bool) or value is None or isinstance(value, (str, int)):
         return value
     if isinstance(value, dict):
@@ -166,13 +160,13 @@ def rounded(value: Any) -> Any:
 
 
 def json_bytes(data: dict[str, Any]) -> bytes:
-    """UTF-8 JSON with sorted keys, two-space indent and a final newline."""
+    """Encode data as UTF-8 JSON with sorted keys, two-space indent and a final newline."""
     text = json.dumps(rounded(data), sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False)
     return (text + "\n").encode()
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or a folder's list of entries, is on disk, to survive a power failure."""
+    """Flush a file, or a folder's list of entries, to disk, to survive a power failure."""
     if os.name != "posix":  # not possible on Windows
         return
     descriptor = os.open(path, os.O_RDONLY)
@@ -234,5 +228,5 @@ class PackageWriter:
         return name
 
     def finish(self, description: dict[str, Any]) -> None:
-        """Write ``asset.json``."""
+        """Write ``asset.json`` with the content ``description``."""
         (self._partial / "asset.json").write_bytes(json_bytes(description))

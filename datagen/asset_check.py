@@ -36,7 +36,7 @@ _REEXPORT = "re-export the asset"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Findings of :func:`check_package`."""
+    """Errors and warnings that :func:`check_package` found in a package."""
 
     errors: tuple[Problem, ...]
     warnings: tuple[Problem, ...]
@@ -68,7 +68,7 @@ class _Checker:
     # textures
 
     def check_image(self, name: str) -> tuple[int, str]:
-        """Number of channels of an image, and its fault ('' if none), cached by file."""
+        """Return an image's number of channels (0 if unreadable) and its fault ('' if none)."""
         if name not in self._images:
             fault, channels = "", 0
             try:
@@ -104,10 +104,9 @@ class _Checker:
             value = getattr(material, channel)
             if isinstance(value, Texture):
                 self.check_texture(f"{field}.{channel}", value)
-        if material.normal is not None and (
-            material.normal.encoding != "linear" or material.normal.channel != "rgb"
-        ):
-            self.error(f"{field}.normal", material.normal.encoding, "a linear texture with channel 'rgb'")
+        normal = material.normal
+        if normal is not None and (normal.encoding, normal.channel) != ("linear", "rgb"):
+            self.error(f"{field}.normal", normal.encoding, "a linear texture with channel 'rgb'")
 
     def check_panorama(self, image: str) -> None:
         _, fault = self.check_image(image)
@@ -170,10 +169,8 @@ class _Checker:
             points = mesh.transformed(np.asarray(part.asset_from_part)).positions
             lower, upper = np.minimum(lower, points.min(axis=0)), np.maximum(upper, points.max(axis=0))
         tolerance = BOUNDS_TOLERANCE_M + 1e-3 * float((upper - lower).max())
-        for field, value, actual in (
-            ("minimum_m", asset.minimum_m, lower),
-            ("maximum_m", asset.maximum_m, upper),
-        ):
+        bounds = (("minimum_m", asset.minimum_m, lower), ("maximum_m", asset.maximum_m, upper))
+        for field, value, actual in bounds:
             if np.abs(np.asarray(value) - actual).max() > tolerance:
                 self.error(field, value, f"the meshes' bound {np.round(actual, 4).tolist()}")
         if abs(lower[2]) > tolerance:
@@ -206,14 +203,13 @@ class _Checker:
             self.error(field, direction, "a unit vector")
 
     def check_rectangle(self, field: str, edge_u: tuple[float, ...], edge_v: tuple[float, ...]) -> float:
-        """Report a rectangle without area or with nearly parallel edges; returns its area in m²."""
+        """Report a rectangle without area or with nearly parallel edges, and return its area in m²."""
         cross = np.cross(edge_u, edge_v)
         area = float(np.linalg.norm(cross))
         lengths = float(np.linalg.norm(edge_u) * np.linalg.norm(edge_v))
         if not area > 1e-10 or area < 1e-6 * lengths:
-            self.error(
-                field, f"edges {tuple(edge_u)} and {tuple(edge_v)}", "a rectangle with an area above zero"
-            )
+            expected = "a rectangle with an area above zero"
+            self.error(field, f"edges {tuple(edge_u)} and {tuple(edge_v)}", expected)
         return area
 
     def check_regions(self, asset: EnvironmentAsset) -> None:

@@ -33,9 +33,9 @@ _MAX_DEPTH = 4  # depth of the search for packages below a library's root
 
 
 def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
-    """Library folders of a recipe or a command: "bundled", absolute, or relative to ``base``.
+    """Resolve the names of library folders: "bundled", absolute paths, or paths relative to ``base``.
 
-    A relative name that does not exist below ``base`` is relative to the working directory.
+    A path that does not exist below ``base`` is relative to the working directory.
     """
     resolved = []
     for name in names:
@@ -59,22 +59,11 @@ class Library:
         self.paths = tuple(Path(p) for p in paths)
         self._packages: dict[str, Package] = {}
         problems: list[Problem] = []
-        for root in self.paths:
-            if not root.exists():
-                problems.append(
-                    Problem(root, "", "no such folder", "a library folder", "check the path or import assets")
-                )
-                continue
-            if root.is_file() and not is_package(root):
-                problems.append(
-                    Problem(root, "", "no asset package", "a library folder or a package", "check the path")
-                )
-                continue
-            for path in find_packages(root):
-                try:
-                    self._add(open_package(path), problems)
-                except InputError as error:
-                    problems.extend(error.problems)
+        for path in _packages_of(self.paths, problems):
+            try:
+                self._add(open_package(path), problems)
+            except InputError as error:
+                problems.extend(error.problems)
         if problems:
             self.close()
             raise InputError(*problems)
@@ -84,15 +73,8 @@ class Library:
         if other is None:
             self._packages[package.id] = package
         elif other.path.resolve() != package.path.resolve():
-            problems.append(
-                Problem(
-                    package.path,
-                    "id",
-                    repr(package.id),
-                    f"a unique id; {other.path} has the same",
-                    "rename one",
-                )
-            )
+            expected = f"a unique id; {other.path} has the same"
+            problems.append(Problem(package.path, "id", repr(package.id), expected, "rename one"))
 
     def __enter__(self) -> Library:
         return self
@@ -112,7 +94,7 @@ class Library:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the content of all packages, independent of their paths."""
+        """SHA-256, in hexadecimal, of the content of all packages, independent of their paths."""
         return sha256_hex(canonical_json({package.id: package.sha256 for package in self}))
 
     def package(self, asset_id: str) -> Package:
@@ -125,14 +107,14 @@ class Library:
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 
     def including(self, package: Package) -> Library:
-        """A copy of this library with ``package`` added, in place of one with the same id."""
+        """A copy of this library with ``package``, which replaces a package of the same id."""
         other = copy.copy(self)
         other._packages = {**self._packages, package.id: package}
         other.__dict__.pop("sha256", None)
         return other
 
     def root_of(self, package: Package) -> Path:
-        """The one of :attr:`paths` in which a package was found."""
+        """The element of :attr:`paths` in which a package was found."""
         return next(root for root in self.paths if package.path.is_relative_to(root))
 
     def select(
@@ -172,7 +154,7 @@ class Library:
 
 
 def find_packages(root: Path) -> list[Path]:
-    """Sorted packages at or below a folder, without unfinished ones, whose names start with '.'."""
+    """Sorted paths of the packages at or below a folder; names that start with '.' are skipped."""
     if is_package(root):
         return [root]
     found: list[Path] = []
@@ -189,6 +171,21 @@ def find_packages(root: Path) -> list[Path]:
     return sorted(found)
 
 
+def _packages_of(roots: Iterable[Path], problems: list[Problem]) -> list[Path]:
+    """Paths of the packages of all ``roots``; adds missing folders and other files to ``problems``."""
+    found: list[Path] = []
+    for root in roots:
+        if not root.exists():
+            remedy = "check the path or import assets"
+            problems.append(Problem(root, "", "no such folder", "a library folder", remedy))
+        elif root.is_file() and not is_package(root):
+            expected = "a library folder or a package"
+            problems.append(Problem(root, "", "no asset package", expected, "check the path"))
+        else:
+            found += find_packages(root)
+    return found
+
+
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
     """Classes of a material, or the main classes of the slots of an object or room; empty for a panorama."""
     if isinstance(asset, PanoramaAsset):
@@ -200,7 +197,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A row of the library's table; ``detail`` is category, classes, time of day or a room's counts."""
+    """A row in the table of assets; ``detail`` is category, classes, time of day or a room's counts."""
 
     id: str
     kind: AssetKind
@@ -214,7 +211,7 @@ class AssetSummary:
 
 
 def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
-    """The row of a package; its hash, which requires reading all files, is optional."""
+    """Summarise a package; its hash, which requires reading all files, is '' unless ``with_hash``."""
     asset = package.asset
     if isinstance(asset, ObjectAsset):
         detail = asset.category
@@ -243,7 +240,7 @@ def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
 
 
 def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) -> list[AssetSummary]:
-    """The table of ``datagen library``: a row for each asset, by kind, then id."""
+    """Summaries of all assets of the libraries ``paths``, ordered by kind, then id."""
     order = list(KIND_FOLDERS)
     with Library(paths) as library:
         return sorted(
@@ -254,7 +251,7 @@ def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) ->
 
 @dataclass(frozen=True)
 class LibraryCheck:
-    """Result of :func:`check_library`: number of packages, and their findings."""
+    """Result of :func:`check_library`: number of packages, and all their errors and warnings."""
 
     num_packages: int
     errors: tuple[Problem, ...]
@@ -272,14 +269,7 @@ def check_library(
     errors: list[Problem] = []
     warnings: list[Problem] = []
     seen: dict[str, Path] = {}
-    found: list[Path] = []
-    for root in map(Path, paths):
-        if not root.exists():
-            errors.append(Problem(root, "", "no such folder", "a library folder", "check the path"))
-        elif root.is_file() and not is_package(root):
-            errors.append(Problem(root, "", "no asset package", "a library folder or a package"))
-        else:
-            found += find_packages(root)
+    found = _packages_of(map(Path, paths), errors)
     for number, path in enumerate(found):
         progress(number, len(found))
         try:

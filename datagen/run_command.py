@@ -34,7 +34,7 @@ DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the input, 
 
 @dataclass(frozen=True)
 class RecipeChanges:
-    """Options that override values of the recipe; None keeps a value."""
+    """Options that override values of a recipe; None keeps the recipe's value."""
 
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None
@@ -42,7 +42,7 @@ class RecipeChanges:
     views: Annotated[int | None, typer.Option(help="Views per configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
-        """The path of the recipe, which may be a bundled one, and the recipe with the given options."""
+        """Read a recipe, by path or bundled name; returns its path and the recipe with these changes."""
         from datagen.formats.base import parse_model, read_yaml
         from datagen.formats.recipe import Recipe
 
@@ -57,7 +57,7 @@ class RecipeChanges:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run; ``only`` and ``unit`` None run all stages and units."""
+    """Options of a run; without ``only``, all stages are run, and without ``unit``, all units."""
 
     only: Annotated[
         Literal["render", "stats", "pack", "index"] | None,
@@ -161,7 +161,7 @@ def _check_planned(folder: Path, changes: RecipeChanges) -> None:
 
 
 def _check_and_print(recipe: Recipe, base: Path) -> None:
-    """Check whatever may stop a run at its start, and print the resolved recipe."""
+    """Check everything that could stop a run at its start, and print the resolved recipe."""
     import yaml
 
     from datagen.farm.planning import check_start
@@ -232,7 +232,7 @@ def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
         f"{index.num_bytes / 1e6:,.0f} MB; index in {out / 'index.json'}"
     )
     if index.missing:
-        typer.echo(f"{len(index.missing)} units are not done, {index.missing[0]} the first", err=True)
+        typer.echo(f"{len(index.missing)} units are not done; the first is {index.missing[0]}", err=True)
         raise typer.Exit(1)
 
 

@@ -11,7 +11,7 @@ diffusely reflected light rather than D (docs/decisions/0030). A single lobe kee
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .closures import Closures, Lobe
 from .expression import (
@@ -37,7 +37,7 @@ _NO_SPECULAR: Expression = constant(1e-6)  # the mean slope width of lobes witho
 
 @dataclass(frozen=True)
 class Channels:
-    """Expressions of the channels; ``opacity`` is None if 1 everywhere, ``emission`` None if 0 everywhere."""
+    """Expressions of a material's channels; None for an ``opacity`` of 1 and for an ``emission`` of 0."""
 
     diffuse_albedo: Expression
     specular_albedo: Expression
@@ -46,19 +46,12 @@ class Channels:
     emission: Expression | None
 
     def baked(self) -> dict[str, Expression]:
-        """Expressions of all present channels by name, in a fixed order."""
-        named = {
-            "diffuse_albedo": self.diffuse_albedo,
-            "specular_albedo": self.specular_albedo,
-            "roughness": self.roughness,
-            "opacity": self.opacity,
-            "emission": self.emission,
-        }
-        return {name: expression for name, expression in named.items() if expression is not None}
+        """Expressions of the channels that are not None by name, in a fixed order."""
+        return {name: expression for name, expression in vars(self).items() if expression is not None}
 
 
 def channels_of(closures: Closures) -> Channels:
-    """Combine closures into channels. A surface without lobes is black with R = 1."""
+    """Combine weighted lobes into the channels of one BSDF; without lobes, it is black with R = 1."""
     opacity: Expression = clamp(complement(closures.transparency))
     lobes = _normalized(closures.lobes, opacity)
     diffuse: Expression = BLACK
@@ -70,30 +63,17 @@ def channels_of(closures: Closures) -> Channels:
     elif lobes:
         diffuse, specular, roughness = _mixed(lobes)
     emission = None if is_constant(closures.emission, 0) else widen(closures.emission)
-    return Channels(
-        widen(diffuse),
-        widen(specular),
-        roughness,
-        None if is_constant(opacity, 1) else opacity,
-        emission,
-    )
+    mask = None if is_constant(opacity, 1) else opacity
+    return Channels(widen(diffuse), widen(specular), roughness, mask, emission)
 
 
 def _normalized(lobes: list[Lobe], opacity: Expression) -> list[Lobe]:
-    """Divide the lobes' weights by the opacity, so that a mask does not darken the opaque part."""
+    """Divide the lobes' weights by the opacity, which would otherwise darken the opaque part."""
     if is_constant(opacity, 1):
         return lobes
     bare = unclamped(opacity)
-    return [
-        Lobe(
-            ONE if unclamped(lobe.weight) == bare else divide(lobe.weight, opacity),
-            lobe.diffuse,
-            lobe.specular,
-            lobe.roughness,
-            lobe.albedo,
-        )
-        for lobe in lobes
-    ]
+    weights = (ONE if unclamped(lobe.weight) == bare else divide(lobe.weight, opacity) for lobe in lobes)
+    return [replace(lobe, weight=weight) for lobe, weight in zip(lobes, weights, strict=True)]
 
 
 def _mixed(lobes: list[Lobe]) -> tuple[Expression, Expression, Expression]:

@@ -42,7 +42,7 @@ _SMALL_TRANSMISSION = 0.1
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """A node input that is left out: its names, its effect, and the resulting error."""
+    """A node input that is not exported: possible names, its effect, and the error that results."""
 
     names: tuple[str, ...]
     effect: str
@@ -52,7 +52,7 @@ class _LeftOut:
 _SUBSURFACE = _LeftOut(
     ("Subsurface Weight", "Subsurface"),
     "subsurface scattering",
-    "light leaves where it enters: the albedo is the same, but shadow edges are not softened",
+    "light leaves the surface where it enters: the albedo is the same, but shadow edges are not softened",
 )
 _SHEEN = _LeftOut(
     ("Sheen Weight", "Sheen"), "sheen", "the surface is darker at grazing angles by up to this value"
@@ -71,7 +71,7 @@ _DIFFUSE_ROUGHNESS = _LeftOut(
 
 @dataclass(frozen=True)
 class Lobe:
-    """One weighted closure.
+    """A weighted closure, such as a BSDF node.
 
     ``diffuse`` is the diffuse reflectance, (1 - S) D if ``albedo`` D is given; ``specular`` is F0;
     ``roughness`` is perceptual, None without a specular part.
@@ -86,7 +86,7 @@ class Lobe:
 
 @dataclass
 class Closures:
-    """The closures of a surface graph, combined.
+    """Sum of the closures of a surface graph.
 
     ``transparency`` is the weight of straight transmission; ``emission`` is the emitted radiance; ``normals``
     are the linked Normal inputs as pairs of stack and socket.
@@ -99,14 +99,14 @@ class Closures:
 
 
 class ClosureWalk:
-    """Traverses the closures of one material. ``policy`` is one of :data:`TRANSMISSION_POLICIES`."""
+    """Collects the closures of one material; ``policy`` is one of :data:`TRANSMISSION_POLICIES`."""
 
     def __init__(self, material: str, problems: ProblemList, policy: str = "refuse"):
         self.material, self.problems, self.policy = material, problems, policy
         self.result = Closures()
 
     def walk(self, graph: Graph) -> Closures:
-        """Combine all closures that reach the surface output; reports those that are not exported exactly."""
+        """Sum the closures that reach the surface output, and report those that are not exported exactly."""
         output = graph.output_node()
         if output is None:
             self._report(
@@ -117,7 +117,7 @@ class ClosureWalk:
         self._closure((), output.inputs["Surface"], ONE)
         return self.result
 
-    # ---- plumbing
+    # ---- helpers
 
     def _report(self, severity: str, node: bpy.types.Node | None, message: str, remedy: str = "") -> None:
         name = (node.label or node.name) if node is not None else ""
@@ -125,19 +125,13 @@ class ClosureWalk:
 
     def _check_volume_and_displacement(self, output: bpy.types.Node) -> None:
         if source_of((), output.inputs["Volume"]).is_linked:
-            self._report(
-                ERROR,
-                output,
-                "volumes cannot be exported",
-                "unlink Volume, or tag the object sm_role = ignore",
-            )
+            message = "volumes cannot be exported"
+            remedy = "unlink Volume, or tag the object sm_role = ignore"
+            self._report(ERROR, output, message, remedy)
         if source_of((), output.inputs["Displacement"]).is_linked:
-            self._report(
-                APPROXIMATION,
-                output,
-                "displacement by the material is left out: the surface is the mesh itself",
-                "use a Displace modifier, which is exported",
-            )
+            message = "displacement by the material is left out: the surface is the mesh itself"
+            remedy = "use a Displace modifier, which is exported"
+            self._report(APPROXIMATION, output, message, remedy)
 
     def _value(self, stack: Stack, node: bpy.types.Node, *names: str) -> Expression:
         socket = input_of(node, *names)
@@ -154,7 +148,7 @@ class ClosureWalk:
     def _lobe(
         self, weight: Expression, albedo: Expression, specular: Expression, roughness: Expression | None
     ) -> None:
-        """Add a lobe whose diffuse albedo D enters the BSDF as (1 - S) D."""
+        """Add a lobe with the diffuse ``albedo`` D, whose diffuse reflectance is (1 - S) D."""
         diffuse = multiply(albedo, complement(specular)) if not is_constant(specular, 0) else albedo
         self.result.lobes.append(Lobe(weight, diffuse, specular, roughness, albedo))
 
@@ -168,26 +162,18 @@ class ClosureWalk:
         handler = _HANDLERS.get(node.type)
         if handler is None:
             if source.socket is not None and source.socket.type != "SHADER":
-                self._colour_as_shader(socket, stack, weight)
+                # Cycles treats a colour linked to a shader input as emission
+                remedy = "put a shader node between them"
+                self._report(ERROR, node, "a colour is linked to a shader input", remedy)
                 return
-            self._report(
-                ERROR,
-                node,
-                f"the {node.bl_label} node cannot be exported",
-                "replace it by Principled, Diffuse, Glossy or a mix of them",
-            )
+            message = f"the {node.bl_label} node cannot be exported"
+            remedy = "replace it by Principled, Diffuse, Glossy or a mix of them"
+            self._report(ERROR, node, message, remedy)
             return
         handler(self, source.stack, node, weight)
 
-    def _colour_as_shader(self, socket: bpy.types.NodeSocket, stack: Stack, weight: Expression) -> None:
-        source = source_of(stack, socket)  # Cycles treats a colour linked to a shader input as emission
-        assert source.node is not None and source.socket is not None
-        self._report(
-            ERROR, source.node, "a colour is linked to a shader input", "put a shader node between them"
-        )
-
     def _drop(self, stack: Stack, node: bpy.types.Node, *inputs: _LeftOut) -> None:
-        """Report each input that is not exported, unless its value is 0."""
+        """Report each of ``inputs``, which are not exported, unless its value is 0."""
         for left_out in inputs:
             value = self._value(stack, node, *left_out.names)
             if not is_constant(value, 0):
@@ -242,36 +228,30 @@ class ClosureWalk:
             APPROXIMATION,
             node,
             "the coat and the layer under it become one lobe whose slope width (roughness squared) is their "
-            "mean weighted by F0: a sharp highlight on a rough base comes out blurred",
+            "mean weighted by F0: a sharp highlight on a rough base is blurred",
             "set Coat Weight to 0 and choose Roughness for the highlight that matters",
         )
 
     def _transmit(self, node: bpy.types.Node, transmission: Expression) -> Expression:
-        """The share of ``transmission`` that becomes transparency under the material's policy."""
+        """Report the treatment of ``transmission``; returns the part that becomes transparency."""
         if is_constant(transmission, 0):
             return ZERO
         amount = transmission.value[0] if isinstance(transmission, Constant) else 1.0
         if self.policy == "mask":
-            self._report(
-                APPROXIMATION,
-                node,
-                "transmission becomes transparency: light passes straight, without refraction or blur",
-            )
+            message = "transmission becomes transparency: light passes straight, without refraction or blur"
+            self._report(APPROXIMATION, node, message)
             return transmission
         if self.policy == "opaque" or amount <= _SMALL_TRANSMISSION:
             self._report(
                 APPROXIMATION,
                 node,
                 f"transmission of up to {amount:.3g} is exported as an opaque surface: "
-                "that share of the light is absorbed instead of let through",
+                "that share of the light is absorbed instead of transmitted",
             )
             return ZERO
-        self._report(
-            ERROR,
-            node,
-            "transmission cannot be exported: the BSDF is opaque",
-            "set the material's sm_transmission to 'opaque' or 'mask', or remove the glass",
-        )
+        message = "transmission cannot be exported: the BSDF is opaque"
+        remedy = "set the material's sm_transmission to 'opaque' or 'mask', or remove the glass"
+        self._report(ERROR, node, message, remedy)
         return ZERO
 
     def _pass_through(self, weight: Expression) -> None:
@@ -321,21 +301,15 @@ class ClosureWalk:
 
     def translucent(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
         self._normal(stack, node)
-        self._report(
-            APPROXIMATION,
-            node,
-            "translucency is exported as diffuse reflection: light leaves on the lit side only",
-            "use Diffuse where the surface is seen from its lit side",
-        )
+        message = "translucency is exported as diffuse reflection: light leaves on the lit side only"
+        remedy = "use Diffuse where the surface is seen from its lit side"
+        self._report(APPROXIMATION, node, message, remedy)
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
 
     def subsurface(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
         self._normal(stack, node)
-        self._report(
-            APPROXIMATION,
-            node,
-            "subsurface scattering becomes diffuse reflection of the same albedo, leaving where it enters",
-        )
+        message = "subsurface scattering becomes diffuse reflection of the same albedo where light enters"
+        self._report(APPROXIMATION, node, message)
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
 
     def transparent(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
@@ -353,12 +327,9 @@ class ClosureWalk:
         self._emit(weight, multiply(colour, strength))
 
     def sheen(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        self._report(
-            ERROR,
-            node,
-            "the Sheen BSDF cannot be exported: D, S and R cannot represent it",
-            "remove it, or use a Diffuse BSDF with the cloth's colour",
-        )
+        message = "the Sheen BSDF cannot be exported: D, S and R cannot represent it"
+        remedy = "remove it, or use a Diffuse BSDF with the cloth's colour"
+        self._report(ERROR, node, message, remedy)
 
 
 _HANDLERS: dict[str, Callable[[ClosureWalk, Stack, bpy.types.Node, Expression], None]] = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Determines on what a shader graph's values depend: UV maps, the mesh, or the instance's transform."""
+"""Determines whether the values of a shader graph depend on UV maps, the mesh or the instance's transform."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 
 @dataclass
 class Dependencies:
-    """Dependencies of the values of a shader graph.
+    """Inputs on which the values of a shader graph depend.
 
     ``uv_layers``: names of the UV layers that are read, "" for the active render layer, to which nodes may
     also refer by the names in ``named``. ``frames``: UV mappings by which image textures are read, and None
@@ -63,7 +63,7 @@ class Dependencies:
 
     @property
     def layer_names(self) -> tuple[str, ...]:
-        """Names of all UV layers that nodes refer to."""
+        """Sorted names of all UV layers to which nodes refer."""
         return tuple(sorted(layer for layer in self.uv_layers | self.named if layer))
 
     @property
@@ -86,7 +86,7 @@ class Dependencies:
         return self.world or self.object_info
 
     def merge(self, other: Dependencies) -> None:
-        """Add the dependencies ``other``."""
+        """Add the dependencies of ``other`` to these."""
         self.uv_layers |= other.uv_layers
         self.named |= other.named
         self.frames |= other.frames
@@ -97,12 +97,12 @@ class Dependencies:
         self.object_info |= other.object_info
 
     def see_image(self, width: int, height: int) -> None:
-        """Enlarge ``image_px`` to the size of an image."""
+        """Enlarge ``image_px`` to at least the size of an image."""
         self.image_px = (max(self.image_px[0], width), max(self.image_px[1], height))
 
 
 class DependencyWalk:
-    """Traverses a material's tree upstream of expressions.
+    """Collects the dependencies of expressions from the nodes upstream in a material's tree.
 
     ``rendering_layer``: name of the active UV layer if all meshes with the material share it, else "". Nodes
     that name it and nodes that name no layer then read the same layer.
@@ -118,7 +118,7 @@ class DependencyWalk:
         self._is_normal = False
 
     def of(self, *expressions: Expression) -> Dependencies:
-        """All dependencies of the given expressions."""
+        """Union of the dependencies of ``expressions``."""
         self._seen, self._result = set(), Dependencies()
         for expression in expressions:
             for value in sorted(sockets(expression), key=lambda s: (s.path, s.node, s.socket)):
@@ -128,7 +128,7 @@ class DependencyWalk:
         return self._result
 
     def of_inputs(self, inputs: list[tuple[Stack, bpy.types.NodeSocket]]) -> Dependencies:
-        """Dependencies of linked Normal inputs that become a tangent-space texture."""
+        """Dependencies of linked Normal inputs (stack, socket) that become a tangent-space texture."""
         self._seen, self._result, self._is_normal = set(), Dependencies(), True
         for stack, socket in inputs:
             source = source_of(stack, socket)
@@ -147,12 +147,9 @@ class DependencyWalk:
         self._seen.add(key)
         kind = node.type
         if kind in _REFUSED:
-            self._report(
-                ERROR,
-                node,
-                f"{node.bl_label}: {_REFUSED[kind]}",
-                "replace it by a node whose value depends on the surface only",
-            )
+            message = f"{node.bl_label}: {_REFUSED[kind]}"
+            remedy = "replace it by a node whose value depends on the surface only"
+            self._report(ERROR, node, message, remedy)
             return
         if kind == "TEX_IMAGE":
             self._image(stack, node)
@@ -171,12 +168,9 @@ class DependencyWalk:
             if node.attribute_type == "GEOMETRY":
                 self._result.mesh = True
             else:
-                self._report(
-                    ERROR,
-                    node,
-                    f"attributes of type {node.attribute_type} are not evaluated",
-                    "store the value on the geometry",
-                )
+                message = f"attributes of type {node.attribute_type} are not evaluated"
+                remedy = "store the value on the geometry"
+                self._report(ERROR, node, message, remedy)
         elif kind == "POINT_INFO":
             self._report(ERROR, node, "point clouds are not exported", "convert them to a mesh")
         elif self._is_normal and kind == "NORMAL_MAP" and node.space == "TANGENT":
@@ -231,12 +225,9 @@ class DependencyWalk:
         if node.image.source in ("FILE", "TILED") and not node.image.has_data and not node.image.packed_file:
             pixels_exist = node.image.size[0] > 0  # accessing the size loads the image
             if not pixels_exist:
-                self._report(
-                    ERROR,
-                    node,
-                    f"the image {node.image.name!r} cannot be read ({node.image.filepath})",
-                    "find the missing file or pack it",
-                )
+                message = f"the image {node.image.name!r} cannot be read ({node.image.filepath})"
+                remedy = "find the missing file or pack it"
+                self._report(ERROR, node, message, remedy)
                 return
         if node.image.source in ("SEQUENCE", "MOVIE"):
             self._report(NOTE, node, "only the current frame of the moving image is exported")
@@ -271,12 +262,9 @@ class DependencyWalk:
         elif name in ("Generated", "Normal", "Object"):
             self._result.mesh = True
         else:
-            self._report(
-                ERROR,
-                node,
-                f"{name} coordinates change with the view",
-                "use UV, Object or Generated coordinates",
-            )
+            message = f"{name} coordinates change with the view"
+            remedy = "use UV, Object or Generated coordinates"
+            self._report(ERROR, node, message, remedy)
 
     def _geometry(self, node: bpy.types.Node, name: str) -> None:
         if name in _GEOMETRY_ON_INSTANCE:

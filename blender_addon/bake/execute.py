@@ -34,7 +34,7 @@ bake that clears its image sets it to 1 everywhere.)"""
 
 @dataclass(frozen=True)
 class WorkingMaterial:
-    """A copy of a material with a top-level socket, or a constant, for each channel in ``outputs``.
+    """A copy of a material; ``outputs`` maps each channel to a socket of its top-level tree or a constant.
 
     ``emission`` emits the channel to bake; ``target`` names the image that receives it; ``surface`` is the
     socket of the original surface, for baking normals.
@@ -103,7 +103,7 @@ class BakeSession:
         expressions: dict[str, Expression],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> WorkingMaterial:
-        """Copy a material and build ``expressions`` in it; ``object_info`` replaces Object Info nodes."""
+        """Copy a material and add nodes for ``expressions``; ``object_info`` replaces Object Info nodes."""
         copy = self.own(bpy.data.materials, material.copy())
         copy.name = f"{_PREFIX}{material.name}"
         tree = copy.node_tree
@@ -166,7 +166,7 @@ class BakeSession:
     def plane(
         self, material: bpy.types.Material, uv_layers: dict[str, Array], size_m: float, active: str
     ) -> bpy.types.Object:
-        """A square in the XY plane from 0 to ``size_m`` with the given UVs (4, 2) at its corners.
+        """Create a square in the XY plane from 0 to ``size_m`` with UVs (4, 2) by layer at its corners.
 
         ``active``: name of the layer that nodes without a layer's name read.
         """
@@ -270,7 +270,7 @@ UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 @dataclass
 class _Builder:
-    """Builds expressions as nodes of a working tree."""
+    """Builds expressions as nodes of the tree of a working material."""
 
     session: BakeSession
     tree: bpy.types.NodeTree
@@ -279,7 +279,7 @@ class _Builder:
     _built: dict[Expression, bpy.types.NodeSocket | Constant] = field(default_factory=dict)
 
     def build(self, expression: Expression) -> bpy.types.NodeSocket | Constant:
-        """Build the nodes of an expression; returns their top-level socket, or a constant unchanged."""
+        """Build the nodes of an expression; returns their output socket, or a constant unchanged."""
         if isinstance(expression, Constant):
             return expression
         if expression not in self._built:

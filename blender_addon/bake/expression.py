@@ -31,7 +31,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class SocketValue:
-    """The value of an output socket; ``path`` names the group nodes from the material's tree to ``node``."""
+    """Value of the output ``socket`` of ``node``; ``path`` names the nested group nodes around it."""
 
     path: tuple[str, ...]
     node: str
@@ -63,7 +63,7 @@ _REDUCTIONS = ("luminance", "average")
 
 
 def constant(*value: float) -> Constant:
-    """A constant of one or three components."""
+    """Create a constant of one or three components."""
     return Constant(tuple(float(v) for v in value))
 
 
@@ -93,13 +93,8 @@ def operate(name: str, *arguments: Expression) -> Expression:
     """Apply an operation of :data:`OPERATIONS`, folding constants and dropping neutral elements."""
     width = max(argument.width for argument in arguments)
     if all(isinstance(argument, Constant) for argument in arguments):
-        function = OPERATIONS[name]
-        return Constant(
-            tuple(
-                float(function(*(_component(a, i) for a in arguments)))  # type: ignore[arg-type]
-                for i in range(width)
-            )
-        )
+        rows = ([_component(a, i) for a in arguments] for i in range(width))  # type: ignore[arg-type]
+        return Constant(tuple(float(OPERATIONS[name](*row)) for row in rows))
     if len(arguments) == 2:
         a, b = arguments
         if name == "multiply" and (is_constant(a, 0) or is_constant(b, 0)):
@@ -117,7 +112,7 @@ def operate(name: str, *arguments: Expression) -> Expression:
         if name in ("minimum", "maximum") and a == b:
             return a
         if name == "divide" and a == b and a.width == width:
-            return ONE  # if both are 0 the lobe is invisible, so that its value does not matter
+            return ONE  # if both are 0 the lobe is invisible, so its value does not matter
         if name == "subtract" and is_constant(a, 1) and _is_complement(b) and b.width == width:
             return b.arguments[1]  # type: ignore[union-attr]
     return Operation(name, arguments, width)
@@ -134,22 +129,22 @@ def multiply(*factors: Expression) -> Expression:
 
 
 def subtract(a: Expression, b: Expression) -> Expression:
-    """a - b."""
+    """The expression a - b."""
     return operate("subtract", a, b)
 
 
 def divide(a: Expression, b: Expression) -> Expression:
-    """a / b, 0 where b is 0."""
+    """The expression a / b, 0 where b is 0."""
     return operate("divide", a, b)
 
 
 def clamp(expression: Expression) -> Expression:
-    """Clamp to [0, 1]."""
+    """Clamp an expression to [0, 1]."""
     return operate("minimum", operate("maximum", expression, ZERO), ONE)
 
 
 def unclamped(expression: Expression) -> Expression:
-    """Strip the outer minima and maxima with constants from an expression."""
+    """Remove the outermost minimum and maximum operations with constants from an expression."""
     while (
         isinstance(expression, Operation)
         and expression.name in ("minimum", "maximum")
@@ -160,12 +155,12 @@ def unclamped(expression: Expression) -> Expression:
 
 
 def complement(expression: Expression) -> Expression:
-    """1 - expression."""
+    """The expression 1 - ``expression``."""
     return subtract(ONE, expression)
 
 
 def lerp(a: Expression, b: Expression, factor: Expression) -> Expression:
-    """a (1 - factor) + b factor."""
+    """The expression a (1 - factor) + b factor."""
     if a == b:
         return a
     return add(multiply(a, complement(factor)), multiply(b, factor))
@@ -199,7 +194,7 @@ def fresnel_f0(ior: Expression) -> Expression:
 
 
 def sockets(expression: Expression) -> set[SocketValue]:
-    """All sockets of the graph on which the expression depends."""
+    """All sockets of the shader graph on which an expression depends."""
     if isinstance(expression, SocketValue):
         return {expression}
     if isinstance(expression, Operation):

@@ -16,9 +16,9 @@ from .graph import Stack, input_of, source_of, value_of
 
 @dataclass(frozen=True)
 class UvFrame:
-    """Texture coordinates = ``matrix`` @ (u, v, 1) of the UV layer ``layer`` ("": the active render layer).
+    """Affine map ``matrix`` @ (u, v, 1) from the UVs of a layer to texture coordinates.
 
-    ``matrix`` is two rows of three numbers, rounded so that equal maps compare equal.
+    ``layer`` is "" for the active render layer. ``matrix`` is rounded, so equal maps compare equal.
     """
 
     layer: str
@@ -45,7 +45,7 @@ IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 
 def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] | None:
-    """Homogeneous map (3, 3) of a Mapping node in the UV plane, None if it is not constant or not planar."""
+    """Matrix (3, 3) of a Mapping node in the UV plane; None unless constant, planar and invertible."""
     if node.vector_type not in ("POINT", "TEXTURE"):
         return None
     values: list[tuple[float, ...]] = []
@@ -62,23 +62,19 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
     if abs(rotation[0]) > 1e-9 or abs(rotation[1]) > 1e-9:
         return None
     c, s = math.cos(rotation[2]), math.sin(rotation[2])
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    size = np.diag([scale[0], scale[1], 1.0])
-    move = np.array([[1, 0, location[0]], [0, 1, location[1]], [0, 0, 1.0]])
-    matrix = move @ turn @ size
+    rotate = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    translate = np.array([[1, 0, location[0]], [0, 1, location[1]], [0, 0, 1.0]])
+    matrix = translate @ rotate @ np.diag([scale[0], scale[1], 1.0])
     if abs(np.linalg.det(matrix)) < 1e-12:
         return None
     return np.linalg.inv(matrix) if node.vector_type == "TEXTURE" else matrix
 
 
 def image_frame(stack: Stack, node: bpy.types.Node) -> UvFrame | None:
-    """The map from a UV layer to the coordinates of an Image Texture node; None if it is not affine."""
+    """The affine map from a UV layer to an Image Texture node's coordinates; None if there is none."""
     legacy = node.texture_mapping
-    if (
-        tuple(legacy.translation) != (0, 0, 0)
-        or tuple(legacy.rotation) != (0, 0, 0)
-        or tuple(legacy.scale) != (1, 1, 1)
-    ):
+    steps = (legacy.translation, legacy.rotation, legacy.scale)
+    if tuple(map(tuple, steps)) != ((0, 0, 0), (0, 0, 0), (1, 1, 1)):
         return None
     matrix = np.eye(3)
     socket = input_of(node, "Vector")

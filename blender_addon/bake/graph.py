@@ -11,14 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from .expression import (
-    Constant,
-    Expression,
-    SocketValue,
-    constant,
-    reduce_to_scalar,
-    widen,
-)
+from .expression import Constant, Expression, SocketValue, constant, reduce_to_scalar, widen
 
 Stack = tuple[bpy.types.Node, ...]
 _WIDTH = {"VALUE": 1, "INT": 1, "BOOLEAN": 1, "RGBA": 3, "VECTOR": 3, "ROTATION": 3}
@@ -38,8 +31,9 @@ class Graph:
 
 @dataclass(frozen=True)
 class Source:
-    """Source of an input's value: an output ``socket`` of ``node`` or, if ``node`` is None, an unlinked input
-    ``socket``. Both are None for a muted node without an internal link.
+    """Source of an input's value: an output ``socket`` of ``node``, or an unlinked input without ``node``.
+
+    Both are None for a muted node without an internal link.
     """
 
     stack: Stack
@@ -127,7 +121,7 @@ LIGHT_PATH_VALUES = {"Is Camera Ray": 1.0}  # of a camera ray; all other outputs
 
 
 def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
-    """The value of an input socket as an expression, reduced to a scalar if the socket is one."""
+    """The value of an input socket as an expression, reduced to a scalar for a scalar socket."""
     source = source_of(stack, socket)
     if source.socket is None:
         value: Expression = constant(0.0)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
+from ..cycles import pixels_of
 from ..problems import APPROXIMATION, ERROR, NOTE, Problem, ProblemList
 from .channels import Channels, channels_of
 from .closures import TRANSMISSION_POLICIES, Closures, ClosureWalk
@@ -31,7 +31,7 @@ NORMAL = "normal"
 
 @dataclass(frozen=True)
 class PlainImage:
-    """A channel that is an unchanged image: ``channel`` is rgb, r, g, b or a, ``encoding`` srgb or linear.
+    """A channel exported as an unchanged image; ``channel``: rgb, r, g, b or a, ``encoding``: srgb or linear.
 
     ``needs_unit_uv``: the image does not repeat, so it cannot be used beyond the unit square.
     """
@@ -90,12 +90,9 @@ def plan_material(
     problems = ProblemList()
     policy = str(material.get("sm_transmission", "refuse"))
     if policy not in TRANSMISSION_POLICIES:
-        problems.add(
-            ERROR,
-            f"sm_transmission = {policy!r}",
-            f"use one of {', '.join(TRANSMISSION_POLICIES)}",
-            material=material.name,
-        )
+        message = f"sm_transmission = {policy!r}"
+        remedy = f"use one of {', '.join(TRANSMISSION_POLICIES)}"
+        problems.add(ERROR, message, remedy, material=material.name)
     if not material.use_nodes or material.node_tree is None:
         colour = Constant(tuple(material.diffuse_color[:3]))
         channels = Channels(colour, Constant((0.0,) * 3), Constant((1.0,)), None, None)
@@ -182,16 +179,12 @@ def _note_interpolation(
     for value in sockets(expression):
         node = node_at(tree, value.path, value.node)[1]
         if node.type == "TEX_IMAGE" and node.interpolation == "Closest":
-            problems.add(
-                APPROXIMATION,
-                f"pixels of {image.image.name!r} are interpolated linearly instead of shown as squares",
-                material=name,
-                node=node.name,
-            )
+            message = f"pixels of {image.image.name!r} are interpolated linearly instead of shown as squares"
+            problems.add(APPROXIMATION, message, material=name, node=node.name)
 
 
 def force_bake(plan: MaterialPlan) -> MaterialPlan:
-    """A copy of ``plan`` that bakes its images, which do not repeat, for UVs beyond the unit square."""
+    """A copy of ``plan`` that bakes its images instead of using their files, for UVs outside [0, 1]."""
     varying = {
         name: expression
         for name, expression in plan.channels.baked().items()
@@ -207,7 +200,7 @@ def force_bake(plan: MaterialPlan) -> MaterialPlan:
 
 
 def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
-    """The image file that alone determines ``expression`` through an affine UV map, or None."""
+    """The image file whose texels, read by an affine UV map, are the values of ``expression``, or None."""
     bare = unclamped(expression)
     is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
     if is_luminance:
@@ -251,7 +244,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The tangent-space normal map, neither rotated nor mirrored, of all linked Normal inputs, or None."""
+    """The tangent-space normal map that all Normal inputs read without rotation or mirroring, or None."""
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):
@@ -265,36 +258,26 @@ def plain_normal(
     if texture is None or texture.type != "TEX_IMAGE" or source.socket is None or texture.image is None:
         return None
     image, frame = texture.image, image_frame(source.stack, texture)
-    if (
-        frame is None
-        or source.socket.name != "Color"
-        or image.source != "FILE"
-        or texture.projection != "FLAT"
-    ):
+    is_plain = (source.socket.name, image.source, texture.projection) == ("Color", "FILE", "FLAT")
+    if frame is None or not is_plain:
         return None
     (a, b, _), (c, d, _) = frame.matrix
-    is_turned = b != 0 or c != 0 or a <= 0 or d <= 0
-    reads_other = {node.uv_map, frame.layer} - {"", rendering_layer} or is_turned
+    is_rotated = b != 0 or c != 0 or a <= 0 or d <= 0
+    reads_other = {node.uv_map, frame.layer} - {"", rendering_layer} or is_rotated
     if reads_other or ENCODINGS.get(image.colorspace_settings.name) != "linear" or not _is_opaque(image):
         return None
     return PlainImage(image, "rgb", "linear", frame, texture.extension != "REPEAT")
 
 
-def _pixels(image: bpy.types.Image) -> NDArray[np.float32]:
-    values = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-    image.pixels.foreach_get(values)
-    return values.reshape(-1, image.channels)
-
-
 def _is_grey(image: bpy.types.Image) -> bool:
     if image.channels < 3:
         return True
-    values = _pixels(image)
-    return bool(len(values) and np.abs(values[:, :3] - values[:, :1]).max() <= 0.5 / 255)
+    values = pixels_of(image)
+    return bool(len(values) and np.abs(values[..., :3] - values[..., :1]).max() <= 0.5 / 255)
 
 
 def _is_opaque(image: bpy.types.Image) -> bool:
     if image.channels < 4 or image.alpha_mode == "NONE":
         return True
-    values = _pixels(image)
-    return bool(len(values) and values[:, 3].min() >= 1 - 0.5 / 255)
+    values = pixels_of(image)
+    return bool(len(values) and values[..., 3].min() >= 1 - 0.5 / 255)

@@ -21,7 +21,7 @@ _BLOCK_ROWS = 64
 
 @dataclass(frozen=True)
 class Level:
-    """An image that replaces a finer one.
+    """A coarser image that replaces a finer one.
 
     ``error`` is the mean absolute difference over covered texels, in the worst component, between the finer
     image and this one, interpolated linearly.
@@ -50,12 +50,12 @@ def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArr
 
 
 def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> Image:
-    """Interpolate bilinearly at the texel centres of a finer grid; ``repeats``: wrap at the borders."""
+    """Interpolate an image bilinearly at (height, width) texel centres; ``repeats`` wraps at the borders."""
     return _interpolate_rows(image, slice(0, height), height, width, repeats)
 
 
 def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeats: bool = True) -> Image:
-    """A range of rows of the result of :func:`interpolate`; axes of unchanged size are not interpolated."""
+    """Compute only ``rows`` of the result of :func:`interpolate`."""
     if image.shape[0] == height:
         result = image[rows]
     else:
@@ -121,7 +121,7 @@ def fill(image: Image, mask: Mask) -> Image:
 def smallest_level(
     image: Image, mask: Mask, tolerance: float, least: int = 1, counted: Mask | None = None
 ) -> Level:
-    """The coarsest level within ``tolerance`` of ``image``; each axis is halved separately.
+    """Find the coarsest level whose error is at most ``tolerance``; each axis is halved separately.
 
     A channel that varies along one axis only is reduced to a single row or column. Returns the filled image
     (error 0) if no level is good enough. ``least``: minimum side in texels. ``counted``: mask of the texels
@@ -150,7 +150,7 @@ def smallest_level(
 
 
 def level_error(level: Image, image: Image, mask: Mask, enough: float = math.inf) -> float:
-    """Mean absolute difference of the interpolated level from ``image`` over ``mask``, worst component.
+    """Mean absolute difference over ``mask`` of ``image`` and interpolated ``level``, in the worst component.
 
     The sum stops once the mean exceeds ``enough``; the result is then a lower bound.
     """

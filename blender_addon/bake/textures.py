@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..problems import APPROXIMATION, NOTE, ProblemList
 from ..settings import ExportSettings
-from .execute import UNIT_SQUARE, Array, BakeSession, WorkingMaterial
+from .execute import Array, BakeSession, WorkingMaterial
 from .expression import Constant
 from .frames import IDENTITY, UvFrame
 from .plan import NORMAL, SCALAR_CHANNELS, MaterialPlan, PlainImage
@@ -40,9 +40,9 @@ class BakedTexture:
 
 
 def padded_window(low: NDArray, high: NDArray) -> Window:
-    """A window around the box of texture coordinates from ``low`` to ``high`` (2,).
+    """The window (u0, v0, u1, v1): the box from ``low`` to ``high`` (2,) of texture coordinates and a margin.
 
-    Its margin is half a texel of a 16-texel texture: repeating lookups never read the opposite border.
+    With the margin, repeating lookups in textures of 16 texels or more never read the opposite border.
     """
     size = np.maximum(high - low, 1e-3)
     middle = (low + high) / 2
@@ -101,7 +101,7 @@ class BakedMaterial:
 
 
 class MaterialBaker:
-    """Bakes materials inside one session."""
+    """Bakes materials to constants and textures."""
 
     def __init__(self, session: BakeSession, settings: ExportSettings, problems: ProblemList):
         self.session, self.settings, self.problems = session, settings, problems
@@ -255,7 +255,7 @@ class MaterialBaker:
         covered: Callable[[int], NDArray[np.bool_]] | None,
         enough: int | None = None,
     ) -> BakedTexture | None:
-        """The normal texture, None if the surface is flat."""
+        """Bake the normal texture; returns None for a flat surface."""
         channel = self._grow(thing, working, NORMAL, material, covered, enough)
         return channel if isinstance(channel, BakedTexture) else None
 
@@ -281,22 +281,16 @@ class MaterialBaker:
     def _mean_emission(self, values: NDArray[np.float32], material: str) -> tuple[float, ...]:
         mean, spread = values.mean(axis=0), float(values.std(axis=0).max())
         if spread > _FLAT * max(float(mean.max()), 1e-6):
-            self.problems.add(
-                APPROXIMATION,
-                f"the emission varies over the surface (deviation {spread:.3g}); its mean is exported",
-                "split the mesh where the emission changes",
-                material=material,
-            )
+            message = f"the emission varies over the surface (deviation {spread:.3g}); its mean is exported"
+            remedy = "split the mesh where the emission changes"
+            self.problems.add(APPROXIMATION, message, remedy, material=material)
         return tuple(float(v) for v in mean)
 
     def _finish(self, result: BakedMaterial, plan: MaterialPlan) -> BakedMaterial:
         if plan.normals and not plan.bakes_normal and NORMAL not in plan.images:
-            self.problems.add(
-                NOTE,
-                "bump and normal inputs are left out",
-                "turn on Bake Normals to get a normal texture",
-                material=plan.name,
-            )
+            message = "bump and normal inputs are left out"
+            remedy = "turn on Bake Normals to get a normal texture"
+            self.problems.add(NOTE, message, remedy, material=plan.name)
         return result
 
 
@@ -326,6 +320,3 @@ def _last_change(pixels: Array, mask: NDArray[np.bool_], counted: NDArray[np.boo
     height, width = pixels.shape[:2]
     coarse = interpolate(fill(smaller, weight[..., 0] > 0), height, width)
     return float(np.abs(coarse - pixels)[counted].mean(axis=0).max())
-
-
-__all__ = ["UNIT_SQUARE", "BakedMaterial", "BakedTexture", "MaterialBaker"]

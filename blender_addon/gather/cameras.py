@@ -36,25 +36,19 @@ def gather_camera(
     metres_per_unit: float,
     problems: ProblemList,
 ) -> CameraData | None:
-    """Convert a perspective camera, also with non-square pixels; None, with an error added, for any other."""
+    """Convert a perspective camera; for any other, add an error to ``problems`` and return None."""
     camera = thing.data
     if camera.type != "PERSP":
-        problems.add(
-            ERROR,
-            f"camera of type {camera.type.lower()} cannot be exported",
-            "use a perspective camera, or set sm_role = ignore",
-            object=thing.name,
-        )
+        message = f"camera of type {camera.type.lower()} cannot be exported"
+        remedy = "use a perspective camera, or set sm_role = ignore"
+        problems.add(ERROR, message, remedy, object=thing.name)
         return None
     if camera.dof.use_dof:
         problems.add(APPROXIMATION, "depth of field is left out: everything is sharp", object=thing.name)
     if not camera.clip_start < camera.clip_end:
-        problems.add(
-            ERROR,
-            f"clips from {camera.clip_start:g} to {camera.clip_end:g}, an empty range",
-            "set Clip End above Clip Start",
-            object=thing.name,
-        )
+        message = f"clips from {camera.clip_start:g} to {camera.clip_end:g}, an empty range"
+        remedy = "set Clip End above Clip Start"
+        problems.add(ERROR, message, remedy, object=thing.name)
         return None
     scale = render.resolution_percentage / 100
     width, height = max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))

@@ -113,11 +113,8 @@ def gather_instances(
         key, materials = _mesh_of(thing, result, keep)
         if len(result.meshes[key].triangles) == 0:
             continue
-        result.instances.append(
-            Instance(
-                thing.original.name, owner.name, key, matrix, materials, _object_info(shown, thing, matrix)
-            )
-        )
+        info = _object_info(shown, thing, matrix)
+        result.instances.append(Instance(thing.original.name, owner.name, key, matrix, materials, info))
     return result
 
 
@@ -175,9 +172,6 @@ def _check_modifiers(thing: bpy.types.Object, problems: ProblemList) -> None:
         if modifier.type in ("SUBSURF", "MULTIRES") and modifier.show_render:
             differs |= modifier.levels != modifier.render_levels
         if differs:
-            problems.add(
-                APPROXIMATION,
-                f"modifier {modifier.name!r} is exported as in the viewport, not as rendered",
-                "give it the same levels and visibility for viewport and render",
-                object=thing.name,
-            )
+            message = f"modifier {modifier.name!r} is exported as in the viewport, not as rendered"
+            remedy = "give it the same levels and visibility for viewport and render"
+            problems.add(APPROXIMATION, message, remedy, object=thing.name)

@@ -83,13 +83,11 @@ def _point(
         return {**base, "type": "point", "intensity": _triple(power * factor)}
     _note_visibility(thing, problems)
     if getattr(thing.data, "use_soft_falloff", False):
-        problems.add(
-            APPROXIMATION,
+        message = (
             "Soft Falloff makes the light a disc that faces each point; the exported sphere is brighter by "
-            f"(radius / distance)^2, {(radius / 2) ** 2:.2%} at a distance of 2 units",
-            "turn Soft Falloff off",
-            object=thing.name,
+            f"(radius / distance)^2, {(radius / 2) ** 2:.2%} at a distance of 2 units"
         )
+        problems.add(APPROXIMATION, message, "turn Soft Falloff off", object=thing.name)
     is_normalized = getattr(thing.data, "normalize", True)
     radiance = power / (4 * math.pi**2 * radius**2) if is_normalized else power / math.pi
     return {**base, "type": "sphere", "radius_m": radius * metres, "radiance": _triple(radiance)}
@@ -101,7 +99,7 @@ def _note_visibility(thing: bpy.types.Object, problems: ProblemList) -> None:
 
 
 def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
-    """Cycles' spot fall-off in [0, 1]: smoothstep of (cos - cos(half)) / ((1 - cos(half)) blend)."""
+    """Cycles' spot fall-off: smoothstep of (cosine - cos(half_angle)) / ((1 - cos(half_angle)) blend)."""
     edge = math.cos(half_angle)
     if blend <= 0:
         return (cosine >= edge).astype(float)
@@ -110,7 +108,7 @@ def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
 
 
 def fitted_beam_width(half_angle: float, blend: float) -> float:
-    """Half angle [rad] from which a fall-off that is linear to 0 at ``half_angle`` has Cycles' flux."""
+    """Angle [rad] at which a linear fall-off to 0 at ``half_angle`` must begin to have Cycles' flux."""
     angle = (np.arange(4096) + 0.5) / 4096 * half_angle
     weight = np.sin(angle)
     wanted = float((spot_profile(np.cos(angle), half_angle, blend) * weight).sum())
@@ -169,12 +167,9 @@ def _area(
 ) -> Light | None:
     data = thing.data
     if data.spread < math.pi - 1e-4:
-        problems.add(
-            ERROR,
-            f"an area light of spread {math.degrees(data.spread):.0f} degrees has no counterpart",
-            "set Spread to 180 degrees",
-            object=thing.name,
-        )
+        message = f"an area light of spread {math.degrees(data.spread):.0f} degrees has no counterpart"
+        remedy = "set Spread to 180 degrees"
+        problems.add(ERROR, message, remedy, object=thing.name)
         return None
     size_u = data.size
     size_v = data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else data.size

@@ -55,12 +55,8 @@ def gather_markers(
     things: list[bpy.types.Object], metres_per_unit: float, problems: ProblemList
 ) -> dict[str, list[dict[str, Any]]]:
     """Convert the markers among ``things`` to lists of entries, by their keys in ``asset.json``."""
-    found: dict[str, list[dict[str, Any]]] = {
-        "support_surfaces": [],
-        "light_slots": [],
-        "openings": [],
-        "camera_regions": [],
-    }
+    keys = ("support_surfaces", "light_slots", "openings", "camera_regions")
+    found: dict[str, list[dict[str, Any]]] = {key: [] for key in keys}
     for thing in sorted(things, key=lambda t: t.name):
         role = role_of(thing)
         if role == "camera_region":
@@ -115,8 +111,7 @@ def _add_rectangle(
         kind = str(thing.get("sm_kind", "table"))
         check_words((kind,), SUPPORT_KINDS, "sm_kind", problems, object=thing.name)
         if normal[2] < 0.999 * np.linalg.norm(normal):
-            problems.add(
-                ERROR, "a support surface must be horizontal and face up", "turn it", object=thing.name
-            )
+            message = "a support surface must be horizontal and face up"
+            problems.add(ERROR, message, "rotate it", object=thing.name)
         clearance = float(thing.get("sm_clearance_m", _DEFAULT_CLEARANCE_M))
         found["support_surfaces"].append({**entry, "kind": kind, "clearance_m": clearance})

@@ -19,7 +19,7 @@ IntArray = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class MeshArrays:
-    """One evaluated mesh.
+    """Arrays of an evaluated mesh.
 
     ``positions`` (V, 3). ``corner_vertices`` (C,): the vertex of each corner. ``normals``: unit normals, (V,
     3) if the whole mesh is smooth, else (C, 3). ``triangles`` (T, 3): corners of each triangle.
@@ -44,7 +44,7 @@ class MeshArrays:
 
 @dataclass(frozen=True)
 class Submesh:
-    """Triangles ``faces`` (T, 3) of one material with ``positions``, ``normals`` (N, 3) and ``uv`` (N, 2)."""
+    """Triangles ``faces`` (T, 3) of one material; ``positions`` and ``normals`` (N, 3), ``uv`` (N, 2)."""
 
     positions: FloatArray
     normals: FloatArray
@@ -84,7 +84,7 @@ def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
 
 
 def _hash_rows(*columns: NDArray) -> NDArray[np.uint64]:
-    """A 64-bit hash (N,) of each row of float32 or int32 columns (N, k), by their bits."""
+    """Hash the bits of each row of float32 or int32 columns (N, k) to 64 bits (N,)."""
     result = np.zeros(len(columns[0]), np.uint64)
     multiplier = np.uint64(0x9E3779B97F4A7C15)
     for column in columns:
@@ -99,18 +99,14 @@ def _hash_rows(*columns: NDArray) -> NDArray[np.uint64]:
 def submesh(
     mesh: MeshArrays, slot: int | None = None, uv: FloatArray | None = None, is_mirrored: bool = False
 ) -> Submesh:
-    """The triangles of one slot (None: all), with equal corners merged to one vertex.
+    """Extract the triangles of one slot (None: all), with equal corners merged to one vertex.
 
-    ``uv`` (C, 2) are the texture coordinates to write. ``is_mirrored`` reflects x and reverses the winding,
+    ``uv`` (C, 2) are the texture coordinates to write. ``is_mirrored`` negates x and reverses the winding,
     for instances with a mirroring matrix. Triangles that refer to a vertex twice are omitted.
     """
     triangles = mesh.triangles if slot is None else mesh.triangles[mesh.triangle_slots == slot]
     vertices = mesh.corner_vertices[triangles]
-    is_proper = (
-        (vertices[:, 0] != vertices[:, 1])
-        & (vertices[:, 1] != vertices[:, 2])
-        & (vertices[:, 2] != vertices[:, 0])
-    )
+    is_proper = (vertices != np.roll(vertices, -1, axis=1)).all(axis=1)
     if not is_proper.all():
         triangles, vertices = triangles[is_proper], vertices[is_proper]
     if mesh.is_smooth and uv is None:

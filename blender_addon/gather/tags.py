@@ -79,17 +79,12 @@ def material_classes(material: bpy.types.Material, problems: ProblemList) -> tup
 
 def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple[str, ...]:
     """The tag ``sm_replaceable_by`` of a material: classes that may replace it."""
-    return check_words(
-        words(material.get("sm_replaceable_by")),
-        MATERIAL_CLASSES,
-        "sm_replaceable_by",
-        problems,
-        material=material.name,
-    )
+    tag = "sm_replaceable_by"
+    return check_words(words(material.get(tag)), MATERIAL_CLASSES, tag, problems, material=material.name)
 
 
 def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> tuple[str, ...]:
-    """The tag ``sm_surface`` or ``sm_surfaces`` of a material: kinds of surface to which it is assigned."""
+    """The tag ``sm_surface`` or ``sm_surfaces`` of a material: kinds of surface for which it is usual."""
     return check_words(words(material.get(tag)), SURFACES, tag, problems, material=material.name)
 
 
@@ -101,11 +96,9 @@ def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemL
         if value:
             result[key] = value
     if "license" not in result:
-        problems.add(
-            ERROR,
-            f"{block.name!r} names no licence",
-            "set sm_license (an SPDX identifier such as CC0-1.0) or the export's licence",
-        )
+        message = f"{block.name!r} names no licence"
+        remedy = "set sm_license (an SPDX identifier such as CC0-1.0) or the export's licence"
+        problems.add(ERROR, message, remedy)
     if result.get("usage", "any") not in USAGES:
         problems.add(ERROR, f"sm_usage = {result['usage']!r}", f"use one of {', '.join(USAGES)}")
     return result

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..bake.execute import BakeSession
 from ..bake.expression import BLACK, Constant, Expression, add, complement, is_constant, multiply, widen
 from ..bake.graph import Graph, Stack, source_of, value_of
-from ..cycles import render_linear
+from ..cycles import pixels_of, render_linear
 from ..problems import ERROR, ProblemList
 
 # The middle column of the format's image is +Y of its frame; that of Blender's panorama is +X of the world.
@@ -22,7 +22,7 @@ WORLD_FROM_ENVIRONMENT = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0
 def gather_world(
     scene: bpy.types.Scene, session: BakeSession, problems: ProblemList, size_px: int = 2048
 ) -> tuple[dict[str, Any], NDArray[np.float32] | None] | None:
-    """The environment light and, if it is not constant, its image (H, W, 3), row 0 at the top.
+    """The entry of the environment light and, unless it is constant, its image (H, W, 3), row 0 at the top.
 
     None if the world is black or missing. An equirectangular image, rotated at most about Z, keeps its
     pixels; any other graph is rendered as a panorama ``size_px`` wide.
@@ -98,14 +98,11 @@ def _plain_panorama(world: bpy.types.World) -> tuple[NDArray[np.float32], float,
     angle = _turn_about_z(texture.stack, node.inputs["Vector"])
     if angle is None:
         return None
-    pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-    image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(image.size[1], image.size[0], image.channels)[::-1, :, :3].copy()
-    return pixels, angle, max(0.0, strength.value[0])
+    return pixels_of(image)[..., :3].copy(), angle, max(0.0, strength.value[0])
 
 
 def _turn_about_z(stack: Stack, socket: bpy.types.NodeSocket) -> float | None:
-    """The angle about Z [rad] by which the image is rotated; None if its coordinates change otherwise."""
+    """The angle [rad] by which the image is rotated about Z; None if it is mapped in another way."""
     source = source_of(stack, socket)
     if source.node is None:
         return 0.0

@@ -41,8 +41,8 @@ def report_steps(
 ) -> Generator[Progress, None, None]:
     """Write the fidelity report to ``path``; yields the progress.
 
-    ``materials``: by material's name, the UV maps that its nodes name. ``things``: names of the exported
-    objects, including lights and cameras.
+    ``materials``: names of the UV maps that each material's nodes read, by the material's name. ``things``:
+    names of the exported objects, including lights and cameras.
     """
     scene = bpy.context.scene
     objects = [scene.objects[name] for name in sorted(things) if name in scene.objects]
@@ -62,21 +62,14 @@ def report_steps(
             _render_light(folder, settings, index, light, light_images)
         yield Progress(0.7, "report: Mitsuba")
         packages = sorted(path.parent for path in folder.glob("packages/*/asset.json"))
-        remark = (
-            _render_with_mitsuba(folder, packages, settings.report_python)
-            if packages
-            else "Nothing to render."
-        )
-        page_materials = [
-            Comparison(
-                material,
-                _textures(folder, material),
-                image,
-                _mitsuba_image(folder, "report_materials", index),
-                _MATERIAL_LIMIT,
-            )
-            for index, (material, image) in enumerate(zip(names, material_images, strict=True))
-        ]
+        remark = "Nothing to render."
+        if packages:
+            remark = _render_with_mitsuba(folder, packages, settings.report_python)
+        page_materials = []
+        for index, (material, image) in enumerate(zip(names, material_images, strict=True)):
+            mitsuba = _mitsuba_image(folder, "report_materials", index)
+            textures = _textures(folder, material)
+            page_materials.append(Comparison(material, textures, image, mitsuba, _MATERIAL_LIMIT))
         page_lights = [
             Comparison(name, kind, image, _mitsuba_image(folder, f"light_{index:03d}", 0), _LIGHT_LIMIT)
             for index, (name, kind, image) in enumerate(light_images)
@@ -138,7 +131,7 @@ def _render_light(
 
 
 def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
-    """Render the packages with Mitsuba; returns the remark on it for the page."""
+    """Render the packages with Mitsuba; returns the page's remark: sample counts, or why it failed."""
     executable = python or _own_python()
     if not executable:
         return (
@@ -174,7 +167,7 @@ def _mitsuba_image(folder: Path, package: str, index: int) -> np.ndarray | None:
 
 
 def _textures(folder: Path, material: str) -> str:
-    """Text that states for each channel of a material whether it is a constant or a texture."""
+    """Describe for each channel of an exported material whether it is a constant or a texture."""
     import json
 
     entries = json.loads((folder / "packages" / "report_materials" / "asset.json").read_text())["materials"]
@@ -199,14 +192,8 @@ def _check_camera(thing: bpy.types.Object, scene: bpy.types.Scene) -> CameraChec
     pose = data.asset_from_camera
     local = np.concatenate([generator.uniform(-0.4, 0.4, (64, 2)), generator.uniform(1, 5, (64, 1))], axis=1)
     local[:, :2] *= local[:, 2:]
-    ours = np.stack(
-        [
-            data.fx_px * local[:, 0] / local[:, 2] + data.cx_px,
-            data.fy_px * local[:, 1] / local[:, 2] + data.cy_px,
-        ],
-        axis=1,
-    )
+    exported = [data.fx_px, data.fy_px] * local[:, :2] / local[:, 2:] + [data.cx_px, data.cy_px]
     world = local @ pose[:3, :3].T + pose[:3, 3]
     seen = [world_to_camera_view(scene, thing, Vector(point)) for point in world]
-    theirs = np.array([(p.x * data.width_px, (1 - p.y) * data.height_px) for p in seen])
-    return CameraCheck(thing.name, float(np.abs(ours - theirs).max()))
+    blender = np.array([(p.x * data.width_px, (1 - p.y) * data.height_px) for p in seen])
+    return CameraCheck(thing.name, float(np.abs(exported - blender).max()))

@@ -62,7 +62,7 @@ class CameraCheck:
 
 
 def picture(comparison: Comparison) -> bytes:
-    """PNG of Cycles' image and, if rendered, Mitsuba's and 4 times the difference, at one exposure."""
+    """PNG of Cycles' image and, if rendered, of Mitsuba's and 4 times the difference, side by side."""
     exposure = 0.8 / max(float(np.percentile(comparison.cycles, 95)), 1e-9)
     images = [comparison.cycles * exposure]
     if comparison.mitsuba is not None:
@@ -112,7 +112,7 @@ def page(
     problems: Sequence[Problem],
     remark: str,
 ) -> str:
-    """The page as HTML; ``remark`` describes Mitsuba's rendering, or why there is none."""
+    """Format the page as HTML; ``remark`` is the sentence about Mitsuba's rendering or its failure."""
     listed = "".join(
         f"<tr><td>{problem.severity}</td><td>{html.escape(problem.place)}</td>"
         f"<td>{html.escape(problem.message)}</td><td>{html.escape(problem.remedy)}</td></tr>"

@@ -33,7 +33,7 @@ def _prepare(session: BakeSession, identity: str) -> bpy.types.Scene:
 
 
 def sphere_mesh(session: BakeSession, radius: float) -> bpy.types.Mesh:
-    """A smooth sphere about (0, 0, radius); u is the longitude, v the latitude, both in [0, 1]."""
+    """Create a smooth sphere about (0, 0, radius); u is the longitude, v the latitude, both in [0, 1]."""
     rows, columns = _SPHERE_ROWS, _SPHERE_COLUMNS
     theta, phi = np.meshgrid(
         np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, columns + 1), indexing="ij"
@@ -53,7 +53,7 @@ def sphere_mesh(session: BakeSession, radius: float) -> bpy.types.Mesh:
 
 
 def plane_mesh(session: BakeSession, side: float) -> bpy.types.Mesh:
-    """A square in the XY plane about the origin with UVs from 0 to 1."""
+    """Create a square of ``side`` in the XY plane about the origin, with UVs from 0 to 1."""
     mesh = session.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}_plane"))
     h = side / 2
     mesh.from_pydata([(-h, -h, 0), (h, -h, 0), (h, h, 0), (-h, h, 0)], [], [(0, 1, 2, 3)])
@@ -135,7 +135,7 @@ def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy
         axis = np.array([0.0, 0.0, 1.0])
     size = max(getattr(light.data, "size", 0.0), 2 * getattr(light.data, "shadow_soft_size", 0.0), 0.5)
     distance = 2.0 * size
-    frame = _frame(axis)
+    frame = _frame_along(axis)
     mesh = plane_mesh(session, distance)
     mesh.materials.append(grey)
     matrix = np.eye(4)
@@ -145,8 +145,8 @@ def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy
     scene.camera = _camera(session, eye, matrix[:3, 3], lens=60)
 
 
-def _frame(axis: np.ndarray) -> np.ndarray:
-    """An orthonormal frame (columns) whose third column is ``axis``."""
+def _frame_along(axis: np.ndarray) -> np.ndarray:
+    """A rotation (3, 3) whose third column is the unit vector ``axis``."""
     helper = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     side = np.cross(helper, axis)
     side /= np.linalg.norm(side)

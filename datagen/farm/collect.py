@@ -25,8 +25,8 @@ def collect(
     """Write ``index.json`` from the manifests of finished units, and return the index.
 
     Unfinished units are listed in ``missing``; ``progress(done, total)`` counts units. Remains of killed
-    attempts are removed, and ``on_removed`` is called with each path. With ``deep``, all shards are hashed
-    again. Raises :class:`InputError` with all shards that are outside the folder or differ from their hash.
+    attempts are removed, and ``on_removed`` is called with each path. Raises :class:`InputError` with all
+    shards that are outside the folder or, if ``deep``, whose SHA-256 differs from the manifest's.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()

@@ -44,7 +44,7 @@ def submit(
     if submission.job_ids:
         typer.echo(f"{submission.num_units} units submitted as jobs {', '.join(submission.job_ids)}")
     else:
-        why = "the scripts are only written" if submission.num_units else "all units are done"
+        why = "the scripts were only written" if submission.num_units else "all units are done"
         typer.echo(f"{submission.num_units} units left, none submitted: {why}")
 
 
@@ -64,7 +64,7 @@ def farm_status(
 
 @farm.command()
 def retry(folder: FolderArgument) -> None:
-    """Clear recorded failures, so that the next submit or run includes these units again.
+    """Clear recorded failures, so the next submit or run includes these units again.
 
     Example: datagen farm retry paper && datagen farm submit paper
     """

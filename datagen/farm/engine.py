@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interface of a queue for ``datagen farm``: write scripts, submit them, find and cancel jobs.
+"""Interface of the queues of ``datagen farm``: write scripts, submit them, find and cancel jobs.
 
 An engine is a module with a class that implements :class:`Engine`, and a line in ``submission.ENGINES``. Even
 if a queue repeats, requeues or loses a job, ``work_unit`` commits each result exactly once.
@@ -28,7 +28,7 @@ class Script:
 
 
 class Engine(Protocol):
-    """A queue. ``program`` is the command that submits, or '' if the user runs the scripts."""
+    """Interface to a queue; ``program`` is its command that submits, '' if the user runs the scripts."""
 
     program: str
 
@@ -36,9 +36,9 @@ class Engine(Protocol):
         """Raise :class:`InputError` for options that the queue's scripts cannot express."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
-        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index, again after exit code 75.
+        """Scripts that run ``datagen run FOLDER --unit INDEX``, repeated after exit code 75, for each index.
 
-        ``indices`` ascend.
+        ``indices`` are in ascending order.
         """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
@@ -48,25 +48,25 @@ class Engine(Protocol):
         """Submit a script, to start when the jobs with the ids ``after`` have ended; returns its job's id."""
 
     def jobs(self, root: Path) -> list[str]:
-        """Ids of this folder's jobs in the queue, pending or running."""
+        """Ids of the pending and running jobs of the dataset folder ``root``."""
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
         """Cancel the jobs with these ids."""
 
 
 def job_name(root: Path) -> str:
-    """Name of all jobs of a dataset folder, by which the queue's commands find them."""
+    """Common name of all jobs of a dataset folder, unique to the folder."""
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 
 def with_setup(options: SlurmOptions, root: Path) -> str:
-    """First shell lines of every job: the user's setup, and the variable ``$folder``."""
+    """First shell lines of every job: the user's setup code and the definition of ``$folder``."""
     setup = f"{options.setup.rstrip()}\n" if options.setup.strip() else ""
     return f"set -u\n{setup}folder={shlex.quote(str(root.resolve()))}"
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """Shell commands of the collecting job; they exit with the code of the last failed step."""
+    """Shell commands of the job that collects, verifies and reports; exit code: that of the last failure."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?
@@ -77,7 +77,10 @@ exit "$code"
 
 
 def ask(where: Path, expected: str, *command: str) -> str:
-    """Run a queue's command and return its output. Raises :class:`InputError` with its error output."""
+    """Run a queue's command and return its output.
+
+    Raises :class:`InputError`, with ``where``, ``expected`` and the error output, if the command fails.
+    """
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         got = " ".join(done.stderr.split()) or f"exit code {done.returncode}"

@@ -59,7 +59,7 @@ class FolderRecord(StrictModel):
 
 
 class PlannedUnit(StrictModel):
-    """``plan.json``: a unit of work. ``key`` hashes everything that affects its bytes."""
+    """A unit in ``plan.json``; ``key`` is the hash of everything that affects the unit's bytes."""
 
     index: Annotated[int, Field(ge=0)]
     id: Slug
@@ -82,7 +82,7 @@ class Plan(StrictModel):
 
 
 class ViewTiming(StrictModel):
-    """Seconds spent on one view, by stage."""
+    """Time spent on one view, in seconds by stage of rendering."""
 
     view: str
     seconds: dict[str, float]
@@ -107,7 +107,7 @@ class UnitManifest(StrictModel):
 
 
 class FailureRecord(StrictModel):
-    """``failed/<id>.json``: a unit whose every attempt failed."""
+    """``failed/<id>.json``: a unit of which all attempts failed, its log, and the command that repeats it."""
 
     id: Slug
     index: int
@@ -119,7 +119,7 @@ class FailureRecord(StrictModel):
 
 @dataclass(frozen=True)
 class _Inside:
-    """Descriptor of a :class:`DatasetFolder`'s path, by its name relative to the root."""
+    """Descriptor that returns the path ``name`` in the root of a :class:`DatasetFolder`."""
 
     name: str
 
@@ -177,12 +177,9 @@ class DatasetFolder:
         return read_json(Configuration, inside(self.root, self.configuration_path(unit.id)))
 
     def read_manifest(self, unit: PlannedUnit) -> UnitManifest | None:
-        """The unit's manifest, or None while it is not done. Raises :class:`InputError` for a damaged one.
-
-        The file is opened, since network file systems cache negative look-ups.
-        """
+        """The unit's manifest, or None if it does not exist. Raises :class:`InputError` for a damaged one."""
         path = self.manifest_path(unit)
-        try:
+        try:  # opens the file, since network file systems cache negative look-ups
             os.close(os.open(path, os.O_RDONLY | _NEITHER_LINKS_NOR_PIPES))
         except FileNotFoundError:
             return None
@@ -212,7 +209,7 @@ class DatasetFolder:
         return stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
 
     def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
-        """Raise :class:`InputError` unless the folder is empty or of this ``recipe`` and ``record``."""
+        """Raise :class:`InputError` unless the folder is empty or has the same ``recipe`` and ``record``."""
         if not self.record_path.exists():
             if any(not path.name.startswith(".") for path in self.root.iterdir()):
                 expected = "a new or empty folder, or a dataset folder"
@@ -240,7 +237,7 @@ class DatasetFolder:
 
 
 def unit_key(configuration: Configuration, recipe: Recipe, variant: str, versions: dict[str, str]) -> str:
-    """SHA-256 of everything that affects a unit's bytes."""
+    """SHA-256, in hexadecimal, of everything that affects the bytes of a unit."""
     parts = {
         "configuration": configuration.model_dump(mode="json"),
         "render": recipe.render.model_dump(mode="json"),
@@ -253,13 +250,13 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
 
 
 def rooms_of(path: Path) -> list[Path]:
-    """The folder of a dataset's generated rooms, in a list; empty if it has none."""
+    """A list of the folder of generated rooms of the dataset ``path``; empty if there is none."""
     rooms = DatasetFolder(path).rooms_path
     return [rooms] if rooms.is_dir() else []
 
 
 def library_of(path: Path) -> list[Path] | None:
-    """Library folders of a dataset folder, with its rooms; None if it is not one or a folder is missing."""
+    """Folders of a dataset's library and generated rooms; None if one, or ``dataset.json``, is missing."""
     try:
         paths = DatasetFolder(path).library_paths()
     except InputError:

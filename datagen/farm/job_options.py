@@ -50,7 +50,7 @@ _RESERVED = {
 class SlurmOptions:
     """Resource requests of the job scripts, with times and memory in Slurm's syntax.
 
-    ``notice_s`` seconds before the time limit a unit is signalled to finish its view, then requeued.
+    ``notice_s`` seconds before its time limit, a unit is signalled to finish its view, then requeued.
     ``setup`` is shell code that makes ``datagen`` callable on a node. Plans longer than ``max_array`` (the
     cluster's MaxArraySize) become several array jobs. The collecting job has its own resources; it shares
     account, qos, exclude, mail and, by default, partition with the units. Raises :class:`InputError` with all
@@ -118,7 +118,7 @@ class SlurmOptions:
 
 
 def seconds_of(time_limit: str) -> int:
-    """Seconds of a time limit in Slurm's syntax: minutes, M:S, H:M:S, D-H, D-H:M or D-H:M:S."""
+    """Convert a time limit to seconds from Slurm's syntax: M, M:S, H:M:S, D-H, D-H:M or D-H:M:S."""
     days, dash, rest = time_limit.rpartition("-")
     parts = [int(part) for part in rest.split(":")]
     if dash:
@@ -136,7 +136,7 @@ def option_name(field: str) -> str:
 
 
 def _wrong_setup(setup: str) -> list[Problem]:
-    """Fault of setup code, if any: an incomplete command would absorb the lines after it."""
+    """The fault of setup code, if any: bash would join an incomplete command with the lines after it."""
     if not setup.strip():
         return []
     remedy = "write complete bash commands, such as: source .venv/bin/activate"
@@ -153,7 +153,7 @@ def _wrong_setup(setup: str) -> list[Problem]:
 
 
 def split_option(text: str) -> tuple[str, str | None]:
-    """Name and value (None without one) of NAME or NAME=VALUE, with or without leading dashes."""
+    """Split NAME or NAME=VALUE, with or without leading dashes, into name and value (None if absent)."""
     name, separator, value = text.removeprefix("--").partition("=")
     return name, value if separator else None
 

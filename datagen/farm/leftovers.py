@@ -13,7 +13,7 @@ import shutil
 from pathlib import Path
 
 from datagen.farm.folder import DatasetFolder, PlannedUnit
-from datagen.farm.status import RUNNING_AGE_S, age_of_attempt, file_system_now
+from datagen.farm.status import RUNNING_AGE_S, age_of_attempt, file_system_now, names_in
 from datagen.foundation.durable import sync_folder
 from datagen.foundation.errors import InputError
 
@@ -23,32 +23,25 @@ _PARTIAL_MARKER = re.compile(r"\.+(?P<key>[0-9a-f]{64})\.json\.[0-9a-f]{12}\.par
 
 
 def find_leftovers(root: Path) -> list[Path]:
-    """Unneeded files and folders of planned units that are not in progress, sorted.
+    """Sorted paths of the unneeded files and folders of planned units that are not in progress.
 
-    Other names than those of this project are ignored. Raises :class:`InputError` if there is no plan.
+    Files whose names this project does not use are ignored. Raises :class:`InputError` if there is no plan.
     """
     folder = DatasetFolder(root)
     units = folder.read_plan().units
     by_id, by_key = {unit.id: unit for unit in units}, {unit.key: unit for unit in units}
     now = file_system_now(folder)
-    found = []
-    for name in _names(folder.shards_path):
+    candidates: list[tuple[Path, PlannedUnit | None]] = []
+    for name in names_in(folder.shards_path):
         if match := _SHARD.fullmatch(name) or _PARTIAL_SHARD.fullmatch(name):
-            unit = by_id.get(match["id"])
-            if unit is not None and not _is_needed(folder, unit, name, now):
-                found.append(folder.shards_path / name)
-    for name in _names(folder.units_path):
+            candidates.append((folder.shards_path / name, by_id.get(match["id"])))
+    for name in names_in(folder.units_path):
         if match := _PARTIAL_MARKER.fullmatch(name):
-            unit = by_key.get(match["key"])
-            if unit is not None and not _is_needed(folder, unit, name, now):
-                found.append(folder.units_path / name)
-    works = set(_names(root / "work"))
-    found += [
-        folder.work_path(unit)
-        for unit in units
-        if folder.work_path(unit).name in works and _is_over(folder, unit, now)
-    ]
-    return sorted(found)
+            candidates.append((folder.units_path / name, by_key.get(match["key"])))
+    found = [p for p, unit in candidates if unit is not None and not _is_needed(folder, unit, p.name, now)]
+    names = names_in(root / "work")
+    works = [unit for unit in units if folder.work_path(unit).name in names]
+    return sorted([*found, *(folder.work_path(unit) for unit in works if _is_over(folder, unit, now))])
 
 
 def remove_leftovers(root: Path) -> list[Path]:
@@ -66,15 +59,8 @@ def remove_leftovers(root: Path) -> list[Path]:
     return removed
 
 
-def _names(folder: Path) -> list[str]:
-    try:
-        return sorted(entry.name for entry in os.scandir(folder))
-    except (FileNotFoundError, NotADirectoryError):
-        return []
-
-
 def _is_needed(folder: DatasetFolder, unit: PlannedUnit, name: str, now: float) -> bool:
-    """Whether a file is the unit's shard, or may become it while an attempt is running."""
+    """Whether the file ``name`` is the unit's shard, or may become it since an attempt is running."""
     if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S:
         return True
     try:

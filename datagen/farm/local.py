@@ -30,7 +30,11 @@ GRACE_S = 20.0  # time that workers have to stop before they are killed
 
 @dataclass(frozen=True)
 class LocalOptions:
-    """Options of a local run; ``max_growth_mb`` limits growth of memory after a worker's first unit."""
+    """Options of a local run.
+
+    A worker is replaced after ``max_units_per_worker`` units, or if its memory has grown by more than
+    ``max_growth_mb`` since its first unit.
+    """
 
     workers: int = 1
     attempts: int = 3
@@ -43,7 +47,7 @@ class LocalOptions:
 
 @dataclass
 class RunSummary:
-    """Outcome of a run: ids of finished units, number of units done before, and records of failed units."""
+    """Outcome of a run; ``done`` lists ids, and ``already_done`` counts the units finished before it."""
 
     done: list[str] = field(default_factory=list)
     already_done: int = 0
@@ -54,7 +58,7 @@ class RunSummary:
 
     @property
     def set_aside(self) -> list[str]:
-        """Ids of the units that failed."""
+        """Ids of the units of which all attempts failed."""
         return [failure.id for failure in self.failures]
 
 
@@ -65,22 +69,22 @@ maximum number of attempts), with kind "retry" or "set_aside".
 
 
 class _Worker:
-    """The parent's handle of a worker process."""
+    """Handle of a worker process: its pipe, current unit, and number of finished units."""
 
     def __init__(self, root: Path, threads: int, stages: tuple[str, ...]):
         context = get_context("spawn")
-        self.connection, theirs = context.Pipe()
+        self.connection, child_end = context.Pipe()
         self.process: BaseProcess = context.Process(
-            target=worker_main, args=(theirs, str(root), threads, stages), daemon=True
+            target=worker_main, args=(child_end, str(root), threads, stages), daemon=True
         )
         self.process.start()
-        theirs.close()
+        child_end.close()
         self.unit: PlannedUnit | None = None
         self.log: Path | None = None
         self.num_units = 0
         self.first_memory_mb = 0.0
 
-    def give(self, unit: PlannedUnit, log: Path) -> None:
+    def assign(self, unit: PlannedUnit, log: Path) -> None:
         self.unit, self.log = unit, log
         with suppress(OSError):  # the process may have died, which the sentinel reports
             self.connection.send((unit.index, str(log)))
@@ -93,7 +97,7 @@ class _Worker:
         return self.num_units >= options.max_units_per_worker or grown > options.max_growth_mb
 
     def dismiss(self) -> None:
-        """Send an idle worker the message to end, and wait for it."""
+        """Send an idle worker process the message to end, and wait until it has ended."""
         with suppress(OSError):  # the process may already have ended
             self.connection.send(None)
         self.process.join(GRACE_S)
@@ -143,22 +147,20 @@ class _LocalRun:
     workers: list[_Worker] = field(default_factory=list)
 
     def finish(self) -> None:
-        """Process the queue until it is empty, a signal arrives or the disk is full."""
-        stop = {"asked": False}
-        previous = {
-            number: signal.signal(number, lambda *_: stop.update(asked=True)) for number in STOP_SIGNALS
-        }
+        """Run the queued units until all are done, a signal arrives or the disk is full."""
+        signals: list[int] = []
+        previous = {n: signal.signal(n, lambda number, _: signals.append(number)) for n in STOP_SIGNALS}
         num_workers = max(1, min(self.options.workers, len(self.todo)))
         threads = max(1, available_cpus() // num_workers)
         try:
-            while not stop["asked"] and not self.summary.disk_full:
+            while not signals and not self.summary.disk_full:
                 num_busy = sum(worker.unit is not None for worker in self.workers)
                 if not self.todo and not num_busy:
                     break
-                self._give_work(min(num_workers, len(self.todo) + num_busy), threads)
+                self._assign_units(min(num_workers, len(self.todo) + num_busy), threads)
                 for worker in _ready(self.workers):
                     self._handle(worker)
-            self.summary.interrupted = stop["asked"]
+            self.summary.interrupted = bool(signals)
             if self.summary.interrupted or self.summary.disk_full:
                 _stop_all(self.workers)
         finally:
@@ -167,14 +169,14 @@ class _LocalRun:
             for number, handler in previous.items():
                 signal.signal(number, handler)
 
-    def _give_work(self, num_workers: int, threads: int) -> None:
+    def _assign_units(self, num_workers: int, threads: int) -> None:
         while len(self.workers) < num_workers:
             self.workers.append(_Worker(self.folder.root, threads, self.options.stages))
         for worker in self.workers:
             if worker.unit is None and self.todo:
                 unit = self.todo.popleft()
                 self.attempts[unit.id] += 1
-                worker.give(unit, self.folder.logs_path / f"{unit.id}.{self.attempts[unit.id]}.log")
+                worker.assign(unit, self.folder.logs_path / f"{unit.id}.{self.attempts[unit.id]}.log")
 
     def _handle(self, worker: _Worker) -> None:
         """Handle a worker's message, or the end of its process."""
@@ -184,8 +186,7 @@ class _LocalRun:
         except (EOFError, OSError):
             message = None
         if message is None:
-            if worker.process.is_alive() and worker.process.exitcode is None:
-                worker.process.join(1.0)
+            worker.process.join(1.0)
             if worker.process.exitcode is None:
                 return
             self.workers.remove(worker)
@@ -241,16 +242,12 @@ class _LocalRun:
 
 
 def _ready(workers: list[_Worker]) -> list[_Worker]:
-    """Workers with a message or whose process has ended; waits at most 1 s, so that signals are noticed."""
-    handles: dict[object, _Worker] = {}
-    for worker in workers:
-        handles[worker.connection] = worker
-        handles[worker.process.sentinel] = worker
-    found: list[_Worker] = []
-    for handle in wait(list(handles), timeout=1.0):  # type: ignore[arg-type]
-        if handles[handle] not in found:
-            found.append(handles[handle])
-    return found
+    """Workers that have sent a message or ended; waits at most 1 s, to react to signals."""
+    handles = {
+        handle: worker for worker in workers for handle in (worker.connection, worker.process.sentinel)
+    }
+    ready = wait(list(handles), timeout=1.0)
+    return list(dict.fromkeys(handles[handle] for handle in ready))  # type: ignore[index]
 
 
 def _end_of(exit_code: int) -> str:

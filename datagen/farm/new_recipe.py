@@ -65,7 +65,7 @@ def new(
 def write_recipe(
     file: Path, configurations: int, views: int, resolution: str, quality: str, seed: int = 0
 ) -> Path:
-    """Write a recipe and, in its folder, the schema. Raises :class:`InputError` for impossible answers."""
+    """Write a recipe and, in its folder, the schema. Raises :class:`InputError` for invalid answers."""
     import yaml
 
     from datagen.formats.base import parse_model, write_bytes_atomically

@@ -19,7 +19,7 @@ _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "c
 
 
 class PbsEngine:
-    """The engine for PBS, by ``qsub``, ``qselect`` and ``qdel``; ``--partition`` is the queue's name."""
+    """The engine for PBS, which calls ``qsub``, ``qselect`` and ``qdel``; ``--partition`` is a PBS queue."""
 
     program = "qsub"
 
@@ -44,13 +44,9 @@ class PbsEngine:
         ]
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        head = _directives(
-            root,
-            options,
-            _select(options.collect_cpus, options.collect_memory, 0),
-            options.collect_time,
-            options.collect_partition or options.partition,
-        )
+        select = _select(options.collect_cpus, options.collect_memory, 0)
+        queue = options.collect_partition or options.partition
+        head = _directives(root, options, select, options.collect_time, queue)
         return Script(
             "collect.pbs",
             f"""#!/bin/bash
@@ -66,10 +62,10 @@ exec >> "$folder/logs/pbs-collect.log" 2>&1
         return ask(script, "an accepted job", "qsub", *wait, str(script.resolve())).strip()
 
     def jobs(self, root: Path) -> list[str]:
-        return sorted(set(ask(root, "an answer from PBS", "qselect", "-N", job_name(root)).split()))
+        return sorted(set(ask(root, "a list of jobs", "qselect", "-N", job_name(root)).split()))
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
-        ask(root, "jobs that end", "qdel", *ids)
+        ask(root, "cancelled jobs", "qdel", *ids)
 
 
 def _select(cpus: int, memory: str, gpus: int) -> str:

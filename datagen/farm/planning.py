@@ -32,7 +32,7 @@ def check_start(recipe: Recipe, library: Library) -> None:
 
 
 def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
-    """Create a dataset folder; raises :class:`InputError` if it has another recipe, library or version."""
+    """Create or reopen a dataset folder. Raises :class:`InputError` if recipe, library or versions differ."""
     folder = DatasetFolder(root)
     record = FolderRecord(
         recipe_sha256=sha256_hex(canonical_json(recipe)),
@@ -79,7 +79,7 @@ def create_plan(
 ) -> Plan:
     """Assemble the missing configurations and write the plan; if there is a plan, read it.
 
-    ``report(done, total)`` is called for each assembled configuration, ``tell`` with each of
+    ``report(done, total)`` is called for each assembled configuration, ``tell`` with each note of
     :func:`notes_before`. Raises :class:`InputError` for faults of recipe, library or folder.
     """
     if not DatasetFolder(root).plan_path.exists():
@@ -109,7 +109,7 @@ def create_plan(
 
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """Sentences about valid content of recipe and library that may surprise the user."""
+    """Notes on valid but unusual content: objects that do not fit, implausible sizes, rooms without a sky."""
     return [
         *map(str, unplaceable(recipe, library)),
         *implausible_sizes(recipe, library),
@@ -118,10 +118,8 @@ def notes_before(recipe: Recipe, library: Library) -> list[str]:
 
 
 def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:
-    """Yield the configurations of a plan, in its order."""
-    folder = DatasetFolder(root)
-    for unit in plan.units:
-        yield read_json(Configuration, folder.configuration_path(unit.id))
+    """Yield the configurations of the dataset folder ``root``, in the plan's order."""
+    yield from map(DatasetFolder(root).read_configuration, plan.units)
 
 
 def _is_assembled(folder: DatasetFolder, recipe: Recipe, library: Library, index: int) -> bool:

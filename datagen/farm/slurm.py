@@ -21,7 +21,7 @@ from datagen.foundation.errors import input_error
 
 
 def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> str:
-    """``#SBATCH`` lines; the value None means an option without value, '' an absent option.
+    """Format ``#SBATCH`` lines: None is an option without value; an option with the value '' is left out.
 
     Values are double-quoted if necessary (otherwise ``#`` would begin a comment).
     """
@@ -32,14 +32,13 @@ def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> 
         if value is not None and not can_be_directive(value):
             raise input_error("farm submit", name, ascii(value), "one line without quotes", "correct it")
         is_plain = value is None or re.fullmatch(r"[\w.,:@%/+=-]+", value)
-        lines.append(
-            f"#SBATCH --{name}" + ("" if value is None else f"={value}" if is_plain else f'="{value}"')
-        )
+        assigned = "" if value is None else f"={value}" if is_plain else f'="{value}"'
+        lines.append(f"#SBATCH --{name}{assigned}")
     return "\n".join(lines)
 
 
 def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | None]:
-    """Directives of both units and collecting job."""
+    """Directives common to the array jobs and the collecting job."""
     return {
         "job-name": job_name(root),
         "account": options.account,
@@ -52,7 +51,10 @@ def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | Non
 
 
 def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[int]) -> str:
-    """The array job's script; task i runs unit ``offset + i``, since Slurm limits array indices."""
+    """Script of an array job for the units ``indices``; task i runs unit ``offset + i``.
+
+    The offset keeps the array's indices below Slurm's limit.
+    """
     check_folder(root, "slurm")
     throttle = f"%{options.throttle}" if options.throttle else ""
     directives: dict[str, str | None] = {
@@ -95,7 +97,7 @@ exit "$code"
 
 
 def collect_script(root: Path, options: SlurmOptions) -> str:
-    """The collecting job's script (see :func:`collect_commands`), which requests no GPU."""
+    """Script of the collecting job, which runs :func:`collect_commands` and requests no GPU."""
     check_folder(root, "slurm")
     directives: dict[str, str | None] = {
         **_shared_directives(root, options),
@@ -113,7 +115,7 @@ def collect_script(root: Path, options: SlurmOptions) -> str:
 
 
 def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
-    """Commands that run the units ``indices``, one per line, for any other queue (GNU parallel, SGE, ...)."""
+    """Commands that run the units ``indices``, one per line, for other queues (GNU parallel, SGE, ...)."""
     check_folder(root, "shell")
     folder = shlex.quote(str(root.resolve()))
     lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]
@@ -121,12 +123,12 @@ def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
 
 
 def _escaped(path: Path) -> str:
-    """A path escaped for Slurm's file name patterns."""
+    """Escape a path for Slurm's file name patterns."""
     return str(path).replace("%", "%%")
 
 
 class SlurmEngine:
-    """The engine for Slurm, by ``sbatch``, ``squeue`` and ``scancel``."""
+    """The engine for Slurm, which calls ``sbatch``, ``squeue`` and ``scancel``."""
 
     program = "sbatch"
 
@@ -151,14 +153,12 @@ class SlurmEngine:
         return answer.strip().split(";")[0]
 
     def jobs(self, root: Path) -> list[str]:
-        """Ids of this folder's jobs; an array counts as one."""
+        """Ids of the dataset folder's jobs; an array counts as one."""
         name = f"--name={job_name(root)}"
-        return sorted(
-            set(ask(root, "an answer from Slurm", "squeue", "--noheader", "--format=%A", name).split())
-        )
+        return sorted(set(ask(root, "a list of jobs", "squeue", "--noheader", "--format=%A", name).split()))
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
-        ask(root, "jobs that end", "scancel", f"--name={job_name(root)}")
+        ask(root, "cancelled jobs", "scancel", f"--name={job_name(root)}")
 
 
 class ShellEngine:

@@ -18,7 +18,7 @@ _PACKED_SHARE = 0.37
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Bytes of the shards of ``num_units`` unfinished units, and of the files of units in progress."""
+    """Estimated bytes of the shards of ``num_units`` unfinished units, and of the views in progress."""
 
     num_units: int
     shard_bytes: float
@@ -30,11 +30,14 @@ class SpaceNeed:
 
 
 def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
-    """Space for the remaining units, ``workers`` at a time, from existing shards or the size of views."""
+    """Estimate the space for the unfinished units, ``workers`` at a time, from finished shards or, if none,
+    from the resolution.
+    """
     plan, recipe = folder.read_plan(), folder.read_recipe()
     pixels = recipe.resolution[0] * recipe.resolution[1]
-    manifests = [folder.read_manifest(unit) for unit in plan.units if folder.is_done(unit)]
-    done = [manifest for manifest in manifests if manifest is not None]
+    done = [
+        m for unit in plan.units if folder.is_done(unit) and (m := folder.read_manifest(unit)) is not None
+    ]
     todo = [unit for unit in plan.units if not folder.is_done(unit)]
     if done:
         bytes_per_view = sum(m.num_bytes for m in done) / sum(m.num_views for m in done)
@@ -49,16 +52,11 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
 
 
 def check_space(folder: DatasetFolder, workers: int) -> None:
-    """Raise :class:`InputError` if the remaining units need more than the free disk space, by estimate."""
+    """Raise :class:`InputError` if the unfinished units are estimated to need more than the free space."""
     need = needed_space(folder, workers)
     free = shutil.disk_usage(folder.root).free
     if need.total_bytes > free:
+        needed = f"about {need.total_bytes / 1e6:,.0f} MB for {need.num_units} units "
+        needed += f"({need.working_bytes / 1e6:,.0f} MB of it temporarily)"
         remedy = "free space, reduce the recipe, choose another --out, or try it with --no-space-check"
-        raise input_error(
-            folder.root,
-            "free disk",
-            f"{free / 1e6:,.0f} MB",
-            f"about {need.total_bytes / 1e6:,.0f} MB for {need.num_units} units "
-            f"({need.working_bytes / 1e6:,.0f} MB of it temporarily)",
-            remedy,
-        )
+        raise input_error(folder.root, "free disk", f"{free / 1e6:,.0f} MB", needed, remedy)

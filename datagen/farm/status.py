@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""State of a plan's units, from the files of its folder: manifests are authoritative, logs are not."""
+"""Reads the state of a plan's units from its folder; manifests are authoritative, logs are not."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import statistics
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit, UnitManifest
@@ -20,7 +21,7 @@ RUNNING_AGE_S = 600.0
 
 @dataclass(frozen=True)
 class FarmStatus:
-    """Counts and rates of a plan.
+    """Progress of a plan: numbers of units and views, ids of running units, times and rates.
 
     ``core_seconds`` is the total running time of finished units; ``array_spec`` lists the unfinished units in
     the syntax of Slurm's ``--array``.
@@ -42,35 +43,29 @@ class FarmStatus:
 
 
 def array_spec(indices: list[int]) -> str:
-    """Indices as Slurm's sparse array syntax: ``0-3,7,9-12``."""
-    parts: list[str] = []
-    start = previous = None
-    for index in [*sorted(indices), None]:
-        if start is not None and (index is None or index != previous + 1):  # type: ignore[operator]
-            parts.append(str(start) if start == previous else f"{start}-{previous}")
-            start = None
-        if start is None:
-            start = index
-        previous = index
-    return ",".join(parts)
+    """Format indices in the syntax of Slurm's ``--array``: ``0-3,7,9-12``."""
+    groups = groupby(enumerate(sorted(indices)), lambda entry: entry[1] - entry[0])
+    runs = [[index for _, index in group] for _, group in groups]
+    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
-def _names(folder: Path) -> set[str]:
+def names_in(folder: Path) -> set[str]:
+    """Names of the entries of ``folder``; empty if it is not a folder."""
     try:
         return {entry.name for entry in os.scandir(folder)}
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return set()
 
 
 def read_status(root: Path) -> FarmStatus:
-    """Read the state of a planned folder. Raises :class:`InputError` if there is no plan.
+    """Read the progress of a dataset folder. Raises :class:`InputError` if there is no plan.
 
-    Markers, shards, work and failures are listed once each, and each manifest is read once.
+    Each folder is listed once, and each manifest is read once.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
-    markers = _names(folder.units_path)
-    shards = {f"shards/{name}" for name in _names(folder.shards_path)}
+    markers = names_in(folder.units_path)
+    shards = {f"shards/{name}" for name in names_in(folder.shards_path)}
     now = file_system_now(folder)
     done: list[UnitManifest] = []
     finish_times: list[float] = []
@@ -109,7 +104,7 @@ def read_status(root: Path) -> FarmStatus:
 
 
 def file_system_now(folder: DatasetFolder) -> float:
-    """Time of the file system's clock, from a file touched now, since clocks of hosts differ."""
+    """Current time in seconds by the file system's clock, from a touched file; clocks of hosts differ."""
     probe = folder.root / f".clock.{os.getpid()}"
     try:
         probe.touch()
@@ -122,7 +117,7 @@ def file_system_now(folder: DatasetFolder) -> float:
 
 
 def age_of_attempt(work: Path, now: float) -> float:
-    """Seconds since the last heartbeat of an attempt at a unit; infinite if there is none."""
+    """Seconds since the last heartbeat of an attempt in the folder ``work``; infinite if there is none."""
     try:
         return abs(now - (work / "running").stat().st_mtime)  # abs: the clock may have been set back
     except OSError:
@@ -130,7 +125,7 @@ def age_of_attempt(work: Path, now: float) -> float:
 
 
 def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureRecord]:
-    names = _names(folder.failed_path)
+    names = names_in(folder.failed_path)
     records = []
     for unit in undone:
         if f"{unit.id}.json" in names:
@@ -142,7 +137,7 @@ def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureR
 
 
 def _rate_per_hour(times: list[float], now: float) -> float | None:
-    """Units finished per hour, in the last hour or since its first finished unit; None for fewer than two."""
+    """Units finished per hour since the first one of the last hour; None if fewer than two were finished."""
     recent = [t for t in times if now - t <= 3600]
     if len(recent) < 2:
         return None
@@ -176,7 +171,7 @@ def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
 
 
 def print_status(root: Path, cost_per_core_hour: float = 0.0) -> FarmStatus:
-    """Print the status as text and return it."""
+    """Print and return the status of a dataset folder; the price is that of a unit's resources per hour."""
     status = read_status(root)
     hours = status.core_seconds / 3600
     print(

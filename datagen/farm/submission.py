@@ -31,7 +31,7 @@ class Submission:
 
 
 def engine_of(name: str) -> Engine:
-    """The engine with this name. Raises :class:`InputError` with the known names."""
+    """The engine with this name. Raises :class:`InputError` for an unknown name."""
     if name not in ENGINES:
         raise input_error("farm", "engine", name, ", ".join(ENGINES), "choose one of them")
     return ENGINES[name]
@@ -79,7 +79,7 @@ def submit(
 
 
 def cancel(root: Path, engine: str = "slurm") -> list[str]:
-    """Cancel every job of this folder and return the ids; finished units are kept."""
+    """Cancel every job of a dataset folder and return the jobs' ids; finished units are kept."""
     DatasetFolder(root).read_plan()
     queue = engine_of(engine)
     ids = queue.jobs(root)

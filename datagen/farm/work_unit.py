@@ -2,9 +2,8 @@
 """Runs a unit, from its configuration to its committed shard, interruptible and resumable at any point.
 
 Stages communicate through files only: ``render`` writes finished views, ``stats`` writes views with
-statistics, ``pack`` writes the shard and its manifest. Every file appears whole or not at all, and the
-manifest last by ``os.link``: of two processes on a unit, the first to finish commits it, the second has no
-effect.
+statistics, ``pack`` writes the shard and its manifest. Every file is written atomically, the manifest last by
+``os.link``: of two processes on a unit, the first to finish commits it, the second has no effect.
 """
 
 from __future__ import annotations
@@ -232,11 +231,8 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
         StatisticsView.from_buffers(record.camera.camera(), buffers, record.name)
         for buffers, record in zip(stored, records, strict=True)
     ]
-    options = StatisticsOptions(
-        best_views=settings.best_views,
-        include_self=settings.include_self,
-        visibility=VisibilityOptions(mode=settings.visibility),
-    )
+    visibility = VisibilityOptions(mode=settings.visibility)
+    options = StatisticsOptions(settings.best_views, settings.include_self, visibility=visibility)
     statistics_record = StatisticsRecord(num_views=len(views), **settings.model_dump())
     run.progress("stats", 0, len(names))
     light = light_of_views(run, configuration, views) if settings.light else None
@@ -252,7 +248,7 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
 
 
 def light_of_views(run: UnitRun, configuration: Configuration, views: Sequence[StatisticsView]) -> ViewLight:
-    """The light recorded by a configuration's views, from their images and cameras and the room's mesh.
+    """Estimate the light in a configuration's room from the views' images and cameras and the room's mesh.
 
     Raises :class:`InputError` if the views show too little surface.
     """
@@ -345,13 +341,13 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
         publish_first(partial, path)
     except FileExistsError:
         try:
-            winner = run.folder.read_manifest(run.unit)
+            other = run.folder.read_manifest(run.unit)
         except InputError:
-            winner = None
-        is_wrong = winner is not None and winner.shard == manifest.shard and winner.sha256 != manifest.sha256
-        if winner is None or is_wrong or not run.folder.is_done(run.unit):  # damaged, or without its shard
+            other = None
+        is_wrong = other is not None and other.shard == manifest.shard and other.sha256 != manifest.sha256
+        if other is None or is_wrong or not run.folder.is_done(run.unit):  # damaged, or without its shard
             publish(partial, path)
-        elif winner.shard != manifest.shard:
+        elif other.shard != manifest.shard:
             (run.folder.root / manifest.shard).unlink(missing_ok=True)
     finally:
         partial.unlink(missing_ok=True)

@@ -29,7 +29,7 @@ STOP_SIGNALS = tuple(
 
 
 def available_cpus() -> int:
-    """Number of processors that this process may use, of which a queue may grant fewer than exist."""
+    """Number of processors that this process may use; a queue may grant fewer than the machine has."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -54,15 +54,11 @@ def planned_unit(plan: Plan, root: Path, index: int) -> PlannedUnit:
 
 def worker_main(connection: Connection, root: str, threads: int, stages: tuple[str, ...]) -> None:
     """Main function of a worker process: receive an index, run the unit, send the outcome, repeat."""
-    stop = {"asked": False}
+    signals: list[int] = []
     parent = os.getppid()
-
-    def ask_to_stop(signum: int, frame: object) -> None:
-        stop["asked"] = True
-
     for number in STOP_SIGNALS:  # Ctrl-C and queues signal all processes; only the parent reacts
         signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, ask_to_stop)
+    signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, str(threads))
     folder = DatasetFolder(Path(root))
@@ -78,7 +74,11 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
         try:
             with _redirected_output(Path(log)):
                 outcome = _run_one(
-                    context, index, stages, connection, lambda: stop["asked"] or os.getppid() != parent
+                    context,
+                    index,
+                    stages,
+                    report=lambda *progress: connection.send(("progress", *progress)),
+                    should_stop=lambda: bool(signals) or os.getppid() != parent,
                 )
         except OSError as error:  # no space for a log
             outcome = "failed", f"{type(error).__name__}: {error}"
@@ -87,12 +87,12 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
         memory = psutil.Process().memory_info().rss / 2**20
         try:
             connection.send(("outcome", *outcome, memory))
-        except (BrokenPipeError, OSError):
+        except OSError:
             return
 
 
 def _full(error: OSError, root: Path) -> str:
-    """Message about a full disk."""
+    """Message of the error of a write to a full disk."""
     return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
 
 
@@ -121,7 +121,7 @@ class _redirected_output:
 
 
 class _WorkerContext:
-    """Plan, recipe and library, read once per process; ``threads`` None keeps Dr.Jit's default."""
+    """Plan, recipe and library, read once per process; with ``threads`` None, Dr.Jit's default is used."""
 
     def __init__(self, folder: DatasetFolder, threads: int | None):
         self.folder = folder
@@ -147,14 +147,11 @@ def _run_one(
     context: _WorkerContext,
     index: int,
     stages: tuple[str, ...],
-    connection: Connection | None,
+    report: Callable[[str, int, int], None],
     should_stop: Callable[[], bool],
 ) -> tuple[str, str]:
+    """Run a unit; returns done, already, interrupted, failed or full (disk), and the reason of a failure."""
     from datagen.farm.work_unit import Interrupted, UnitRun, run_unit
-
-    def report(stage: str, done: int, total: int) -> None:
-        if connection is not None:
-            connection.send(("progress", stage, done, total))
 
     try:
         context.prepare()
@@ -196,22 +193,13 @@ def run_unit_here(
 
     Returns an exit code: 0 done, 75 stopped by SIGTERM, SIGINT or SIGUSR1 (run it again), 1 failed.
     """
-    stop = {"asked": False}
-
-    def ask_to_stop(signum: int, frame: object) -> None:
-        stop["asked"] = True
-
+    signals: list[int] = []
     for number in STOP_SIGNALS:
-        signal.signal(number, ask_to_stop)
+        signal.signal(number, lambda number, _: signals.append(number))
     context = _WorkerContext(DatasetFolder(root), available_cpus())
     unit = planned_unit(context.plan, root, index)
     if not context.folder.is_done(unit):
         check_writable(root)
         check_variant(context.plan.variant)
-
-    class _Reporter:
-        def send(self, message: tuple) -> None:
-            report(*message[1:])
-
-    outcome, _ = _run_one(context, index, stages, _Reporter(), lambda: stop["asked"])  # type: ignore[arg-type]
+    outcome, _ = _run_one(context, index, stages, report, lambda: bool(signals))
     return {"done": 0, "already": 0, "interrupted": EXIT_INTERRUPTED}.get(outcome, 1)

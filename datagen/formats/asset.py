@@ -31,14 +31,11 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.cameras import Camera
 
 ASSET_FILE = "asset.json"
-MATERIAL_CLASSES = (
-    "wood", "metal", "plastic", "rubber", "leather", "fabric", "ceramic", "stone", "paper", "glazed",
-    "painted", "plaster", "glass", "organic", "other",
-)  # fmt: skip
 MaterialClass = Literal[
     "wood", "metal", "plastic", "rubber", "leather", "fabric", "ceramic", "stone", "paper", "glazed",
     "painted", "plaster", "glass", "organic", "other",
 ]  # fmt: skip
+MATERIAL_CLASSES: tuple[str, ...] = get_args(MaterialClass)
 Surface = Literal[
     "ceiling", "wall", "tiles", "floor", "rug", "joinery", "radiator", "furniture", "tabletop", "worktop",
     "legs", "upholstery", "curtain", "towel", "shade", "appliance", "sanitary", "fitting", "frame", "cover",

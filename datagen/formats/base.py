@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import reprlib
 import stat
@@ -83,7 +82,7 @@ ClipRange = Annotated[
     AfterValidator(_check_clip),
     Field(exclude_if=lambda limits: limits is None),
 ]
-"""Near and far clipping distance of a camera in metres, along its optical axis; None = everything in front.
+"""Near and far clipping distance of a camera in metres, along its optical axis; None = no limits.
 
 None is not written: files without limits keep the bytes that they had before this field existed."""
 Radiometric3 = tuple[NonNegative, NonNegative, NonNegative]
@@ -95,7 +94,7 @@ IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 Location = tuple[int | str, ...]
-"""Keys and indices that lead to a field."""
+"""Keys and indices from the root of a file to a field."""
 
 
 # Bounded: nested YAML aliases give a small file a repr that could fill the memory.
@@ -111,9 +110,9 @@ def _field_path(location: Location) -> str:
 
 
 def problems_of(where: str | Path | Callable[[Location], str], error: ValidationError) -> list[Problem]:
-    """Problems from validation errors.
+    """Convert pydantic's validation errors to problems.
 
-    ``where``: the file, or a function from a field's keys to text naming its place, such as file and line.
+    ``where``: the file, or a function from a field's location to a text such as ``FILE:LINE``.
     """
     problems = []
     for entry in error.errors(include_url=False):
@@ -193,7 +192,7 @@ def read_yaml(model: type[ModelT], path: Path) -> ModelT:
 
 
 def differences(old: Any, new: Any, field: str = "") -> list[tuple[str, str, str]]:
-    """(field, old value, new value), as short texts, of each leaf in which two trees of plain data differ."""
+    """List each leaf in which two trees of plain data differ as short texts (field, old, new value)."""
     if isinstance(old, dict) and isinstance(new, dict):
         found = []
         for key in dict.fromkeys((*old, *new)):
@@ -214,7 +213,7 @@ def _brief(value: Any) -> str:
 
 
 def canonical_json(data: BaseModel | dict[str, Any] | list[Any]) -> bytes:
-    """UTF-8 JSON with sorted keys, two-space indent and a final newline; equal content gives equal bytes.
+    """Encode equal data as equal bytes: UTF-8 JSON with sorted keys, two-space indent and a final newline.
 
     Floats are written by ``repr``, which round-trips; NaN and Inf raise ``ValueError``.
     """
@@ -238,7 +237,7 @@ def sha256_file(path: Path) -> str:
 
 
 def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all, even in a power failure: write, flush and rename a temporary file."""
+    """Write a file atomically, also in a power failure: write, flush and rename a temporary file."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         temporary.write_bytes(data)
@@ -251,19 +250,17 @@ def write_bytes_atomically(path: Path, data: bytes) -> None:
 
 
 def quantized(value: float, digits: int = 9) -> float:
-    """``value`` rounded to ``digits`` significant digits, for readable and reproducible files."""
-    if value == 0 or not math.isfinite(value):
-        return 0.0 if value == 0 else value
-    return float(f"{value:.{digits}g}")
+    """Round ``value`` to ``digits`` significant digits, for readable and reproducible files."""
+    return float(f"{value:.{digits}g}") + 0.0  # 0.0 also for -0.0
 
 
 def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
-    """Rows of a (4, 4) affine matrix, rounded to 12 significant digits, with an exact last row."""
+    """Round the rows of a (4, 4) affine matrix to 12 significant digits; the last becomes exact."""
     rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
     return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
 
 
 def vector3(values: NDArray[Any] | list[float]) -> Vector3:
-    """Three numbers rounded to nine significant digits."""
+    """Round three numbers to nine significant digits."""
     x, y, z = (quantized(float(v)) for v in values)
     return x, y, z

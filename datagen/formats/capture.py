@@ -9,7 +9,7 @@ W, 3), linear Rec.709, row 0 at the top; all views of a capture share one exposu
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -30,8 +30,8 @@ CAPTURE_FILE = "capture.json"
 class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
-    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing coefficients are 0; ``polynomial``: k1 k2 p1 p2 k3 k4 without
-    a denominator, k4 of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4.
+    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6; ``polynomial``: k1 k2 p1 p2 k3 k4 without a denominator, where k4 is
+    the coefficient of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. Missing ones are 0.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]
@@ -91,7 +91,7 @@ class CaptureFile(StrictModel):
 
 @dataclass(frozen=True)
 class ColorImage:
-    """An image and its masks.
+    """An image of a view and its masks.
 
     ``color`` (H, W, 3) float32 linear; ``valid_mask`` (H, W): False where undistortion left no value;
     ``clipped_mask`` (H, W, 3): True where ``color`` is only a lower bound, since the sensor saturates at the
@@ -105,7 +105,7 @@ class ColorImage:
 
 
 class ImageSource(Protocol):
-    """Source of a view's pixels."""
+    """Reader of the image and stored maps of one view."""
 
     def read(self, camera: Camera) -> ColorImage:
         """The undistorted image of ``camera``. Raises :class:`InputError` if it cannot be read."""
@@ -116,7 +116,7 @@ class ImageSource(Protocol):
 
 @dataclass(frozen=True)
 class CaptureView:
-    """One view. ``camera``: pinhole camera of the undistorted image, at the resolution of processing."""
+    """A view; ``camera`` is the pinhole camera of its undistorted image, at the processed resolution."""
 
     name: str
     camera: Camera
@@ -139,7 +139,7 @@ class GeometryPart:
 
 @dataclass(frozen=True)
 class CaptureGeometry:
-    """A mesh in world space, with v of its UVs upwards, and its consecutive parts."""
+    """A mesh in world space, with v of its UVs upwards, and its parts: consecutive ranges of its faces."""
 
     mesh: Mesh
     parts: tuple[GeometryPart, ...]
@@ -149,7 +149,7 @@ class CaptureGeometry:
             raise ValueError("expected the parts to contain every face once")
 
     def emitter_mask(self) -> NDArray[np.bool_]:
-        """Mask (M,): True for emitting triangles."""
+        """Mask (M,) of the emitting triangles."""
         mask = np.zeros(len(self.mesh.faces), dtype=bool)
         for part in self.parts:
             mask[part.first_face : part.first_face + part.num_faces] = part.emission is not None
@@ -158,9 +158,9 @@ class CaptureGeometry:
 
 @dataclass(frozen=True)
 class Capture:
-    """Cameras, images and geometry.
+    """A photographed or rendered room: views and geometry.
 
-    ``lights`` are known for rendered captures only; ``notes``: sentences about the reader's decisions;
+    ``lights`` are known for rendered captures only; ``notes``: sentences about assumptions made on reading;
     ``mesh_up`` is the axis of the mesh file that was assumed to be up.
     """
 
@@ -168,7 +168,7 @@ class Capture:
     views: tuple[CaptureView, ...]
     geometry: CaptureGeometry
     lights: tuple[Light, ...] = ()
-    notes: tuple[str, ...] = field(default_factory=tuple)
+    notes: tuple[str, ...] = ()
     mesh_up: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"
 
     def __post_init__(self) -> None:

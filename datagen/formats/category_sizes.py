@@ -19,7 +19,7 @@ CATEGORY_SIZES_M: dict[str, tuple[float, float]] = {
 
 
 def size_fault(asset: ObjectAsset) -> str:
-    """Remark on an object's implausible longest side; "" if it is plausible or the category is unknown."""
+    """Describe the implausible size of an object; "" if it is plausible or the category is unknown."""
     limits = CATEGORY_SIZES_M.get(asset.category)
     if limits is None:
         return ""

@@ -83,7 +83,7 @@ class ViewCamera(PinholeFields):
 
     @classmethod
     def from_camera(cls, name: str, camera: Camera) -> ViewCamera:
-        """The file record, named ``name``, of a camera."""
+        """Create the record of a camera with the name ``name``."""
         rows = tuple(tuple(float(x) for x in row) for row in camera.world_from_camera)
         return cls(
             name=name,

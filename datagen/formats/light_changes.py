@@ -22,9 +22,9 @@ from datagen.formats.lights import (
 
 
 def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
-    """An asset's light in world space: geometry transformed by (4, 4), radiometric values unchanged.
+    """Transform an asset's light to world space by a (4, 4) matrix; radiometric values are unchanged.
 
-    An image of an environment without ``asset`` is attributed to the package ``asset_id``.
+    The image of an environment light without ``asset`` is attributed to the package ``asset_id``.
     """
     matrix = np.array(world_from_asset, dtype=np.float64)
     linear = matrix[:3, :3]
@@ -43,19 +43,13 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
         changes = {"position_m": point(light.position_m), "direction": vector(light.direction, True)}
         return light.model_copy(update=changes)
     if isinstance(light, SphereLight):
-        return light.model_copy(
-            update={"position_m": point(light.position_m), "radius_m": light.radius_m * scale}
-        )
+        sphere = {"position_m": point(light.position_m), "radius_m": light.radius_m * scale}
+        return light.model_copy(update=sphere)
     if isinstance(light, DirectionalLight):
         return light.model_copy(update={"direction": vector(light.direction, True)})
     if isinstance(light, AreaLight):
-        return light.model_copy(
-            update={
-                "origin_m": point(light.origin_m),
-                "edge_u_m": vector(light.edge_u_m),
-                "edge_v_m": vector(light.edge_v_m),
-            }
-        )
+        edges = {"edge_u_m": vector(light.edge_u_m), "edge_v_m": vector(light.edge_v_m)}
+        return light.model_copy(update={"origin_m": point(light.origin_m), **edges})
     if isinstance(light, SkyLight):
         return light.model_copy(update={"sun_direction": vector(light.sun_direction, True)})
     rotation = np.eye(4)
@@ -69,7 +63,7 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
 
 
 def scaled(light: Light, gain: float, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Light:
-    """The light with its power multiplied by ``gain`` and, except for skies, by ``tint`` (RGB)."""
+    """Multiply a light's power by ``gain`` and, except for skies and environments, by ``tint`` (RGB)."""
 
     def times(color: tuple[float, float, float]) -> tuple[float, float, float]:
         red, green, blue = (quantized(gain * t * c, 6) for t, c in zip(tint, color, strict=True))
@@ -80,11 +74,8 @@ def scaled(light: Light, gain: float, tint: tuple[float, float, float] = (1.0, 1
     if isinstance(light, DirectionalLight):
         return light.model_copy(update={"irradiance": times(light.irradiance)})
     if isinstance(light, SkyLight):
-        changes = {
-            "sky_scale": quantized(gain * light.sky_scale, 6),
-            "sun_scale": quantized(gain * light.sun_scale, 6),
-        }
-        return light.model_copy(update=changes)
+        fields = ("sky_scale", "sun_scale")
+        return light.model_copy(update={name: quantized(gain * getattr(light, name), 6) for name in fields})
     if isinstance(light, EnvironmentLight):
         return light.model_copy(update={"scale": quantized(gain * light.scale, 6)})
     return light.model_copy(update={"radiance": times(light.radiance)})

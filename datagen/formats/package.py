@@ -143,7 +143,7 @@ class Package:
 
 
 def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
-    """Every file reference of an asset as (field, name), in a fixed order."""
+    """List every file that an asset names as (field, file name), in a fixed order."""
     found: list[tuple[str, str]] = []
 
     def add_material(prefix: str, material: Any) -> None:
@@ -237,11 +237,8 @@ def _open_folder(folder: Path) -> Package:
     for field, name in referenced_files(asset):
         fault = _folder_fault(folder, name)
         if fault:
-            problems.append(
-                Problem(
-                    description, field, f"{name!r} ({fault})", "a regular file in the package", "restore it"
-                )
-            )
+            expected = "a regular file in the package"
+            problems.append(Problem(description, field, f"{name!r} ({fault})", expected, "restore it"))
     raise_problems(problems)
     return Package(folder, asset, data, None, "")
 
@@ -278,21 +275,14 @@ def _open_zip(path: Path, budget: Budget | None) -> Package:
         problems = _format_problems(asset, where)
         for field, name in referenced_files(asset):
             if prefix + name not in members:
-                problems.append(
-                    Problem(
-                        where, field, f"{name!r} (no such file)", "a file in the package", "make it again"
-                    )
-                )
+                got = f"{name!r} (no such file)"
+                problems.append(Problem(where, field, got, "a file in the package", "make it again"))
         raise_problems(problems)
-    except InputError:
+    except BaseException as error:
         archive.close()
-        raise
-    except ZIP_ERRORS as error:
-        archive.close()
+        if isinstance(error, InputError) or not isinstance(error, ZIP_ERRORS):
+            raise
         raise input_error(path, got=str(error), expected="an intact zip", remedy="copy it again") from None
-    except BaseException:
-        archive.close()
-        raise
     return Package(path, asset, data, archive, prefix)
 
 
@@ -324,7 +314,7 @@ def write_package(
     overwrite: bool = False,
     validate: Callable[[Package], None] | None = None,
 ) -> Package:
-    """Write a package, whole or not at all, and open it. A path that ends in ``.zip`` makes a zip.
+    """Write a package atomically and open it. A path that ends in ``.zip`` makes a zip.
 
     ``files`` maps names inside the package to bytes or to files on disk; it must contain every file that the
     asset names and may contain more (a licence text, a preview). ``validate`` is called with the package
@@ -360,26 +350,16 @@ def write_package(
             if validate is not None:
                 validate(package)
         _replace(partial, path)
-    except InputError as error:
+    except BaseException as error:
         _remove(partial)
-        raise InputError(*(_renamed(problem, partial, path) for problem in error.problems)) from None
-    except OSError as error:
-        _remove(partial)
-        raise input_error(
-            path,
-            got=str(error),
-            expected="free space and permission to write",
-            remedy="free space or choose another folder",
-        ) from None
-    except BaseException:
-        _remove(partial)
+        if isinstance(error, InputError):  # names the final path instead of the temporary one
+            final = [replace(p, where=str(p.where).replace(str(partial), str(path))) for p in error.problems]
+            raise InputError(*final) from None
+        if isinstance(error, OSError):
+            expected, remedy = "free space and permission to write", "free space or choose another folder"
+            raise input_error(path, got=str(error), expected=expected, remedy=remedy) from None
         raise
     return open_package(path)
-
-
-def _renamed(problem: Problem, partial: Path, path: Path) -> Problem:
-    """A problem of the temporary package ``partial``, attributed to the final ``path``."""
-    return replace(problem, where=str(problem.where).replace(str(partial), str(path)))
 
 
 def _write_folder(folder: Path, content: Mapping[str, FileSource]) -> None:

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, Literal
 
 from numpy.typing import NDArray
 
-from datagen.formats.base import RelativePath, StrictModel, parse_model, read_json
+from datagen.formats.base import ModelT, RelativePath, StrictModel, parse_model, read_json
 from datagen.formats.configuration import Configuration, Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.view import ViewRecord
@@ -102,7 +102,7 @@ class View:
 
 
 class ShardReader:
-    """Reads one shard. Iterating yields :class:`View`; ``names`` selects buffers, None = all.
+    """Reader of one shard; iteration yields :class:`View` objects. ``names`` selects buffers, None = all.
 
     Raises :class:`InputError` if the tar or a member is damaged or a requested buffer is missing.
     """
@@ -140,15 +140,14 @@ class ShardReader:
         """The shard's configuration. Raises :class:`InputError` if it is missing or damaged."""
         for name, data in self.members():
             if name in CONFIGURATION_MEMBERS:
-                return parse_model(Configuration, _json(data, f"{self.path}:{name}"), f"{self.path}:{name}")
+                return _parsed(Configuration, data, f"{self.path}:{name}")
         raise InputError(Problem(self.path, CONFIGURATION_MEMBER, "missing", "this member", _REMEDY))
 
     def records(self) -> Iterator[ViewRecord]:
         """Yield the views' records, without decoding pixels."""
         for name, data in self.members():
             if name.endswith(".json") and name not in CONFIGURATION_MEMBERS:
-                where = f"{self.path}:{name}"
-                yield parse_model(ViewRecord, _json(data, where), where)
+                yield _parsed(ViewRecord, data, f"{self.path}:{name}")
 
     def __iter__(self) -> Iterator[View]:
         images: dict[str, bytes] = {}
@@ -158,7 +157,7 @@ class ShardReader:
                 images[stem] = data
             elif suffix == "json" and name not in CONFIGURATION_MEMBERS:
                 where = f"{self.path}:{stem}"
-                record = parse_model(ViewRecord, _json(data, where), where)
+                record = _parsed(ViewRecord, data, where)
                 if stem not in images:
                     raise InputError(Problem(where, "", "no EXR before this JSON", "one", _REMEDY))
                 try:
@@ -168,11 +167,12 @@ class ShardReader:
                     raise InputError(*problems) from None
 
 
-def _json(data: bytes, where: str) -> object:
+def _parsed(model: type[ModelT], data: bytes, where: str) -> ModelT:
     try:
-        return json.loads(data)
+        value = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InputError(Problem(where, "", str(error), "valid JSON", _REMEDY)) from None
+    return parse_model(model, value, where)
 
 
 class Dataset:

@@ -19,13 +19,8 @@ def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Co
     """
     asset = open_package(package_path).asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
-        raise input_error(
-            package_path,
-            "kind",
-            asset.kind,
-            "an environment with at least one camera",
-            "add a camera and export again",
-        )
+        expected = "an environment with at least one camera"
+        raise input_error(package_path, "kind", asset.kind, expected, "add a camera and export again")
     return Configuration(
         id=asset.id,
         index=0,

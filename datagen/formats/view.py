@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The JSON beside each view's EXR: camera, buffers, ids, and how it was made.
+"""Format of ``<view>.json``, the metadata of a view's EXR file: camera, buffers, names of ids, and rendering.
 
-It contains nothing that depends on the machine's speed or the clock, so that a view has the same bytes
-wherever it is made; timings are in the unit's manifest.
+It contains nothing that depends on the machine's speed or the clock, so a view has the same bytes on every
+machine; timings are in the unit's manifest.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ NamesOfIds = Annotated[
 Column libraries (Arrow, in Hugging Face's `datasets`) would turn ids as keys into columns."""
 _T = TypeVar("_T")
 _IfAny = Annotated[_T | None, Field(exclude_if=lambda value: value is None)]
-"""A value that is not written if it is None: a column whose first values are null would have no type."""
+"""Optional value, not written if None, since column libraries cannot infer a type from leading nulls."""
 
 
 class RenderRecord(StrictModel):

@@ -92,9 +92,9 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Mask (H, W) of isolated pixels over 20 times the medians of their 5x5 neighbourhood and of the frame.
+    """Mask (H, W) of isolated pixels brighter than 20 times the medians of their 5x5 neighbourhood and frame.
 
-    A firefly has at most 4 pixels, none within 2 pixels of one without a reflecting surface.
+    A firefly has at most 4 pixels, none within 2 pixels of lamps, openings or background.
     """
     import cv2
 
@@ -117,7 +117,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 
 
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Find fireflies; few are a warning, or no fault if all are highlights on metal and gloss."""
+    """Find fireflies; up to a limit, they are a warning, or none if all are on metal or glossy pixels."""
     mask = firefly_mask(view)
     count = int(mask.sum())
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
@@ -131,7 +131,7 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Find a black, flat or overexposed frame; ``exposure`` is the configuration's median exposure."""
+    """Find a black, flat or overexposed view; ``exposure`` is the median exposure of the configuration."""
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     bright, middle = np.percentile(light, [95, 50])
     expected = "a visible scene"
@@ -151,10 +151,10 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
 
 
 def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> list[Fault]:
-    """Find statistics out of order, wrong counts, and pixels with count 0 that differ from their own colour.
+    """Find statistics out of order, wrong counts, and pixels with count 0 but statistics of another colour.
 
-    Counts must be 0 on background, at most ``most_views``, and, if ``has_own`` (a view's own pixel is in the
-    statistics), above 0 on surfaces.
+    Counts must be 0 on background, at most ``most_views``, and, if ``has_own`` (the statistics of a pixel
+    include the pixel itself), above 0 on surfaces.
     """
     low, middle, high = (view[f"color_{n}"].astype(np.float32) for n in ("min", "median", "max"))
     count = view["observation_count"][..., 0]
@@ -162,9 +162,8 @@ def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> 
 
     def add(bad: NDArray, what: str, expected: str) -> None:
         if bad.any():
-            faults.append(
-                Fault("statistics", where, f"{int(bad.sum())} pixels {what}, {_first(bad)}", expected)
-            )
+            got = f"{int(bad.sum())} pixels {what}, {_first(bad)}"
+            faults.append(Fault("statistics", where, got, expected))
 
     with np.errstate(invalid="ignore"):
         add(((low > middle) | (middle > high)).any(axis=-1), "out of order", "min <= median <= max")
@@ -181,7 +180,7 @@ def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> 
 
 
 def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
-    """Number of pixels, minimum and maximum of R by material id, over pixels covered by one surface."""
+    """Number of pixels, minimum and maximum of R by material id, over pixels fully covered by surfaces."""
     ids = view["material_id"][..., 0]
     rough = view["roughness"][..., 0].astype(np.float32)
     is_solid = (view["surface_mask"][..., 0] >= SOLID_COVERAGE) & np.isfinite(rough) & (ids > 0)
@@ -195,7 +194,7 @@ def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
 def merge_ranges(
     first: dict[int, tuple[int, float, float]], second: dict[int, tuple[int, float, float]]
 ) -> dict[int, tuple[int, float, float]]:
-    """The ranges over the pixels of two views."""
+    """Merge the numbers of pixels and the ranges of two views by material id."""
     merged = dict(first)
     for material, (count, low, high) in second.items():
         old = merged.get(material, (0, np.inf, -np.inf))

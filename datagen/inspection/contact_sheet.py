@@ -51,7 +51,7 @@ _NEEDS_SURFACE = (*MATERIAL_MAPS, "normal_world")
 
 @dataclass(frozen=True)
 class Scales:
-    """Exposure, and the depth and count at the end of their colour scales."""
+    """Exposure factor of radiance, and depth and number of views at the upper ends of their colour scales."""
 
     exposure: float
     farthest_m: float
@@ -66,7 +66,7 @@ def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
 
 
 def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
-    """Scales of views (buffers by name): exposure of surfaces, 98th percentile of depth, largest count."""
+    """Choose the scales of views (buffers by name): exposure, 98th percentile of depth, largest count."""
     colors, depths, counts = [np.zeros((0, 3))], [np.zeros(0)], [1.0]
     for view in views:
         if "beauty" in view:
@@ -84,12 +84,12 @@ def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
 
 
 def exposure_of(view: Mapping[str, NDArray]) -> float:
-    """The factor with which a view's radiance is displayed."""
+    """The factor by which a view's radiance is multiplied for display."""
     return choose_scales([view]).exposure
 
 
 def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDArray[np.uint8]:
-    """Buffer ``name`` of a view as a picture (H, W, 3), hatched where it has no value."""
+    """sRGB picture (H, W, 3) of buffer ``name`` of a view, hatched where the buffer has no value."""
     array = view[name].astype(np.float64)
     is_valid = np.isfinite(array).all(axis=-1)
     array = np.where(np.isfinite(array), array, 0)
@@ -97,11 +97,7 @@ def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDAr
         is_valid &= view["surface_mask"][..., 0] > 0
     if name == "depth_z_m":
         is_valid &= array[..., 0] > 0
-    full_scale = {
-        "roughness": 1.0,
-        "depth_z_m": scales.farthest_m,
-        "observation_count": scales.most_views,
-    }
+    full_scale = {"roughness": 1.0, "depth_z_m": scales.farthest_m, "observation_count": scales.most_views}
     if name in full_scale:
         picture = _color_map()(array[..., 0] / full_scale[name])
     elif name == "normal_world":
@@ -127,9 +123,8 @@ def make_contact_sheet(
 ) -> Image.Image:
     """Draw ``views`` (buffers by name), one row each with its name from ``names``, under ``title``.
 
-    Every view needs ``beauty``; columns are absent if no view has their buffer. Without ``scales``, they are
-    chosen, and each view has its exposure. Raises :class:`InputError` if there are no views or one lacks
-    ``beauty``.
+    Buffers that no view has get no column. Without ``scales``, they are chosen from the views, with one
+    exposure per view. Raises :class:`InputError` if there are no views or one lacks ``beauty``.
     """
     from PIL import Image, ImageDraw
 
@@ -173,7 +168,7 @@ def make_contact_sheet(
 
 
 def _cell_size(view: Mapping[str, NDArray]) -> tuple[int, int]:
-    """Width and height of a view in the sheet; small images are enlarged by whole factors only."""
+    """Width and height of a view in the sheet in pixels; small images are enlarged by integer factors."""
     height, width = view["beauty"].shape[:2]
     if width < _CELL_WIDTH_PX:
         factor = max(1, round(_CELL_WIDTH_PX / width))
@@ -203,14 +198,9 @@ def _draw_foot(
         "depth_z_m": ("0", f"{scales.farthest_m:.2f} m"),
         "observation_count": ("0", f"{scales.most_views} views"),
     }
-    texts = {
-        "diffuse_albedo": "sRGB",
-        "specular_albedo": "F0, sRGB",
-        "normal_world": "x y z as R G B",
-    }
     if name not in ends:
-        text = texts.get(name, "exposed by view, sRGB")
-        draw.text((x, y), text, _FAINT, font)
+        texts = {"diffuse_albedo": "sRGB", "specular_albedo": "F0, sRGB", "normal_world": "x y z as R G B"}
+        draw.text((x, y), texts.get(name, "exposed by view, sRGB"), _FAINT, font)
         return
     ramp = _color_map()(np.tile(np.linspace(0, 1, width), (_LABEL_PX, 1)))
     sheet.paste(Image.fromarray((ramp * 255 + 0.5).astype(np.uint8)), (x, y))

@@ -63,7 +63,7 @@ assert np.asarray(pyoidn.denoise(noisy, hdr=True)).std() < noisy.std()
 
 @dataclass(frozen=True)
 class Finding:
-    """A row of the report: a component, what was found, and the remedy if that is not fine."""
+    """A row of the report: a component, its version or state, and the remedy if the state is not fine."""
 
     name: str
     value: str
@@ -76,19 +76,17 @@ def _probe(name: str, code: str, remedy: str) -> Finding:
     """Run ``code`` in a separate process, which keeps an abort of native code from ending the check."""
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     if result.returncode == 0:
-        return Finding(
-            name, "works" + (f" ({result.stdout.strip()})" if result.stdout.strip() else ""), True, True
-        )
+        output = result.stdout.strip()
+        return Finding(name, f"works ({output})" if output else "works", True, True)
     lines = [line for line in result.stderr.strip().splitlines() if line.strip()]
     last = lines[-1] if lines else f"exit code {result.returncode}"
     return Finding(name, last, False, True, remedy)
 
 
 def examine(folder: Path | None = None) -> list[Finding]:
-    """All findings; the free disk space is that of ``folder``, by default the current one."""
-    findings = [
-        Finding("Python", sys.version.split()[0], sys.version_info >= (3, 10), True, "install Python 3.11")
-    ]
+    """Examine the installation, and the free disk space of ``folder``, by default the current folder."""
+    is_supported = sys.version_info >= (3, 10)
+    findings = [Finding("Python", sys.version.split()[0], is_supported, True, "install Python 3.11")]
     findings.append(bundled_finding())
     findings += [_package(name, True, _AGAIN) for name in REQUIRED]
     for extra, (purpose, names) in OPTIONAL.items():
@@ -114,16 +112,8 @@ def examine(folder: Path | None = None) -> list[Finding]:
         findings.append(_probe("rendering", _RENDER_PROBE, f"read the message; {REMEDY}"))
         findings.append(_probe("denoiser", _DENOISER_PROBE, _AGAIN))
     free_gb = shutil.disk_usage(folder or Path.cwd()).free / 1e9
-    findings.append(
-        Finding(
-            "free disk",
-            f"{free_gb:.1f} GB",
-            free_gb >= MIN_FREE_GB,
-            True,
-            f"free {MIN_FREE_GB} GB, or choose another disk by --out",
-        )
-    )
-    return findings
+    remedy = f"free {MIN_FREE_GB} GB, or choose another disk by --out"
+    return [*findings, Finding("free disk", f"{free_gb:.1f} GB", free_gb >= MIN_FREE_GB, True, remedy)]
 
 
 def _failed(error: InputError) -> tuple[str, bool, bool, str]:
@@ -169,7 +159,7 @@ def program_finding(title: str, command: str, purpose: str, debian: str) -> Find
 
 
 def _installing(title: str, debian: str) -> str:
-    """The command that installs a program on this system, or a web site that offers it."""
+    """The command that installs a program on this system, or the address of its web site."""
     commands = {
         "darwin": {"COLMAP": "brew install colmap", "Blender": "brew install --cask blender"},
         "win32": {"Blender": "winget install BlenderFoundation.Blender"},
@@ -190,11 +180,8 @@ def _package(name: str, is_required: bool, remedy: str) -> Finding:
 def _gpu() -> Finding:
     if not has_cuda():
         return Finding("GPU", "none; rendering runs on the CPU", True, False)
-    names = subprocess.run(
-        ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"],
-        capture_output=True,
-        text=True,
-    )
+    command = ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"]
+    names = subprocess.run(command, capture_output=True, text=True)
     return Finding("GPU", "; ".join(names.stdout.strip().splitlines()) or "NVIDIA driver found", True, False)
 
 

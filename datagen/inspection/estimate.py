@@ -26,7 +26,7 @@ from datagen.library import Library
 
 @dataclass(frozen=True)
 class Estimate:
-    """Prediction for a whole recipe on this machine, with one worker that uses all processors."""
+    """Predicted cost of a whole recipe on this machine, with one worker that uses all processors."""
 
     num_configurations: int
     num_views: int
@@ -51,9 +51,8 @@ class _Sample:
     def view_s(self) -> float:
         return statistics.median(sum(t.seconds.values()) for t in self.manifest.views)
 
-    @property
-    def stage_s(self) -> dict[str, float]:
-        return self.manifest.seconds
+    def stage_s(self, stage: str) -> float:
+        return self.manifest.seconds.get(stage, 0.0)
 
 
 def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) -> _Sample:
@@ -75,7 +74,7 @@ def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) ->
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, x: float) -> float:
-    """Value at ``x`` of the line through two points, whose slope is raised to at least 0."""
+    """Value at ``x`` of the line through (x1, y1) and (x2, y2); a negative slope is replaced by 0."""
     slope = max(0.0, (y2 - y1) / (x2 - x1)) if x2 != x1 else 0.0
     return y2 + slope * (x - x2) if x >= x2 else y1 + slope * (x - x1)
 
@@ -85,30 +84,18 @@ def estimate(
 ) -> Estimate:
     """Time two samples of ``recipe`` and predict the whole; ``report(done, total)`` counts samples."""
     begin = time.perf_counter()
-    few = min(4, recipe.views)
-    many = min(8, recipe.views)
     samples = []
     with tempfile.TemporaryDirectory(prefix="datagen-estimate-") as folder:
-        for number, num_views in enumerate((few, many)):
+        for number, num_views in enumerate((min(4, recipe.views), min(8, recipe.views))):
             report(number, 2)
             samples.append(_run_sample(recipe, library, num_views, Path(folder) / str(number)))
         report(2, 2)
     a, b = samples
     views = recipe.views
-    once_s = statistics.median(
-        max(0.0, s.stage_s.get("render", 0.0) - s.num_views * s.view_s) for s in samples
-    )
-    statistics_s = (
-        _line(
-            a.num_views,
-            a.stage_s.get("stats", 0.0) / a.num_views,
-            b.num_views,
-            b.stage_s.get("stats", 0.0) / b.num_views,
-            views,
-        )
-        * views
-    )
-    pack_s = b.stage_s.get("pack", 0.0) / b.num_views * views
+    once_s = statistics.median(max(0.0, s.stage_s("render") - s.num_views * s.view_s) for s in samples)
+    few_s, many_s = (s.stage_s("stats") / s.num_views for s in samples)
+    statistics_s = _line(a.num_views, few_s, b.num_views, many_s, views) * views
+    pack_s = b.stage_s("pack") / b.num_views * views
     planning_s = _line(a.num_views, a.plan_s, b.num_views, b.plan_s, views) * recipe.configurations
     unit_s = once_s + b.view_s * views + statistics_s + pack_s
     bytes_per_view = b.manifest.num_bytes / b.num_views

@@ -45,7 +45,7 @@ class Fault:
 
 @dataclass
 class Report:
-    """Scope and findings of a verification; ``notes`` state which checks were skipped, and why."""
+    """Scope and findings of a verification; ``notes`` are sentences about skipped checks, with reasons."""
 
     path: str
     num_shards: int = 0

@@ -31,9 +31,8 @@ def print_library(names: list[str], check: bool, as_json: bool) -> int:
         with Bars("packages", is_transient=True) as bars:
             report = check_library(paths, partial(bars.tell, "check"))
         if as_json:
-            print(
-                json.dumps({"errors": [*map(str, report.errors)], "warnings": [*map(str, report.warnings)]})
-            )
+            errors, warnings = [*map(str, report.errors)], [*map(str, report.warnings)]
+            print(json.dumps({"errors": errors, "warnings": warnings}))
         else:
             for problem in report.warnings:
                 print(f"warning: {problem}")

@@ -12,9 +12,9 @@ from datagen.formats.configuration import MIN_GLOSS_SHARE, MIN_METAL_SHARE, Conf
 
 
 def plan_summary(configurations: Iterable[Configuration]) -> str:
-    """Sentences about the coverage over all configurations; '' if none records its coverage.
+    """Describe the coverage over all configurations in a few lines; '' if none records its coverage.
 
-    A note states whether the views of the training split lack metal or gloss.
+    A last line warns if the views of the training split lack metal or gloss.
     """
     found = [
         (c.coverage, len(c.cameras), c.split == "train") for c in configurations if c.coverage is not None
@@ -41,7 +41,7 @@ def plan_summary(configurations: Iterable[Configuration]) -> str:
 
 
 def lack_for_training(metal_share: float, gloss_share: float) -> str:
-    """A sentence about shares of metal and gloss that are too small for training; '' if both suffice."""
+    """Describe shares of metal and glossy pixels that are too small for training; '' if both suffice."""
     shares = (("S > 0.3", metal_share, MIN_METAL_SHARE), ("R < 0.3", gloss_share, MIN_GLOSS_SHARE))
     short = [
         f"{name} in {share:.1%} of them (at least {least:.0%})"

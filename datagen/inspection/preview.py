@@ -55,7 +55,7 @@ class Preview:
         self.said.append(sentence)
 
     def update(self, done: int, is_over: bool = False) -> None:
-        """Rewrite the page if the last time is at least 3 s ago, or if the run is over."""
+        """Rewrite the page for ``done`` finished views if it is 3 s old, or if the run is over."""
         now = time.monotonic()
         if now < self._next and not is_over:
             return
@@ -110,7 +110,7 @@ class Preview:
 
 
 def _picture(beauty: np.ndarray, exposure: float) -> str:
-    """Radiance (H, W, 3) times ``exposure`` as a JPEG in a data URI."""
+    """Encode radiance (H, W, 3) times ``exposure`` as a JPEG in a data URI."""
     from PIL import Image
 
     finite = np.where(np.isfinite(beauty), beauty, 0).astype(np.float32)

@@ -3,9 +3,9 @@
 
 All accelerations are off: paths have up to 65 segments, emitters are sampled by Mitsuba with equal
 probability, and there is no sky guide, irradiance cache, clamp or denoiser. The samples form four independent
-images. The error is the mean product of differences from two of these images, to which their noise adds
-nothing in expectation (:mod:`datagen.rendering.error`); their spread gives the standard errors of error and
-bias.
+images. The error is the mean product of a view's differences from two of these images, to which their noise
+contributes 0 in expectation (:mod:`datagen.rendering.error`); the spread of the images gives the standard
+errors of error and bias.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ SURE = 3.0
 
 @dataclass(frozen=True)
 class Rechecked:
-    """Comparison of a view with plain paths.
+    """Comparison of a view with its rendering by plain path tracing.
 
     ``recorded`` is the estimated relMSE in the view's record (None if it was not rendered to an error
-    target), ``rel_mse`` the true one, ``bias`` the relative deviation of the mean luminance. Their ``_error``
-    is the standard error due to the noise of the plain paths.
+    target), ``rel_mse`` the true one, ``bias`` the relative deviation of the mean luminance.
+    ``rel_mse_error`` and ``bias_error`` are the standard errors due to the noise of the plain paths.
     """
 
     configuration: str
@@ -72,9 +72,8 @@ class Rechecked:
             yield Fault("recheck", self.where, got, f"at most {MAX_RATIO:g} times the record", "warning")
         if abs(self.bias) - SURE * self.bias_error > MAX_BIAS:
             got = f"{100 * self.bias:+.1f} +- {100 * self.bias_error:.1f} % of the light"
-            yield Fault(
-                "recheck", self.where, got, f"at most {100 * MAX_BIAS:g} % from plain paths", "warning"
-            )
+            expected = f"at most {100 * MAX_BIAS:g} % from plain paths"
+            yield Fault("recheck", self.where, got, expected, "warning")
 
 
 def recheck(
@@ -94,9 +93,8 @@ def recheck(
         expected = f"a multiple of {PARTS}, the number of images that are compared"
         raise input_error("datagen verify", "--recheck-samples", samples, expected, "choose another number")
     if not folder.is_dir():
-        raise input_error(
-            folder, "--recheck", "a single shard", "a dataset folder", "name the shard's dataset folder"
-        )
+        remedy = "name the shard's dataset folder"
+        raise input_error(folder, "--recheck", "a single shard", "a dataset folder", remedy)
     dataset = Dataset(folder)
     places = [(k, view) for k, shard in enumerate(dataset.index.shards) for view in range(shard.num_views)]
     chosen = np.random.default_rng([dataset.index.recipe.seed, count]).permutation(len(places))[:count]
@@ -148,7 +146,7 @@ def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> R
 
 
 def compared(view: View, parts: Sequence[NDArray[np.floating]]) -> Rechecked:
-    """Compare a view with ``PARTS`` independent images (H, W, 3) by plain paths."""
+    """Compare a view with ``PARTS`` independent images (H, W, 3) by plain path tracing."""
     image = view.buffers["beauty"].astype(np.float64)
     rel_mse, rel_mse_error = relative_mse_of_parts(image, parts, exposed=True)
     levels = [luminance(part.astype(np.float64)) for part in parts]

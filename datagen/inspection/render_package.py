@@ -56,14 +56,9 @@ def main() -> None:
     parser.add_argument("--denoise", action="store_true")
     arguments = parser.parse_args()
     for package in arguments.packages:
-        for path in render_package(
-            package,
-            arguments.out / package.name,
-            arguments.samples,
-            arguments.max_depth,
-            arguments.denoise,
-        ):
-            print(path)
+        out = arguments.out / package.name
+        options = (arguments.samples, arguments.max_depth, arguments.denoise)
+        print(*render_package(package, out, *options), sep="\n")
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ _RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.75  # normal maps tilt the plane wit
 
 @dataclass(frozen=True)
 class Geometry:
-    """A view's ``depth_z_m`` and ``is_surface`` (H, W), and ``normal`` in world space (H, W, 3)."""
+    """Geometry of a view: ``depth_z_m`` and ``is_surface`` (H, W), ``normal`` (H, W, 3) in world space."""
 
     name: str
     camera: Camera
@@ -51,10 +51,10 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of a view with the points of another; values are NaN with too few comparable points.
+    """Agreement of a view's depth with the points of another view; NaN for too few comparable points.
 
-    ``seen_through`` is the share of points that are not occluded and have no surface at their depth;
-    ``median_residual`` is relative to depth.
+    ``seen_through`` is the share of the points that are not occluded where the view has no surface at their
+    depth; ``median_residual`` is relative to depth.
     """
 
     num_points: int
@@ -77,7 +77,7 @@ def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
 
 
 def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
-    """Agreement of world points (N, 3) with unit normals (N, 3) and the depth of view ``other``."""
+    """Compare world points (N, 3) with unit normals (N, 3) to the depth of view ``other``."""
     camera = other.camera
     offset = points - camera.position_m
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
@@ -102,7 +102,7 @@ def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
 
 
 def partners_of(index: int, count: int) -> list[int]:
-    """Up to :data:`MAX_PARTNERS` of ``count`` views other than ``index``, evenly spaced."""
+    """Indices of up to :data:`MAX_PARTNERS` evenly spaced views of ``count``, without ``index``."""
     others = [i for i in range(count) if i != index]
     if len(others) <= MAX_PARTNERS:
         return others
@@ -112,7 +112,7 @@ def partners_of(index: int, count: int) -> list[int]:
 
 
 def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Fault], int]:
-    """Faults of views that disagree with others, and the number of views that could be compared.
+    """Return the faults of views that disagree with others, and the number of views that could be compared.
 
     The worst view is removed with its pairs until all others are within the limits.
     """
@@ -137,7 +137,7 @@ def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Faul
 def _excess(
     pairs: Sequence[tuple[int, int, Agreement]], index: int, view: Geometry
 ) -> tuple[float, str, str]:
-    """Largest ratio of a view's median over its pairs to its limit, and the texts for its fault."""
+    """Larger ratio of a view's median deviation to its limit, and the fault's ``got`` and ``expected``."""
     mine = [agreement for a, b, agreement in pairs if index in (a, b)]
     through = float(np.median([agreement.seen_through for agreement in mine]))
     gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]
@@ -146,12 +146,12 @@ def _excess(
     most_through = _THROUGH_FLOOR + _THROUGH_PIXELS / view.camera.width_px
     by_through = (
         through / most_through,
-        f"other views look through {through:.0%} of its surfaces, or it through theirs",
+        f"{through:.0%} of its points, or of other views' points in it, have no surface at their depth",
         f"at most {most_through:.0%}",
     )
     by_gap = (
         gap / limit,
-        f"surfaces lie {gap:.2%} of their depth away from those of other views",
+        f"surfaces differ by {gap:.2%} of their depth from those of other views",
         f"at most {limit:.2%}",
     )
     return max(by_through, by_gap)

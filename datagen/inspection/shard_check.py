@@ -51,14 +51,14 @@ def verify_shard(job: ShardJob) -> Report:
         digest, size = sha256_file(job.path), job.path.stat().st_size
         if digest != job.record.sha256:
             got = f"SHA-256 {digest[:16]}..., {size} bytes"
-            expected = f"{job.record.sha256[:16]}..., {job.record.num_bytes} bytes, as the index says"
+            expected = f"{job.record.sha256[:16]}..., {job.record.num_bytes} bytes, as in the index"
             report.faults.append(Fault("hash", where, got, expected))
     _ShardVerifier(job, where, report).run()
     return report
 
 
 class _ShardVerifier:
-    """Reads the members of a shard once, and keeps the data that checks across views need."""
+    """Verifier of a shard; reads each member once, and keeps the data that checks across views need."""
 
     def __init__(self, job: ShardJob, where: str, report: Report):
         self.job, self.where, self.report = job, where, report
@@ -168,7 +168,7 @@ class _ShardVerifier:
 
     def check_against_configuration(self) -> None:
         if self.job.record is not None and self.job.record.num_views != len(self.records):
-            got, expected = f"{len(self.records)} views", f"{self.job.record.num_views}, as the index says"
+            got, expected = f"{len(self.records)} views", f"{self.job.record.num_views}, as in the index"
             self.add("member", self.where, got, expected)
         if self.configuration is None:
             self.add("member", f"{self.where}:{CONFIGURATION_MEMBER}", "missing or unreadable", "this member")

@@ -47,7 +47,7 @@ def verify_dataset(
 ) -> Report:
     """Verify a dataset folder, or a single shard (``.tar``).
 
-    Without a ``library`` that contains the dataset's materials, roughness is not checked, and a note says so.
+    Without the dataset's ``library``, roughness is not checked, which is noted in the report.
     ``progress(done, total)`` counts shards. Raises :class:`InputError` if ``path`` is neither.
     """
     report = Report(str(path))
@@ -80,7 +80,7 @@ def _run(jobs: list[ShardJob], workers: int) -> Iterable[Report]:
 
 
 def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
-    """The shards of the index or, if that is unreadable, every tar file in the folder; reports its faults."""
+    """Jobs for the shards of the index or, if it is unreadable, of the folder; reports the index's faults."""
     report.applied["index"] += 1
     on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
     try:
@@ -217,7 +217,7 @@ def verify_command(
 
     Without ``library_paths``, the dataset's libraries are used if they still exist. ``recheck`` views are
     rendered again by plain path tracing, with ``recheck_samples`` paths per pixel. Raises :class:`InputError`
-    if ``path`` is no dataset, or to render again without a library.
+    if ``path`` is no dataset, or if ``recheck`` is given without a library.
     """
     library_paths = library_of(path) if library_paths is None else [*library_paths, *rooms_of(path)]
     if recheck and not library_paths:

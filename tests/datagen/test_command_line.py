@@ -163,5 +163,5 @@ def test_a_dry_run_of_a_planned_folder_says_what_is_left(tmp_path: Path) -> None
 def test_the_index_alone_ends_with_1_while_units_are_missing(tmp_path: Path) -> None:
     folder = plan_small(tmp_path / "set", tmp_path / "library", 1, 3)
     done = CliRunner().invoke(datagen.app, ["run", str(folder.root), "--only", "index"])
-    assert done.exit_code == 1 and "1 units are not done, small-00000 the first" in done.output
+    assert done.exit_code == 1 and "1 units are not done; the first is small-00000" in done.output
     assert folder.index_path.is_file()

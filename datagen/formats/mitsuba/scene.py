@@ -354,11 +354,8 @@ class _Parser:
                 ]
                 step = _look_at(*map(np.array, vectors))
             else:
-                self.problem(
-                    f"{node.where}: <{child.tag}>",
-                    "in a transform",
-                    "matrix, translate, scale, rotate, lookat",
-                )
+                expected = "matrix, translate, scale, rotate, lookat"
+                self.problem(f"{node.where}: <{child.tag}>", "in a transform", expected)
             matrix = step @ matrix
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-20:
             # not an error yet: rectangles may be scaled to zero; the shape importers report it

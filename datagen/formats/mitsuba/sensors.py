@@ -64,12 +64,9 @@ def camera_of(
 
 
 def _focal_px(node: SceneNode, width: int, height: int) -> float:
-    if "focal_length" in node.values:  # in mm of 35 mm film, along the diagonal
-        return (
-            float(str(node.get("focal_length")).removesuffix("mm"))
-            / math.hypot(36, 24)
-            * math.hypot(width, height)
-        )
+    if "focal_length" in node.values:  # in mm, relative to the diagonal of 35 mm film
+        focal_mm = float(str(node.get("focal_length")).removesuffix("mm"))
+        return focal_mm / math.hypot(36, 24) * math.hypot(width, height)
     axis = str(node.get("fov_axis", "x"))
     size = {
         "x": width,

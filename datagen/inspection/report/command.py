@@ -55,9 +55,8 @@ def report_command(
     free = shutil.disk_usage(existing).free
     if num_bytes > free:
         remedy = "write fewer pixels with --pixels, or choose another --out"
-        raise input_error(
-            target, "--pixels", f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB", remedy
-        )
+        got, expected = f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB"
+        raise input_error(target, "--pixels", got, expected, remedy)
     paths = [*library_paths, *rooms_of(folder)] if library_paths is not None else library_of(folder)
     with Bars("shards") as bars:
         if paths:

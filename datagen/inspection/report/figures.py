@@ -25,7 +25,7 @@ NUM_COVERAGE_BINS = 32
 
 @dataclass(frozen=True)
 class Axis:
-    """Bins of a histogram: increasing ``edges`` and their spacing (``whole``: one bin per integer)."""
+    """Axis of a histogram: increasing ``edges`` of the bins, and their spacing ``scale``."""
 
     title: str
     unit: str
@@ -78,10 +78,10 @@ def hue_deg(colors: NDArray) -> NDArray:
 
 
 def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.int64]]:
-    """Histograms of a view's surface pixels, by name in :data:`PIXEL_AXES`, and its coverage counts.
+    """Histograms of a view's surface pixels, by name in :data:`PIXEL_AXES`, and a joint histogram of R and D.
 
-    Coverage counts pixels in a square grid of :data:`NUM_COVERAGE_BINS` cells a side over [0, 1]: R by row,
-    luminance of D by column. Histograms of absent buffers are absent.
+    The latter has :data:`NUM_COVERAGE_BINS` bins a side over [0, 1]: R by row, luminance of D by column.
+    Histograms of absent buffers are absent.
     """
     mask = surface_pixels(view)
     values: dict[str, NDArray] = {}
@@ -92,11 +92,8 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
         values["diffuse_hue"] = hue_deg(diffuse)
     if "specular_albedo" in view:
         values["specular_luminance"] = luminance(view["specular_albedo"][mask].astype(np.float64))
-    for name, buffer in (
-        ("roughness", "roughness"),
-        ("depth", "depth_z_m"),
-        ("observation_count", "observation_count"),
-    ):
+    for name in ("roughness", "depth", "observation_count"):
+        buffer = "depth_z_m" if name == "depth" else name
         if buffer in view:
             values[name] = view[buffer][..., 0][mask].astype(np.float64)
     coverage = np.zeros((NUM_COVERAGE_BINS, NUM_COVERAGE_BINS), dtype=np.int64)
@@ -109,7 +106,7 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
 
 
 def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
-    """Numbers of surface pixels, and of metal and glossy ones, of a view."""
+    """Numbers of a view's surface pixels, of those on metal and of those on glossy materials."""
     mask = surface_pixels(view)
     return {
         "surface_pixels": int(mask.sum()),
@@ -119,7 +116,7 @@ def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
 
 
 def nice_axis(title: str, unit: str, values: Sequence[float], num: int = 24, log: bool = False) -> Axis:
-    """An axis of ``num`` bins that spans the finite ``values``; whole powers of 10 with ``log``."""
+    """An axis of ``num`` bins that spans the finite ``values``; with ``log``, between powers of 10."""
     finite = [v for v in values if np.isfinite(v) and (v > 0 or not log)]
     low, high = (min(finite), max(finite)) if finite else (0.1, 1.0)
     if log:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Processes one shard: counts its pixels, draws thumbnails, writes pixels for the viewer.
 
-Figures are stored in the report's folder under a key of the shard's content and the options, so that a
-repeated or interrupted report reuses them.
+Results are stored in the report's folder under a key of the shard's content and the options, so a repeated or
+interrupted report reuses them.
 """
 
 from __future__ import annotations
@@ -23,25 +23,15 @@ from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.formats.view import ViewRecord
 from datagen.foundation.buffers import surface_pixels
 from datagen.foundation.color import clipped_share, luminance, photographic_exposure, srgb_from_linear
+from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
 from datagen.inspection.report.sources import options_of, source_views
 from datagen.inspection.report.tiles import write_tile
 from datagen.multiview.statistics import StatisticsView
 
 REVISION = 4
-"""Part of the key of stored figures, to be increased when the format of figures or tiles changes."""
-SHOWN_BUFFERS = (
-    "beauty",
-    "diffuse_albedo",
-    "specular_albedo",
-    "roughness",
-    "normal_world",
-    "depth_z_m",
-    "color_min",
-    "color_median",
-    "color_max",
-    "observation_count",
-)
+"""Part of the key of stored results, to be increased when the format of results or tiles changes."""
+SHOWN_BUFFERS = tuple(name for name, _ in COLUMNS)
 """Buffers offered by the viewer, in this order."""
 _LOOKED_UP = ("surface_mask", "instance_id", "material_id")
 _THUMBNAIL_WIDTH_PX = 320
@@ -69,21 +59,21 @@ class GatherJob:
         return self.out / "gathered" / f"{self.record.configuration}.json"
 
 
-def kept_result(job: GatherJob) -> dict[str, Any] | None:
-    """Figures that an earlier report stored for the same shard and options, or None."""
+def kept_result(path: Path, key: str) -> dict[str, Any] | None:
+    """The result that an earlier report stored in the file ``path``, or None if its key is not ``key``."""
     try:
-        kept = json.loads(job.kept_path.read_bytes())
+        kept = json.loads(path.read_bytes())
     except (OSError, ValueError):
         return None
-    return kept if isinstance(kept, dict) and kept.get("key") == job.key else None
+    return kept if isinstance(kept, dict) and kept.get("key") == key else None
 
 
 def gather_shard(job: GatherJob) -> dict[str, Any]:
-    """Figures of one shard as plain data; writes thumbnails, tiles and the configuration's script.
+    """Measure one shard; returns plain data and writes thumbnails, tiles and the configuration's script.
 
-    Stored figures are reused. Raises :class:`InputError` if the shard is damaged.
+    Stored results are reused. Raises :class:`InputError` if the shard is damaged.
     """
-    kept = kept_result(job)
+    kept = kept_result(job.kept_path, job.key)
     if kept is not None:
         return kept
     identity = job.record.configuration
@@ -96,8 +86,8 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
     tile_bytes = 0
     for view in reader:
         record = view.record
-        mine, cells = count_view(view.buffers)
-        for name, found in mine.items():
+        histograms, cells = count_view(view.buffers)
+        for name, found in histograms.items():
             counts[name] += found
         coverage += cells
         for name, pixels in _pixels_by_name(view, "material_id", record.materials).items():
@@ -137,7 +127,7 @@ def _placed(placed: PlacedAsset) -> dict[str, Any]:
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
-    """Type of a light, and the luminance of its emission with its unit."""
+    """Type of a light, with luminance and unit of its emission; for skies and images, their scale factor."""
     units = {"intensity": "W/sr", "irradiance": "W/m^2", "radiance": "W/(m^2 sr)"}
     if light.type == "sky":
         return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}
@@ -161,7 +151,7 @@ def _pixels_by_name(view: View, buffer: str, names: dict[str, str]) -> dict[str,
 
 
 def _view_figures(view: View) -> dict[str, Any]:
-    """Figures of one view, by which the page displays and sorts views."""
+    """Measured values of one view, by which the page displays and sorts views."""
     record, buffers = view.record, view.buffers
     camera = record.camera.camera()
     mask = surface_pixels(buffers)

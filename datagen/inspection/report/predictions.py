@@ -30,6 +30,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
 from datagen.foundation.transliteration import transliterated
+from datagen.inspection.report.gather import kept_result
 from datagen.inspection.report.tiles import write_tile
 
 TILES = "predictions"
@@ -41,7 +42,7 @@ _NEEDED = ("depth_z_m", "surface_mask", *MATERIAL_MAPS)
 
 @dataclass(frozen=True)
 class Method:
-    """A method's predictions: title on the page, name in file names, and folder."""
+    """A method whose predictions are compared: title on the page, name in file names, and folder."""
 
     label: str
     slug: str
@@ -70,7 +71,7 @@ class Method:
 
 
 def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Method, ...]:
-    """Methods from the values of ``--predictions`` and ``--label``.
+    """Create the methods from the values of ``--predictions`` and ``--label``.
 
     Labels belong to folders in order; methods without a label are named after their folder. Raises
     :class:`InputError` for missing folders, and for labels that are surplus, empty or not unique.
@@ -126,16 +127,13 @@ class CompareJob:
 
 
 def compare_shard(job: CompareJob) -> dict[str, Any]:
-    """Errors of every view of a shard as plain data; writes tiles of predicted maps.
+    """Compare a method's maps with a shard; returns each view's errors as plain data and writes tiles.
 
     Faults of a prediction are part of the result. Raises :class:`InputError` if the shard is damaged.
     """
     key = job.key
-    try:
-        kept = json.loads(job.kept_path.read_bytes())
-    except (OSError, ValueError):
-        kept = None
-    if isinstance(kept, dict) and kept.get("key") == key:
+    kept = kept_result(job.kept_path, key)
+    if kept is not None:
         return kept
     views = []
     tile_bytes = 0
@@ -146,9 +144,8 @@ def compare_shard(job: CompareJob) -> dict[str, Any]:
         if job.with_pixels:
             stem = f"{TILES}/{job.method.slug}/{view.record.configuration}/{view.record.name}"
             for name, predicted in maps.items():
-                tile_bytes += write_tile(
-                    job.out / "tiles" / f"{stem}/{name}.html", f"{stem}/{name}", predicted
-                )
+                path = job.out / "tiles" / f"{stem}/{name}.html"
+                tile_bytes += write_tile(path, f"{stem}/{name}", predicted)
     result = {
         "key": key,
         "configuration": job.record.configuration,
@@ -210,7 +207,7 @@ def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], 
 
 
 def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool_]) -> float | None:
-    """Mean squared error over masked pixels and channels; None if it is empty or not finite."""
+    """Mean squared error over the pixels of ``mask`` and all channels; None if it is empty or not finite."""
     difference = predicted[mask].astype(np.float64) - truth[mask].astype(np.float64)
     return float(np.mean(difference**2)) if difference.size and np.isfinite(difference).all() else None
 
@@ -218,11 +215,11 @@ def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool
 def prediction_table(
     methods: Sequence[Method], compared: Iterable[dict[str, Any]], gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Errors of predictions for the page.
+    """Combine the results of :func:`compare_shard` into the page's data.
 
-    ``methods`` are the totals of each method over all counted pixels. ``errors`` contains, for each method, a
-    row per view in the page's order, or None without prediction: the error of each map (None if unknown) and
-    a bit mask of the maps that can be displayed.
+    The key ``methods`` contains each method's totals over all counted pixels. ``errors`` contains, for each
+    method, a row per view in the page's order, or None without prediction: the error of each map (None if
+    unknown) and a bit mask of the maps that can be displayed.
     """
     by_place: dict[tuple[str, str, str], dict[str, Any]] = {}
     for result in compared:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Finds the views of each pixel's statistics again, by the kernel that computed these."""
+"""Determines the views that each pixel's statistics use, by the kernel that computed the statistics."""
 
 from __future__ import annotations
 
@@ -14,16 +14,13 @@ from datagen.multiview.visibility import PackedViews, VisibilityOptions
 from mitsuba_plugins.variant import select_variant
 
 NO_VIEW = 65535
-"""Fills the end of a pixel's list of views."""
+"""Value of the unused entries at the end of a pixel's list of view indices."""
 
 
 def options_of(record: StatisticsRecord) -> StatisticsOptions:
-    """Options of recorded statistics, but with depth-buffer visibility, since there is no mesh to trace."""
-    return StatisticsOptions(
-        best_views=record.best_views,
-        include_self=record.include_self,
-        visibility=VisibilityOptions(mode="depth"),
-    )
+    """Options of recorded statistics, but always with depth-buffer visibility, since no mesh is loaded."""
+    visibility = VisibilityOptions(mode="depth")
+    return StatisticsOptions(record.best_views, record.include_self, visibility=visibility)
 
 
 def source_views(

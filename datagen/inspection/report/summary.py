@@ -27,7 +27,7 @@ MAX_LISTED_FAULTS = 20
 
 
 def histogram(axis: Axis, counts: Sequence[int], what: str) -> dict[str, Any]:
-    """A histogram as data for the page; ``what`` is the noun for the counted items."""
+    """Plain data of a histogram for the page; ``what`` is the noun for the counted items."""
     return {
         "title": axis.title,
         "unit": axis.unit,
@@ -43,7 +43,7 @@ def _histogram_of(axis: Axis, values: Sequence[float], what: str) -> dict[str, A
 
 
 def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """All histograms of the page, in its order."""
+    """Plain data of all histograms of the page, in order, from the results of :func:`gather_shard`."""
     figures = [
         histogram(axis, np.sum([shard["counts"][name] for shard in gathered], axis=0).tolist(), "pixels")
         for name, axis in PIXEL_AXES.items()
@@ -73,7 +73,7 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Pixel counts over R and luminance of D, missing regions, and shares of metal and gloss with remarks."""
+    """Pixel counts over R and luminance of D, regions without pixels, and shares of metal and gloss."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
     training = [shard for shard in gathered if shard["split"] == "train"]
@@ -120,7 +120,7 @@ def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
 def assets(
     gathered: Sequence[dict[str, Any]], index: DatasetIndex, library: Library | None
 ) -> dict[str, Any]:
-    """All assets with class, use and licence; shares of pixels by material and class; unused assets."""
+    """List all assets with class, use and licence, shares of pixels by material and class, unused assets."""
     placed: Counter[str] = Counter()
     used_in: Counter[str] = Counter()
     pixels: Counter[str] = Counter()
@@ -194,7 +194,7 @@ def _detail(identity: str, library: Library | None) -> str:
 
 
 def splits(index: DatasetIndex) -> dict[str, Any]:
-    """Configurations, views and assets by split, and the assets that more than one split uses."""
+    """Numbers of configurations, views and assets by split, and the assets that several splits use."""
     used: dict[str, set[str]] = {}
     views: Counter[str] = Counter()
     for shard in index.shards:
@@ -259,7 +259,7 @@ def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) ->
 def findings(
     report: Report | None, index: DatasetIndex, gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Findings of the verification by view, most errors first, and views with extreme figures."""
+    """Faults of the verification by view, most errors first, and the views with extreme values."""
     stand_out = _extreme_views(gathered)
     if report is None:
         return {"is_checked": False, "checks": [], "views": [], "notes": [], "stand_out": stand_out}
@@ -307,7 +307,10 @@ def _severity_order(faults: Sequence[Any]) -> tuple[int, int]:
 
 
 def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> tuple[str, str]:
-    """Configuration and view of a fault's ``where``; '' for the view if it concerns the whole shard."""
+    """Configuration and view that a fault's ``where`` names; the view is '' for a fault of a whole shard.
+
+    ``files`` maps shards to configurations, ``names`` configurations to the names of their views.
+    """
     for file, configuration in files.items():
         at = where.find(file)
         if at >= 0:
@@ -318,7 +321,7 @@ def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> t
 
 
 def _extreme_views(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The six most extreme views by each of several figures."""
+    """The six views with the most extreme values of each of several quantities."""
     views = [(shard["id"], view) for shard in gathered for view in shard["views"]]
     found = []
     for title, name, sign in (

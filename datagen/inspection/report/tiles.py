@@ -42,7 +42,7 @@ def encode_tile(array: NDArray) -> bytes:
 
 
 def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int) -> NDArray:
-    """The array (H, W, C) from :func:`encode_tile`; the viewer implements the same."""
+    """Decompress the array (H, W, C) of :func:`encode_tile`; the viewer contains the same algorithm."""
     name = np.dtype(_TYPES[dtype])
     by_byte = np.frombuffer(zlib.decompress(data), np.uint8).reshape(name.itemsize, -1)
     word = np.dtype(f"<u{name.itemsize}")
@@ -59,13 +59,8 @@ def _template() -> str:
 def write_tile(path: Path, key: str, array: NDArray) -> int:
     """Write an array (H, W, C) as tile ``key`` (``configuration/view/buffer``); returns the file's size."""
     height, width, channels = array.shape
-    head = {
-        "key": key,
-        "dtype": _WORDS[array.dtype.name],
-        "width": width,
-        "height": height,
-        "channels": channels,
-    }
+    size = {"width": width, "height": height, "channels": channels}
+    head = {"key": key, "dtype": _WORDS[array.dtype.name], **size}
     text = base64.b64encode(encode_tile(array)).decode()
     page = _template().replace("HEAD", json.dumps(head, separators=(",", ":")), 1)
     content = page.replace("BYTES", text, 1).encode()
@@ -75,12 +70,11 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
 
 
 def read_tile(path: Path) -> NDArray:
-    """The array (H, W, C) of a tile's file. Raises :class:`InputError` for other files."""
+    """Read the array (H, W, C) of a tile's file. Raises :class:`InputError` for other files."""
     page = path.read_text(encoding="utf-8")
     packed, head_text = _BYTES.search(page), _HEAD.search(page)
     if packed is None or head_text is None:
         raise input_error(path, "", "not a tile", "a page with bytes and head", "write the report again")
     head = json.loads(head_text[1])
-    return decode_tile(
-        base64.b64decode(packed[1]), head["dtype"], head["width"], head["height"], head["channels"]
-    )
+    fields = (head[name] for name in ("dtype", "width", "height", "channels"))
+    return decode_tile(base64.b64decode(packed[1]), *fields)

@@ -34,7 +34,7 @@ from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.color_maps import cividis
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.progress import Progress
-from datagen.inspection.findings import Report
+from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
 from datagen.inspection.report.predictions import (
@@ -49,30 +49,11 @@ from datagen.library import Library
 from datagen.multiview.visibility import VisibilityOptions
 
 PAGE_FILES = (
-    "index.html",
-    "report.css",
-    "store.js",
-    "charts.js",
-    "overview.js",
-    "compare.js",
-    "gallery.js",
-    "panels.js",
-    "viewer.js",
-    "sources.js",
-    "main.js",
-)
-_LABELS = {
-    "beauty": "beauty",
-    "diffuse_albedo": "D, diffuse albedo",
-    "specular_albedo": "S, specular albedo",
-    "roughness": "R, roughness",
-    "normal_world": "normal (world)",
-    "depth_z_m": "depth",
-    "color_min": "minimum",
-    "color_median": "median",
-    "color_max": "maximum",
-    "observation_count": "observation count",
-}
+    "index.html", "report.css", "store.js", "charts.js", "overview.js", "compare.js", "gallery.js",
+    "panels.js", "viewer.js", "sources.js", "main.js",
+)  # fmt: skip
+_LABELS = {name: label.replace("  ", ", ") for name, label in COLUMNS}
+_LABELS["observation_count"] = "observation count"
 
 
 @dataclass(frozen=True)
@@ -94,9 +75,10 @@ class ReportOptions:
 
 @dataclass(frozen=True)
 class ReportResult:
-    """The page's path, numbers of views and of views with pixels, bytes of pixels, and number of faults
-    (None: not verified); ``predicted`` contains, for each method, the numbers of predicted views and of
-    faulty predictions.
+    """Result of :func:`write_report`: path of the page, numbers of views, and size of the pixels' files.
+
+    ``num_faults`` is None if the dataset was not verified; ``predicted`` contains, by method, the numbers of
+    predicted views and of faulty predictions.
     """
 
     page: Path
@@ -108,9 +90,9 @@ class ReportResult:
 
 
 def choose_configurations(index: DatasetIndex, max_views: int | None, first: Iterable[str] = ()) -> set[str]:
-    """Configurations whose pixels are written: those of ``first``, then others evenly spaced by index.
+    """Choose the configurations whose pixels are written: ``first``, then others evenly spaced by index.
 
-    Their views number at most ``max_views`` (None: all configurations).
+    Together they have at most ``max_views`` views; None chooses all configurations.
     """
     if max_views is None:
         return {shard.configuration for shard in index.shards}
@@ -152,7 +134,8 @@ def write_report(
     index = Dataset(folder).index
     _check_out(out)
     out.mkdir(parents=True, exist_ok=True)
-    found = _verify(folder, library, options, progress) if options.with_verify else None
+    tell = partial(progress, "verify") if progress is not None else None
+    found = verify_dataset(folder, library, options.workers, tell) if options.with_verify else None
     worst = summary.findings(found, index, [])["views"]
     first = [w["configuration"] for w in worst] + predicted_configurations(index, options.predictions)
     chosen = choose_configurations(index, options.max_pixel_views, first)
@@ -225,16 +208,6 @@ def _check_out(out: Path) -> None:
     (out / "gathered").mkdir(parents=True, exist_ok=True)
 
 
-def _verify(
-    folder: Path, library: Library | None, options: ReportOptions, progress: Progress | None
-) -> Report:
-    def tell(done: int, total: int) -> None:
-        if progress is not None:
-            progress("verify", done, total)
-
-    return verify_dataset(folder, library, options.workers, tell)
-
-
 Job = TypeVar("Job", GatherJob, CompareJob)
 
 
@@ -245,7 +218,7 @@ def _run_jobs(
     workers: int,
     progress: Progress | None,
 ) -> tuple[list[dict[str, Any]], list[tuple[Job, InputError]]]:
-    """Results in the order of ``jobs``, and the jobs that failed, with their errors."""
+    """Run ``jobs`` in processes; returns the results in order, and the failed jobs with their errors."""
     results: dict[int, dict[str, Any]] = {}
     failures: dict[int, InputError] = {}
 
@@ -270,7 +243,7 @@ def _run_jobs(
 
 
 def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
-    """Paths of contact sheets relative to the page, by configuration; empty unless it is in the dataset."""
+    """Paths of contact sheets relative to the page by configuration; empty for a page outside the dataset."""
     page, root = out.resolve(), folder.resolve()
     if not page.is_relative_to(root):  # the page may be moved without the dataset
         return {}
@@ -280,7 +253,7 @@ def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
 
 
 def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
-    """Facts about the dataset, its buffers, and constants of the statistics that the viewer needs."""
+    """Plain data on the dataset, its buffers, and the constants of the statistics for the viewer."""
     visibility = VisibilityOptions()
     shown = [name for name in SHOWN_BUFFERS if name in index.buffers]
     return {
@@ -312,19 +285,12 @@ def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
 
 
 VIEW_COLUMNS = (
-    "name",
-    "samples",
-    "rel_mse",
-    "clipped_pixels",
-    "exposure",
-    "height_m",
-    "surface_share",
-    "mean_count",
-)
+    "name", "samples", "rel_mse", "clipped_pixels", "exposure", "height_m", "surface_share", "mean_count",
+)  # fmt: skip
 
 
 def view_table(gathered: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """A table with a row per view, without keys, to keep the data of thousands of views small."""
+    """Plain data of a table with a row per view; rows are lists without keys, to save space."""
     configurations, rows = [], []
     for number, shard in enumerate(gathered):
         configurations.append([shard["id"], shard["split"], shard["has_pixels"]])
