@@ -76,10 +76,7 @@ def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
 
 
 def measure(
-    scene: WorldScene,
-    shell: Shell,
-    assigned: tuple[dict[str, MeanMaterial], ...],
-    cameras: list[Camera],
+    scene: WorldScene, shell: Shell, assigned: tuple[dict[str, MeanMaterial], ...], cameras: list[Camera]
 ) -> ViewCoverage:
     """Measure how ``cameras`` cover a scene; ``assigned`` maps slots to materials, for each asset."""
     previews = [preview_of(camera) for camera in cameras]

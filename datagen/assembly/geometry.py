@@ -63,10 +63,7 @@ class RayScene:
         return scene
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike = np.inf) -> Hits:
-        """First hits along unit ``directions`` (R, 3) from ``origins`` (R, 3) or (3,).
-
-        ``max_distance_m`` is a scalar or (R,).
-        """
+        """First hits within a distance along unit ``directions`` (R, 3) from ``origins`` (R, 3) or (3,)."""
         directions = np.ascontiguousarray(directions, dtype=np.float64).reshape(-1, 3)
         origins = np.broadcast_to(np.asarray(origins, dtype=np.float64), directions.shape)
         count = len(directions)

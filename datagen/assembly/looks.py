@@ -197,13 +197,7 @@ LOOKS: dict[Surface, tuple[Look, ...]] = {
         _dark(0.6),
         Look(0.3, "metal", (0.0, 0.06), roughness=(0.3, 0.65), specular=(0.05, 0.2)),
     ),
-    "furniture": (
-        _wood(4),
-        _white(2.2),
-        _muted(1.2),
-        _dark(0.6),
-        _steel(0.8, (0.2, 0.42)),
-    ),
+    "furniture": (_wood(4), _white(2.2), _muted(1.2), _dark(0.6), _steel(0.8, (0.2, 0.42))),
     "tabletop": (
         _wood(5),
         _white(1),

@@ -18,15 +18,7 @@ import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene, distance_m, world_points
 from datagen.assembly.shortfall import shortfall
-from datagen.assembly.things import (
-    PlacedThing,
-    Room,
-    Thing,
-    convex_hull_2d,
-    margin_inside,
-    pose,
-    rotation_z,
-)
+from datagen.assembly.things import PlacedThing, Room, Thing, convex_hull_2d, margin_inside, pose, rotation_z
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
 from datagen.formats.recipe import ObjectRecipe
 from datagen.foundation.errors import input_error
