@@ -32,7 +32,10 @@ _MIN_SATURATION = 0.05  # hue and saturation of greys are noise
 
 @dataclass(frozen=True)
 class MaterialSample:
-    """Brightest channel of mean D, mean R, and spreads over texels (NaN for a constant channel)."""
+    """Means of a material: ``value`` (brightest channel of D) and R; standard deviations over its texels.
+
+    The spread of hue is in turns, those of saturation and value are factors; NaN without a texture.
+    """
 
     value: float
     roughness: float
@@ -43,7 +46,7 @@ class MaterialSample:
 
 
 def _spread_of_color(texels: NDArray) -> tuple[float, float, float]:
-    """Spreads of hue (turns), saturation and value (factors) over texels (H, W, 3)."""
+    """Standard deviations over texels (H, W, 3): of hue in turns, of saturation and value as factors."""
     import cv2
 
     hsv = cv2.cvtColor(np.ascontiguousarray(texels, dtype=np.float32), cv2.COLOR_RGB2HSV).reshape(-1, 3)
@@ -60,7 +63,7 @@ def _spread_of_color(texels: NDArray) -> tuple[float, float, float]:
 
 
 def sample_material(package: Package, material: Material, means: MeanMaterials) -> MaterialSample:
-    """The sample of a material of a package."""
+    """Measure the means and spreads of one material of a package."""
     mean = means.mean(package, material)
 
     def texels(texture: Texture, is_scalar: bool) -> NDArray:
@@ -78,7 +81,7 @@ def sample_material(package: Package, material: Material, means: MeanMaterials) 
 
 
 def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
-    """Samples of all opaque, non-emissive materials and slots, by main class."""
+    """Measure every material with neither emission nor opacity in a library, grouped by main class."""
     means = MeanMaterials()
     found: dict[str, list[MaterialSample]] = defaultdict(list)
     for package in library:
@@ -96,7 +99,7 @@ def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
 
 
 def main(paths: list[str]) -> int:
-    """Print the table for the libraries at ``paths``; returns the exit code, 2 for bad input."""
+    """Print the statistics of the libraries at ``paths``; return the exit code, 2 for bad input."""
     try:
         with Library([Path(p) for p in paths]) as library:
             found = sample_library(library)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Measures the coverage of a configuration by its views, from rays at low resolution.
+"""Measures how well the views of a configuration cover its scene, from camera rays at low resolution.
 
 Letters: P points of all views, M triangles.
 """
@@ -34,14 +34,14 @@ def preview_of(camera: Camera) -> Camera:
 
 @dataclass(frozen=True)
 class Shell:
-    """Walls and ceiling of a scene's room; ``surfaces`` is the kind of surface by slot of the room."""
+    """Walls and ceiling of a scene's room; ``surfaces`` maps each slot of the room to its kind of surface."""
 
     scene: WorldScene
     surfaces: dict[str, Surface]
 
     @cached_property
     def _label_of_face(self) -> NDArray[np.int64]:
-        """1 for the ceiling, 2 to 5 for walls by the direction of their normal, 0 for other faces; (M,)."""
+        """Label (M,) of each triangle: 1 ceiling, 2 to 5 wall by quadrant of its normal, 0 anything else."""
         scene = self.scene
         parts = scene.geometries[0].asset.parts
         kinds = np.array([self.surfaces.get(part.material, "small") for part in parts])
@@ -53,7 +53,10 @@ class Shell:
         return np.where(kind == "ceiling", 1, np.where(is_wall, 2 + quarter, 0))
 
     def is_room(self, faces: NDArray[np.int64], num_pixels: int) -> bool:
-        """Whether ``faces``, hit by an image's pixels, show two walls, or a wall and the ceiling."""
+        """Return whether an image shows two walls, or a wall and the ceiling.
+
+        ``faces`` are the indices of the triangles hit by those of its ``num_pixels`` rays that hit one.
+        """
         pixels = np.bincount(self._label_of_face[faces], minlength=2 + _QUADRANTS)[1:]
         seen = pixels >= MIN_SHELL_PIXELS * num_pixels
         return bool(seen[1:].any() and seen.sum() >= 2)
@@ -73,12 +76,9 @@ def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
 
 
 def measure(
-    scene: WorldScene,
-    shell: Shell,
-    assigned: tuple[dict[str, MeanMaterial], ...],
-    cameras: list[Camera],
+    scene: WorldScene, shell: Shell, assigned: tuple[dict[str, MeanMaterial], ...], cameras: list[Camera]
 ) -> ViewCoverage:
-    """Coverage of a scene by its views; ``assigned``: mean materials by slot, of room and objects."""
+    """Measure how ``cameras`` cover a scene; ``assigned`` maps slots to materials, for each asset."""
     previews = [preview_of(camera) for camera in cameras]
     hits: list[Hits] = []
     points: list[Floats] = []
@@ -110,7 +110,7 @@ def _share(count: int, of: int) -> float:
 
 
 def _of_faces(scene: WorldScene, assigned: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
-    """Brightest channel of mean S, and mean R, of every triangle's material, (M,) each."""
+    """Brightest channel of mean S (M,) and mean R (M,) of each triangle's material."""
     tables = [
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
         for g, w in zip(scene.geometries, assigned, strict=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Light from outside: radiance of skies and environment images by direction, and directions of the sun."""
+"""Radiance of skies and environment images as functions of direction, and choice of the sun's direction."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SUN_TRIES = 24
 
 
 def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) -> Floats:
-    """Unit directions (rows, columns, 3) of an equirectangular image's pixels: centre +Y, top +Z."""
+    """Unit directions (rows, columns, 3) of an equirectangular image's pixels; centre +Y, top +Z."""
     polar = (np.arange(rows) + 0.5) / rows * math.pi
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * math.pi
     sine = np.sin(polar)[:, None]
@@ -42,7 +42,7 @@ def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) 
 
 
 def lookup(table: Floats) -> EnvironmentMap:
-    """A function from directions to the nearest radiance in an equirectangular table (rows, columns, 3)."""
+    """A function from directions (R, 3) to the radiance in an equirectangular table (rows, columns, 3)."""
     rows, columns = table.shape[:2]
 
     def radiance(directions: Floats) -> Floats:
@@ -56,7 +56,7 @@ def lookup(table: Floats) -> EnvironmentMap:
 
 
 def environment_radiance(light: EnvironmentLight, library: Library) -> EnvironmentMap:
-    """An environment light's radiance as a function of world direction, averaged over 5.6 degrees."""
+    """An environment light's radiance as a function of world direction, in cells of at least 5.6 degrees."""
     if light.image is None:
         constant = light.scale * np.array(light.radiance)
         return lambda directions: np.broadcast_to(constant, directions.shape)
@@ -79,7 +79,7 @@ def _image_table(library: Library, asset: str, image: str) -> Floats:
 
 
 def sky_radiance(light: SkyLight) -> EnvironmentMap:
-    """A sky's radiance as a function of world direction, without its sun."""
+    """A sky's radiance, without the sun's disc, as a function of world direction."""
     table = _sky_table(light.sun_direction, light.turbidity, light.ground_albedo)
     return lookup(light.sky_scale * table)
 
@@ -125,7 +125,10 @@ def sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) of a ``sunsky`` emitter from unit directions: sky times ``sky``, sun times ``disc``."""
+    """Radiance (R, 3) of Mitsuba's ``sunsky`` in unit ``directions`` (R, 3).
+
+    ``sky`` and ``disc`` scale the radiance of the sky and of the sun's disc.
+    """
     select_variant()
     import drjit as dr
     import mitsuba as mi
@@ -168,10 +171,10 @@ def environment_image(library: Library, asset_id: str) -> str:
 def draw_sun_direction(
     rays: RayScene, openings: tuple[Opening, ...], targets: Floats, enters: bool, draws: Draws
 ) -> tuple[Floats, bool]:
-    """A unit vector (3,) towards the sun, and whether sunlight reaches one of ``targets`` (P, 3).
+    """Draw a unit vector (3,) towards the sun; also return whether it was aimed at one of ``targets`` (P, 3).
 
-    With ``enters``, directions from targets through openings are tried until one is unobstructed and within
-    :data:`SUN_ELEVATION_RAD`; if none is found, or without ``enters``, the direction is random.
+    If ``enters`` is true, directions from targets through openings are tried until one is unobstructed and
+    within :data:`SUN_ELEVATION_RAD`. If none is found or ``enters`` is false, the direction is random.
     """
     if enters and openings and len(targets):
         areas = [float(np.linalg.norm(np.cross(o.edge_u_m, o.edge_v_m))) for o in openings]
@@ -196,7 +199,7 @@ def draw_sun_direction(
 
 
 def rotation_about_up(angle_rad: float) -> NDArray[np.float64]:
-    """Rotation matrix (4, 4) about +Z."""
+    """Homogeneous matrix (4, 4) of a rotation about +Z."""
     matrix = np.eye(4)
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     matrix[:2, :2] = [[c, -s], [s, c]]

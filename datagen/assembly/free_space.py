@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Free camera positions, in an environment's camera regions or in the view of its cameras, outside solids."""
+"""Free camera positions outside solids, in an environment's camera regions or in view of its cameras."""
 
 from __future__ import annotations
 
@@ -16,22 +16,25 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
-NUM_FEELERS = 96  # rays cast around a camera: 15 degrees between neighbours
+NUM_FEELERS = 96  # rays cast in all directions from a camera position, 15 degrees between neighbours
 _REACH_M = 6.0  # free space without regions extends this far from the environment's own cameras
-_MAX_BACK_SHARE = 0.35  # of these rays: more that hit backs of triangles mean that the camera is in a solid
-_MAX_OPEN_SHARE = 0.75  # of these rays: more that hit nothing mean that the camera is outside the room
+_MAX_BACK_SHARE = 0.35  # of the feelers: if more hit backs of triangles, the camera is inside a solid
+_MAX_OPEN_SHARE = 0.75  # of the feelers: if more hit nothing, the camera is outside the room
 
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Free space of an environment, its objects included in ``rays``, for a range of camera heights."""
+    """Free space of a furnished environment for camera heights in [``height_m[0]``, ``height_m[1]``].
+
+    ``rays`` contains the triangles of the environment and of its objects.
+    """
 
     environment: EnvironmentAsset
     rays: RayScene
     height_m: tuple[float, float]
 
     def check(self) -> None:
-        """Raise :class:`InputError` without camera regions and cameras, or if all regions are too low."""
+        """Raise :class:`InputError` if there are neither regions nor cameras, or all regions are too low."""
         where = f"environment {self.environment.id}"
         if not self.environment.camera_regions and not self.environment.cameras:
             raise input_error(
@@ -53,7 +56,7 @@ class FreeSpace:
 
     @cached_property
     def _regions(self) -> list[tuple[Floats, Floats, float]]:
-        """Corners (3,), (3,) and floor area of the part of each region within the range of camera heights."""
+        """Lower corner (3,), upper corner (3,), floor area in m² of each region within the height range."""
         found = []
         for region in self.environment.camera_regions:
             low, high = np.array(region.minimum_m), np.array(region.maximum_m)
@@ -65,7 +68,7 @@ class FreeSpace:
         return found
 
     def draw(self, draws: Draws) -> Floats | None:
-        """A random position (3,), not yet checked by :meth:`fault`; None if there is no floor below it."""
+        """Draw a position (3,), which :meth:`fault` has not checked; None if there is no floor below it."""
         if self._regions:
             low, high, _ = draws.weighted(self._regions, [w for _, _, w in self._regions])
             return low + draws.units(3) * (high - low)
@@ -86,7 +89,7 @@ class FreeSpace:
 
     @cached_property
     def trusts_winding(self) -> bool:
-        """Whether at least 90 % of rays from the room's cameras and above its supports hit front faces."""
+        """Whether over 90 % of hits seen from the room's cameras and supports are on front faces."""
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
         for s in self.environment.support_surfaces:
             middle = np.array(s.origin_m) + 0.5 * (np.array(s.edge_u_m) + np.array(s.edge_v_m))
@@ -98,7 +101,7 @@ class FreeSpace:
         return bool(self.rays.sees_back(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
 
     def fault(self, position: Floats, clearance_m: float) -> str:
-        """The fault of a position (3,): ``inside_solid``, ``too_close`` or ``outside``; '' if it is free."""
+        """Why a position (3,) is not free: ``inside_solid``, ``too_close`` or ``outside``; '' if it is."""
         directions = fibonacci_sphere(NUM_FEELERS)
         hits = self.rays.cast(position, directions)
         backs = int(self.rays.sees_back(hits, directions).sum())
@@ -111,9 +114,9 @@ class FreeSpace:
         return ""
 
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
-        """Up to ``count`` free positions (P, 3) from at most ``8 * count`` draws; rejections are counted.
+        """Draw up to ``count`` free positions (P, 3) in at most ``8 * count`` tries.
 
-        Raises :class:`InputError` if no position is free.
+        Counts the reasons in ``rejections``. Raises :class:`InputError` if no position is free.
         """
         found: list[Floats] = []
         for _ in range(8 * count):

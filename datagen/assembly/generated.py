@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Rooms generated for a configuration (``environments.parametric``).
+"""Generates the rooms of configurations (``environments.parametric`` of the recipe).
 
-A room is determined by (recipe seed, index, attempt). It is an environment package in memory; planning stores
-it in the dataset's folder ``rooms/`` for later stages.
+A room is a function of (recipe seed, index, attempt). It is an environment package in memory, which planning
+writes to the dataset's folder ``rooms/`` for later stages.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class GeneratedRoom:
 
     @cached_property
     def bare_slots(self) -> frozenset[tuple[str, str]]:
-        """(asset id, slot) of slots that need a material of the palette, since theirs is a placeholder."""
+        """Pairs (asset id, slot) of slots with a placeholder, which a material of the palette replaces."""
         asset = self.package.asset
         assert isinstance(asset, EnvironmentAsset)
         return frozenset(
@@ -43,7 +43,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """The room of an attempt at configuration ``index``; None if the room comes from the library."""
+    """Generate the room of an attempt at configuration ``index``; None if its room is in the library."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
@@ -54,9 +54,9 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """The generated room of a configuration; None if its room comes from the library.
+    """Generate the room of a planned configuration; None if its room comes from the library.
 
-    Raises :class:`ValueError` if none of ``num_tries`` attempts gives the configuration's room.
+    Raises :class:`ValueError` if none of the first ``num_tries`` attempts has the room's asset id.
     """
     for attempt in range(num_tries):
         room = generated_room(recipe, configuration.index, attempt)
@@ -66,7 +66,7 @@ def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> Gen
 
 
 def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
-    """Yield one room of each kind that the recipe may generate."""
+    """Yield one room of each kind that the recipe allows; nothing if it generates no rooms."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
         asset = _generated(kind, "example", False).package.asset

@@ -30,14 +30,14 @@ _MAX_CACHED_TRIANGLES = 6_000_000  # about 1 GB with search trees
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of R rays: ``distance_m`` (R,), index ``face`` (R,) of the triangle; inf, -1 for misses."""
+    """First hits of R rays: distance (R,) and triangle index ``face`` (R,); inf and -1 for misses."""
 
     distance_m: Floats
     face: Ints
 
     @property
     def hit_mask(self) -> NDArray[np.bool_]:
-        """Whether each ray hit a triangle, (R,)."""
+        """Mask (R,) of the rays that hit a triangle."""
         return self.face >= 0
 
 
@@ -63,7 +63,7 @@ class RayScene:
         return scene
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike = np.inf) -> Hits:
-        """First hits along unit ``directions`` (R, 3) from ``origins`` (R, 3) or (3,)."""
+        """First hits within a distance along unit ``directions`` (R, 3) from ``origins`` (R, 3) or (3,)."""
         directions = np.ascontiguousarray(directions, dtype=np.float64).reshape(-1, 3)
         origins = np.broadcast_to(np.asarray(origins, dtype=np.float64), directions.shape)
         count = len(directions)
@@ -89,7 +89,7 @@ class RayScene:
         return Hits(distance, face)
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike) -> NDArray:
-        """Whether rays along unit ``directions`` (R, 3) hit anything within ``max_distance_m``, (R,) bool."""
+        """Mask (R,) of rays along unit ``directions`` (R, 3) that hit anything within ``max_distance_m``."""
         directions = np.ascontiguousarray(directions, dtype=np.float32).reshape(-1, 3)
         count = len(directions)
         if count == 0 or len(self.faces) == 0:
@@ -100,7 +100,7 @@ class RayScene:
         return self._embree.run(origins, directions, dists=limits, query="OCCLUDED") != -1
 
     def sees_back(self, hits: Hits, directions: Floats) -> NDArray:
-        """Whether each ray along ``directions`` (R, 3) hit the back of a triangle, (R,); False for misses."""
+        """Mask (R,) of rays along ``directions`` (R, 3) whose first hit is on the back of a triangle."""
         cosine = np.einsum("ij,ij->i", self.normals[np.maximum(hits.face, 0)], directions)
         return hits.hit_mask & (cosine > 0)
 
@@ -109,8 +109,8 @@ class RayScene:
 class AssetGeometry:
     """All parts of an asset as one triangle soup in the asset's frame.
 
-    ``part_of_face`` (M,) indexes ``asset.parts``. ``opaque_part`` tells for each part whether it blocks
-    light: its opacity is absent, textured, or at least 0.5.
+    ``part_of_face`` (M,) are indices into ``asset.parts``. ``opaque_part`` is the mask of parts that block
+    light: those whose opacity is absent, textured, or at least 0.5.
     """
 
     asset: ObjectAsset | EnvironmentAsset
@@ -139,17 +139,17 @@ class AssetGeometry:
 
     @cached_property
     def opaque_faces(self) -> Ints:
-        """Indices of the triangles that block light."""
+        """Indices (K,) of the triangles that block light."""
         return np.flatnonzero(self.opaque_part[self.part_of_face])
 
     @cached_property
     def rays(self) -> RayScene:
-        """All triangles, opaque or not, in the asset's frame."""
+        """A ray scene of all triangles, opaque or not, in the asset's frame."""
         return RayScene(self.vertices, self.faces)
 
 
 def load_geometry(package: Package) -> AssetGeometry:
-    """Read all meshes of an object or environment. Raises :class:`InputError` for unusable ones."""
+    """Read all meshes of an object or environment. Raises :class:`InputError` for invalid meshes."""
     asset = package.asset
     if not isinstance(asset, ObjectAsset | EnvironmentAsset):
         raise TypeError(f"{asset.id} is a {asset.kind}; expected an object or environment")
@@ -160,7 +160,7 @@ def load_geometry(package: Package) -> AssetGeometry:
             meshes[part.mesh] = _sound_mesh(package, part.mesh)
         mesh = meshes[part.mesh]
         matrix = np.asarray(part.asset_from_part, dtype=np.float64)
-        moved = mesh.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        moved = world_points(matrix, mesh.positions.astype(np.float64))
         turned = mesh.faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else mesh.faces
         vertices.append(moved)
         faces.append(turned + start)
@@ -195,14 +195,14 @@ def _is_opaque(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
 
 
 class GeometryCache:
-    """Cache of geometry by package hash; evicts the least recently used above ``max_triangles`` in all."""
+    """Cache of geometry by package hash; evicts the least recently used above ``max_triangles`` in total."""
 
     def __init__(self, max_triangles: int = _MAX_CACHED_TRIANGLES):
         self._max_triangles = max_triangles
         self._entries: OrderedDict[str, AssetGeometry] = OrderedDict()
 
     def get(self, package: Package) -> AssetGeometry:
-        """The package's geometry, read if it is not in the cache."""
+        """Return a package's geometry; read it if it is not in the cache."""
         key = package.sha256
         if key in self._entries:
             self._entries.move_to_end(key)
@@ -217,7 +217,7 @@ class GeometryCache:
 
 
 class CollisionModel:
-    """A triangle soup for exact tests by FCL, triangle against triangle, at rigid poses."""
+    """A triangle soup at rigid poses for exact triangle-triangle intersection tests with FCL."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         import fcl
@@ -261,10 +261,10 @@ def world_points(world_from_asset: ArrayLike, points: Floats) -> Floats:
 
 
 class WorldScene:
-    """All opaque triangles of an environment and of placed objects (geometry, ``world_from_asset``).
+    """All opaque triangles of an environment and of placed objects, in world coordinates.
 
-    ``item_of_face`` (M,) is 0 for the environment, k for the k-th object. ``instance_of_face`` (M,) is the
-    index of a part of the environment, or ``num_environment_parts`` plus the index of an object.
+    ``item_of_face`` (M,) is 0 for the environment and k ≥ 1 for the k-th object. ``instance_of_face`` (M,) is
+    the index of a part of the environment, or ``num_environment_parts`` plus the index of an object.
     """
 
     def __init__(self, environment: AssetGeometry, objects: list[tuple[AssetGeometry, NDArray]]):

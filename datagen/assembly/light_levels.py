@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sets the intensity of every group of lights by a path-traced probe of the furnished room.
+"""Sets the intensity of each group of lights by path tracing in the furnished room.
 
 The probe gives each group's contribution to the mean irradiance at camera positions; shares are drawn
 log-uniformly, each from its range, and scaled so that their sum is the irradiance drawn from the recipe.
@@ -21,12 +21,7 @@ from datagen.assembly.lights import PlannedGroup, RoomToLight, plan_lights, plan
 from datagen.assembly.white_balance import NO_TINT, Tint, tint_of_lamps
 from datagen.formats.base import quantized
 from datagen.formats.light_changes import scaled
-from datagen.formats.lights import (
-    AreaLight,
-    EnvironmentLight,
-    Light,
-    SkyLight,
-)
+from datagen.formats.lights import AreaLight, EnvironmentLight, Light, SkyLight
 from datagen.formats.recipe import LightRecipe
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
@@ -37,7 +32,10 @@ _NEGLIGIBLE = 1e-9  # nominal irradiance, relative to the strongest group's, bel
 
 @dataclass(frozen=True)
 class Lighting:
-    """Lights and emissive slots at their final intensities; ``gains`` are the probe's groups' factors."""
+    """Lights and, for each asset, radiance of emissive slots at final intensity.
+
+    ``gains`` has the factor of each group of ``probe``; ``mean_irradiance`` is in W/m².
+    """
 
     lights: tuple[Light, ...]
     emission: tuple[dict[str, tuple[float, float, float]], ...]
@@ -46,7 +44,7 @@ class Lighting:
     mean_irradiance: float
 
     def shows_light(self, origins: Floats, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
-        """Whether rays (R, 3) with these hits see a luminous surface, which has no material; (R,)."""
+        """Mask (R,) of rays (R, 3) that reach an emissive triangle or visible area light first."""
         shown = np.zeros(len(directions), dtype=bool)
         for group, gain in zip(self.probe.groups, self.gains, strict=True):
             if gain > 0 and group.emitters is not None:
@@ -69,7 +67,7 @@ def light_room(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> Lighting:
-    """Choose lights and set their intensities; ``key`` seeds the draws.
+    """Choose the lights of a room and set their intensities; ``key`` seeds the random draws.
 
     Raises :class:`InputError` if no light reaches the camera positions.
     """
@@ -116,7 +114,7 @@ def light_room(
 
 
 def _named(lights: list[Light]) -> tuple[Light, ...]:
-    """The lights with unique names: a number is appended to repeated ones."""
+    """Make the names of lights unique by appending a number to repeated names."""
     seen: Counter[str] = Counter()
     named = []
     for light in lights:
@@ -129,7 +127,7 @@ def _named(lights: list[Light]) -> tuple[Light, ...]:
 def _emission(
     room: RoomToLight, groups: list[PlannedGroup], gains: list[float], tint: Tint
 ) -> tuple[dict[str, tuple[float, float, float]], ...]:
-    """Radiance of every emissive slot of each placed asset; 0 for slots that belong to no group."""
+    """For each placed asset, the radiance of its emissive slots; 0 for slots that belong to no group."""
     gain_of = {slot: gain for group, gain in zip(groups, gains, strict=True) for slot in group.slots}
     emission = []
     for item, asset in enumerate(room.assets):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,16 +50,16 @@ class Emitters:
 
 @dataclass(frozen=True)
 class LightGroup:
-    """Lights scaled by one factor. ``sky`` is the radiance from outside, without the discs of ``suns``."""
+    """Lights scaled by one factor; ``sky`` is the radiance from outside, without the discs of ``suns``."""
 
     lights: tuple[Light, ...] = ()
     emitters: Emitters | None = None
     sky: EnvironmentMap | None = None
-    suns: tuple[DirectionalLight, ...] = field(default=())
+    suns: tuple[DirectionalLight, ...] = ()
 
 
 class LightProbe:
-    """Path tracer of one scene; ``albedo`` (M, 3) is that of each triangle of ``scene.rays``."""
+    """Path tracer of one scene; ``albedo`` (M, 3) is the albedo of each triangle of ``scene.rays``."""
 
     def __init__(
         self, scene: WorldScene, albedo: Floats, groups: list[LightGroup], openings: tuple[Opening, ...]
@@ -72,8 +72,8 @@ class LightProbe:
     def irradiance(self, points: Floats, draws: Draws, rays_per_point: int = 8) -> Floats:
         """Irradiance (P, G, 3) in W/m² at points (P, 3), averaged over orientations of the receiver.
 
-        This is a quarter of the fluence rate. Direct light is sampled at emitters, indirect light by
-        ``rays_per_point`` uniform rays.
+        The mean equals a quarter of the fluence rate. Direct light is sampled at emitters, indirect light
+        with ``rays_per_point`` uniformly distributed rays.
         """
         count = len(points)
         direct = np.zeros((count, len(self.groups), 3))
@@ -85,10 +85,10 @@ class LightProbe:
         return direct + math.pi * indirect.reshape(shape).mean(axis=1)
 
     def radiance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
-        """Reflected radiance (R, G, 3) along rays (R, 3), without directly visible lights.
+        """Radiance (R, G, 3) along rays (R, 3), without lights and emitters that the rays hit directly.
 
-        Light through openings is sampled at the openings, so rays that leave the scene add the background
-        only elsewhere; directly visible background is included there.
+        Light through openings is sampled at the openings. Rays that leave the scene elsewhere, also without
+        a bounce, add the radiance of the background.
         """
         count = len(origins)
         total = np.zeros((count, len(self.groups), 3))
@@ -132,7 +132,7 @@ class LightProbe:
                 total[index[free], k] += weight[free] * group.sky(directions[free])
 
     def _direct(self, points: Floats, normals: Floats | None, group: LightGroup, draws: Draws) -> Floats:
-        """Direct irradiance (R, 3) of a group on surfaces; its fluence rate if ``normals`` is None."""
+        """Direct irradiance (R, 3) from a group at points (R, 3); fluence rate if ``normals`` is None."""
         arriving = np.zeros((len(points), 3))
         lights: list[Light] = [*group.lights, *group.suns]
         share = 1.0
@@ -202,7 +202,9 @@ class _Sample:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """An opening or flat light: corner, edges, unit ``normal`` into the room, ``area`` in m²."""
+    """An opening or flat light: corner ``origin``, edges ``u`` and ``v`` in metres, unit ``normal`` into the
+    room, ``area`` in m².
+    """
 
     origin: Floats
     u: Floats
@@ -212,7 +214,7 @@ class Rectangle:
 
     @classmethod
     def of(cls, opening: Opening | AreaLight) -> Rectangle:
-        """The rectangle of an opening or a light."""
+        """The rectangle spanned by the edges of an opening or area light."""
         u, v = np.array(opening.edge_u_m), np.array(opening.edge_v_m)
         cross = np.cross(u, v)
         area = float(np.linalg.norm(cross))
@@ -221,7 +223,7 @@ class Rectangle:
     def is_crossed(
         self, origins: Floats, directions: Floats, limit_m: Floats | float = np.inf
     ) -> NDArray[np.bool_]:
-        """Whether rays (R, 3) cross the rectangle against its normal nearer than ``limit_m``, (R,)."""
+        """Mask (R,) of rays (R, 3) that cross the rectangle against its normal within ``limit_m``."""
         cosine = directions @ self.normal
         height = (self.origin - origins) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -233,9 +235,12 @@ class Rectangle:
 
 
 def _from_surface(points: Floats, on_light: Floats, normals: Floats, radiance_area: Floats) -> _Sample:
-    """A sample at points (R, 3) of one-sided lights; ``radiance_area``: radiance over probability density."""
+    """Samples for ``points`` (R, 3) of points ``on_light`` (R, 3) of one-sided lights.
+
+    ``radiance_area`` (R, 3) or (1, 3) is the radiance divided by the probability density per area.
+    """
     towards = on_light - points
-    # bounds the intensity of a light at less than 1 mm
+    # bounds the irradiance from a light nearer than 1 mm
     squared = np.maximum((towards * towards).sum(axis=1), 1e-6)
     distance = np.sqrt(squared)
     directions = towards / distance[:, None]
@@ -287,5 +292,5 @@ def _cosine_directions(normals: Floats, draws: Draws) -> Floats:
 
 
 def is_from_outside(light: Light) -> bool:
-    """Whether a light is an environment that surrounds the scene (at most one per configuration)."""
+    """Return whether a light is a sky or environment that surrounds the scene."""
     return isinstance(light, EnvironmentLight | SkyLight)

@@ -24,12 +24,7 @@ from datagen.formats.asset import Daytime, EnvironmentAsset, LightSlot, ObjectAs
 from datagen.formats.base import quantized
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.light_changes import moved_light
-from datagen.formats.lights import (
-    AreaLight,
-    Light,
-    PointLight,
-    SkyLight,
-)
+from datagen.formats.lights import AreaLight, Light, PointLight, SkyLight
 from datagen.formats.recipe import LightRecipe
 from datagen.foundation.color import color_of_temperature
 from datagen.foundation.random import Draws
@@ -46,7 +41,7 @@ _PANEL_TRIES = 60
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights scaled together; ``slots`` are emissive slots as (item, slot), with item 0 the environment.
+    """Lights scaled together; ``slots`` are emissive slots as (index of the asset, slot), room first.
 
     ``share`` is the range of the group's share of the irradiance, relative to the shares of other groups.
     """
@@ -59,7 +54,10 @@ class PlannedGroup:
 
 @dataclass(frozen=True)
 class RoomToLight:
-    """A scene to light: placed assets (room first), mean materials by slot, camera positions (P, 3)."""
+    """A scene to light; ``placed``, ``assets`` and ``assigned`` have one entry per asset, the room first.
+
+    ``assigned`` are mean materials by slot, ``eyes`` are camera positions (P, 3).
+    """
 
     environment: EnvironmentAsset
     scene: WorldScene
@@ -77,7 +75,7 @@ def plan_lights(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> list[PlannedGroup]:
-    """Draw the groups of a configuration, at nominal intensity; ``key`` seeds the draws."""
+    """Draw the groups of lights of a configuration at nominal intensity; ``key`` seeds the draws."""
     draws = Draws(*key, "lights")
     wants = {
         "native": draws.chance(recipe.native_probability),
@@ -118,7 +116,7 @@ def plan_lights(
 def _without_overlap(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """The ``fresh`` groups without an area light that overlaps one of ``groups``."""
+    """Those ``fresh`` groups in which no area light overlaps an area light of ``groups``."""
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
@@ -187,7 +185,7 @@ def _area(
 
 
 def _light_in_slot(slot: LightSlot, color: tuple[float, float, float], draws: Draws) -> AreaLight:
-    """An area light of at least half the slot's length and width, at random in it and 2 mm in front."""
+    """Draw an area light of at least half a slot's length and width, at random in it, 2 mm in front of it."""
     u, v = np.array(slot.edge_u_m), np.array(slot.edge_v_m)
     share_u, share_v = draws.uniform(0.5, 1.0), draws.uniform(0.5, 1.0)
     normal = np.cross(u, v)
@@ -208,7 +206,7 @@ def _vector(value: Floats) -> tuple[float, float, float]:
 
 
 def is_blocked(light: AreaLight, rays: RayScene) -> bool:
-    """Whether geometry intersects an area light or is within 15 cm in front of more than a quarter of it."""
+    """Whether geometry intersects an area light, or covers over a quarter of it at less than 15 cm."""
     origin, u, v = (np.array(a) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     normal = np.cross(u, v)
     normal /= np.linalg.norm(normal)
@@ -228,7 +226,7 @@ def is_blocked(light: AreaLight, rays: RayScene) -> bool:
 def plan_panels(
     room: RoomToLight, recipe: LightRecipe, count: int, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Up to ``count`` panels under the ceiling above camera positions, each a group."""
+    """Draw up to ``count`` area lights below the ceiling, above camera positions; each is a group."""
     groups: list[PlannedGroup] = []
     for _ in range(_PANEL_TRIES if len(room.eyes) else 0):
         if len(groups) == count:
@@ -299,7 +297,7 @@ def _panorama(daytime: Daytime, library: Library, draws: Draws) -> list[PlannedG
 def _daylight(
     room: RoomToLight, recipe: LightRecipe, library: Library, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """A group with a sky and its sun, or with an environment image; none for rooms without openings."""
+    """Draw daylight: a group with a sky and sun or an environment image; no group without openings."""
     openings = room.environment.openings
     images = sorted(recipe.environment_images)
     wants_image, pick, turn = draws.chance(0.5), draws.unit(), draws.uniform(-math.pi, math.pi)

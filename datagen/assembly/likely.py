@@ -41,7 +41,7 @@ _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
 
 @dataclass(frozen=True)
 class Reach:
-    """Ranges of the :class:`ColorAdjustment` that bring a material's means into a look's ranges."""
+    """Ranges of the colour adjustments that move a material's mean D and R into the ranges of a look."""
 
     hue_shift: Interval
     saturation_scale: Interval
@@ -49,9 +49,9 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """The adjustment at relative position ``where`` (4,) of the ranges, in [0, 1].
+        """The adjustment at relative position ``where`` (4,) in the ranges, each in [0, 1].
 
-        A ``strength`` below 1 moves it towards the smallest adjustment in the ranges, which 0 gives.
+        ``strength`` in [0, 1] interpolates from the smallest adjustment in the ranges to that position.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:
@@ -69,9 +69,9 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """The adjustments that bring a material with these means into a look's ranges; None if none does.
+    """The adjustments that move a material with these means into the ranges of a look; None if none does.
 
-    A material of a dyed class without textures may get any colour.
+    A material without textures whose class has a wide range of hues may get any colour.
     """
     limits = CLASS_RANGES[material.classes[0]]
     is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS
@@ -107,8 +107,9 @@ def _common(one: Interval, other: Interval) -> Interval | None:
 
 
 def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> Interval | None:
-    """Factors that bring ``own`` into ``wanted``, from the inverse of the larger of ``max_factor`` and
-    ``stain`` to ``max_factor``; None if there are none.
+    """Range of factors that scale ``own`` into ``wanted``; None if it is empty.
+
+    Factors are between 1 / max(``max_factor``, ``stain``) and ``max_factor``.
     """
     if own <= _GREY and _contains(wanted, own):
         return (1.0, 1.0)  # black and grey cannot be scaled to a colour
@@ -124,7 +125,7 @@ class _Choice:
 
 
 class LikelyDresser:
-    """Assigns materials to the assets of one configuration in one style."""
+    """Assigns materials of ``palette`` to the assets of one configuration in one style."""
 
     def __init__(
         self, style: RoomStyle, palette: list[Package], recipe: MaterialRecipe, means: MeanMaterials
@@ -141,10 +142,10 @@ class LikelyDresser:
         draws: Draws,
         foreign_slots: frozenset[tuple[str, str]] = frozenset(),
     ) -> dict[str, MaterialAssignment]:
-        """Assignments for the slots of one placed asset; unchanged slots are absent.
+        """Draw the materials of the slots of one placed asset; slots that keep theirs unchanged are absent.
 
-        ``surfaces`` is the kind of surface of each slot. A slot among ``foreign_slots`` (asset id, slot)
-        keeps its material only if the palette offers no other. The number of draws does not depend on the
+        ``surfaces`` maps each slot to its kind of surface. A slot among ``foreign_slots`` (asset id, slot)
+        keeps its material only if no material of the palette fits. The number of draws does not depend on the
         palette.
         """
         asset = package.asset
@@ -237,7 +238,7 @@ def _varied(
     where: NDArray[np.float64],
     strength: float,
 ) -> ColorAdjustment:
-    """A small variation of a slot's material, within the first look into which it can be varied."""
+    """Draw a small adjustment of a slot's own material, within the first look whose ranges it can reach."""
     if strength == 0:
         return ColorAdjustment()
     calm = Reach(

@@ -84,7 +84,7 @@ class Look:
     """A class of material with ranges of its means: ``value``, ``saturation`` and ``hue`` (turns; None:
     unchanged) of D, ``roughness`` R, ``specular`` the brightest channel of S, ``tint`` the saturation of S.
 
-    ``follows`` names what replaces ranges: the style's wood of furniture or floor, or its accent hue.
+    ``follows`` names the part of the style that replaces ranges: a tone of wood or the accent hue.
     ``only`` is the finish or joinery that the style must have. ``stain`` is the largest factor by which value
     and saturation may be lowered, if it is above the limit of the class. ``is_printed`` allows any hue in any
     class.
@@ -104,7 +104,7 @@ class Look:
     is_printed: bool = False
 
     def in_style(self, style: RoomStyle) -> Look | None:
-        """The look with the style's choices applied; None if the style excludes it."""
+        """The look with ranges replaced by the style's where it follows it; None if the style excludes it."""
         if self.only is not None and self.only not in (style.finish, style.joinery):
             return None
         plain = replace(self, follows="", only=None)
@@ -197,13 +197,7 @@ LOOKS: dict[Surface, tuple[Look, ...]] = {
         _dark(0.6),
         Look(0.3, "metal", (0.0, 0.06), roughness=(0.3, 0.65), specular=(0.05, 0.2)),
     ),
-    "furniture": (
-        _wood(4),
-        _white(2.2),
-        _muted(1.2),
-        _dark(0.6),
-        _steel(0.8, (0.2, 0.42)),
-    ),
+    "furniture": (_wood(4), _white(2.2), _muted(1.2), _dark(0.6), _steel(0.8, (0.2, 0.42))),
     "tabletop": (
         _wood(5),
         _white(1),

@@ -121,7 +121,7 @@ class MeanMaterials:
 
 
 def adjusted(mean: MeanMaterial, adjustment: ColorAdjustment) -> MeanMaterial:
-    """The averages after an adjustment of the material; exact if it has no textures."""
+    """Means of a material after an adjustment; approximate if the material has textures."""
 
     def turned(color: tuple[float, float, float], value_scale: float) -> tuple[float, float, float]:
         hue, saturation, value = colorsys.rgb_to_hsv(*color)
@@ -141,7 +141,7 @@ def adjusted(mean: MeanMaterial, adjustment: ColorAdjustment) -> MeanMaterial:
 def draw_adjustment(
     mean: MeanMaterial, main_class: MaterialClass, strength: float, draws: Draws
 ) -> ColorAdjustment:
-    """A random adjustment within the :data:`CLASS_RANGES` of a class, scaled by ``strength`` in [0, 1]."""
+    """Draw an adjustment within the :data:`CLASS_RANGES` of a class, scaled by ``strength`` in [0, 1]."""
     limits = CLASS_RANGES[main_class]
     hue = draws.uniform(-1, 1) * limits.hue_turns * strength
     saturation = math.exp(draws.uniform(-1, 1) * math.log(limits.saturation) * strength)
@@ -161,7 +161,7 @@ def draw_adjustment(
 
 
 def _clamped(moved: float, start: float, low: float, high: float) -> float:
-    """``moved`` clamped to [low, high], widened to include ``start``."""
+    """Clamp ``moved`` to the smallest interval that contains [low, high] and ``start``."""
     return min(max(moved, min(low, start)), max(high, start))
 
 
@@ -172,7 +172,7 @@ def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAs
 
 
 def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
-    """Whether a material is opaque, not emissive and, if textured, tileable, and the slot then has UVs."""
+    """Whether a material is opaque, not emissive, and untextured or tileable on a slot with UVs."""
     own = material.material
     if own.emission is not None or own.opacity is not None:
         return False
@@ -192,7 +192,7 @@ def is_plain(package: Package) -> bool:
 
 
 def slots_by_material(asset: ObjectAsset | EnvironmentAsset) -> list[tuple[str, ...]]:
-    """An asset's slots by name, in groups; slots with bakes of one material (``baked_from``) form a group."""
+    """Group an asset's slots, sorted by name; bakes of one material (``baked_from``) form one group."""
     groups: dict[tuple[bool, str], list[str]] = {}
     for slot in sorted(asset.materials):
         origin = asset.materials[slot].baked_from
@@ -208,13 +208,13 @@ def assign_materials(
     draws: Draws,
     foreign_slots: frozenset[tuple[str, str]] = frozenset(),
 ) -> dict[str, MaterialAssignment]:
-    """Assignments for the slots of one placed asset; unchanged slots are absent.
+    """Draw the materials of the slots of one placed asset; slots that keep theirs unchanged are absent.
 
     ``palette`` is the list of material packages in a fixed order. A class is drawn first, then one of its
     materials, so that large classes do not dominate. ``foreign_slots`` (asset id, slot) must not keep their
     material (it has an image of another split or is a placeholder): if none fits, they get one without
-    textures. Other slots that none fits keep theirs. Slots with bakes of one material (``baked_from``) get
-    the same assignment.
+    textures. Other slots keep their material if none fits. Slots with bakes of one material
+    (``baked_from``) get the same assignment.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
@@ -258,7 +258,7 @@ def assign_materials(
 
 
 def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
-    """The mean over the bakes of one material, none of which is emissive."""
+    """Average the means of the bakes of one material, none of which is emissive."""
     if len(bakes) == 1:
         return bakes[0]
 

@@ -18,15 +18,7 @@ import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene, distance_m, world_points
 from datagen.assembly.shortfall import shortfall
-from datagen.assembly.things import (
-    PlacedThing,
-    Room,
-    Thing,
-    convex_hull_2d,
-    margin_inside,
-    pose,
-    rotation_z,
-)
+from datagen.assembly.things import PlacedThing, Room, Thing, convex_hull_2d, margin_inside, pose, rotation_z
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
 from datagen.formats.recipe import ObjectRecipe
 from datagen.foundation.errors import input_error
@@ -214,7 +206,7 @@ class Placer:
 
 
 def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
-    """Whether all six axis rays from the centre of ``inner`` hit ``outer``, whose box contains its box."""
+    """Whether ``outer`` contains the box of ``inner`` and is hit by all six axis rays from its centre."""
     if (inner.bounds_m[0] < outer.bounds_m[0]).any() or (inner.bounds_m[1] > outer.bounds_m[1]).any():
         return False
     center = inner.bounds_m.mean(axis=0)
@@ -222,7 +214,7 @@ def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
 
 
 def _is_inside_solid(points: Floats, rays: RayScene) -> bool:
-    """Whether, for most of 16 sampled points, at least 4 of 6 rays along the axes hit backs of triangles."""
+    """Whether at least 4 of 6 axis rays hit backs of triangles, for most of 16 sampled points."""
     chosen = points[:: max(1, len(points) // 16)][:16]
     origins = np.repeat(chosen, 6, axis=0)
     directions = np.tile(_AXES, (len(chosen), 1))
@@ -239,7 +231,7 @@ def place_things(
     rejections: Counter[str],
     weight_of_library: Mapping[str, tuple[str, float]] | None = None,
 ) -> list[PlacedThing]:
-    """Draw objects by weight of library and category and place them, large ones first.
+    """Draw objects by weight of library and category, and place them in order of decreasing size.
 
     ``weight_of_library`` maps an object's id to its library and the library's weight. ``key`` seeds the
     draws. Raises :class:`Shortfall` if fewer than ``count[0]`` can be placed, :class:`InputError` if nothing

@@ -46,7 +46,7 @@ __all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "spli
 
 @dataclass
 class _ProcessCaches:
-    """Data shared by all configurations of a process; depends on package contents only."""
+    """Caches shared by all configurations of a process; entries depend only on package contents."""
 
     geometry: GeometryCache
     rooms: dict[str, Room]
@@ -202,7 +202,7 @@ def _dress(
     library: Library,
     caches: _ProcessCaches,
 ) -> tuple[list[PlacedAsset], list[Package]]:
-    """Room and objects, room first, as placed assets with assigned materials, and their packages."""
+    """Assign materials; return the placed assets and their packages, each with the room first."""
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
     likely = _likely_dresser(recipe, key, pools, caches)
     placed = []
@@ -232,7 +232,7 @@ def _dress(
 
 
 def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
-    """Library and its weight by id of object; empty if the recipe has no ``objects.library_weights``."""
+    """Map each object's id to its library and the library's weight; empty without library weights."""
     wanted = recipe.objects.library_weights
     if not wanted or len(recipe.library) != len(library.paths):
         return {}
@@ -246,7 +246,7 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
 def _likely_dresser(
     recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
 ) -> LikelyDresser | None:
-    """The dresser of a configuration with likely materials; None if it is drawn to have wild ones."""
+    """The dresser of a configuration with likely materials; None if the draw gives arbitrary materials."""
     weights = recipe.materials.variation
     draws = Draws(*key[:2], "style")
     if not draws.chance(weights.likely / (weights.likely + weights.wild)):

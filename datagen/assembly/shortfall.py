@@ -11,5 +11,5 @@ class Shortfall(InputError):
 
 
 def shortfall(where: str, field: str, got: str, expected: str, remedy: str) -> Shortfall:
-    """A :class:`Shortfall` with a single problem."""
+    """Make a :class:`Shortfall` with a single problem."""
     return Shortfall(Problem(where, field, got, expected, remedy))

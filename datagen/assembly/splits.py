@@ -130,7 +130,7 @@ def _all_pools(recipe: Recipe, library: Library) -> dict[Split, Pools]:
 
 
 def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
-    """The split of each asset, by id.
+    """Map the id of each asset to its split.
 
     In each pool, every split in use gets at least one asset if there are enough, training first. Families
     (assets that share an identifying file) stay together, in the split of their first member.
@@ -198,7 +198,7 @@ def _identifying_files(package: Package) -> list[str]:
 
 
 def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str, str]]:
-    """(asset id, slot) of the slots of rooms and objects whose material uses an image of another split.
+    """Pairs (asset id, slot) of slots of rooms and objects whose material uses an image of another split.
 
     An image belongs to the first material that contains it, else to the first room or object by id that does.
     """
@@ -229,7 +229,7 @@ def _materials(package: Package) -> dict[str, Material]:
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
-    """All contradictions between a recipe and a library; empty if there are none."""
+    """List all contradictions between a recipe and a library."""
     where = f"recipe {recipe.name}"
     problems = _name_problems(recipe, library, where)
     pools = _everything(recipe, library)

@@ -43,7 +43,7 @@ class SurfaceSample:
 
 
 def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
-    """Samples of all opaque, non-emissive slots of the library's environments, by kind of surface."""
+    """Measure all opaque, non-emissive slots of the library's environments, by kind of surface."""
     means = MeanMaterials()
     found: dict[str, list[SurfaceSample]] = defaultdict(list)
     for package in library:
@@ -66,7 +66,7 @@ def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
 
 
 def weighted_median(values: list[float], weights: list[float]) -> float:
-    """The smallest finite value up to which half of the weight lies; NaN if no value is finite."""
+    """Lower weighted median of the finite values; NaN if there is none."""
     pairs = sorted((v, w) for v, w in zip(values, weights, strict=True) if np.isfinite(v) and w > 0)
     if not pairs:
         return float("nan")
@@ -89,7 +89,7 @@ def _range(samples: list[SurfaceSample], field: str) -> str:
 
 
 def main(paths: list[str]) -> int:
-    """Print the table for the libraries at ``paths``; returns the exit code, 2 for bad input."""
+    """Print the statistics of the libraries at ``paths``; return the exit code, 2 for bad input."""
     try:
         with Library([Path(p) for p in paths]) as library:
             found = sample_surfaces(library)

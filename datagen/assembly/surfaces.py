@@ -65,8 +65,8 @@ _LEVEL = 0.7  # |z| of a unit normal above which a triangle counts as horizontal
 def surface_of_words(text: str) -> Surface | None:
     """The kind of surface that the words of a name imply, or None.
 
-    If several do, the first in the table applies. Words end at characters other than letters, and where a
-    capital follows a lower-case letter.
+    Of several kinds, the first in the table is returned. Words end at characters other than letters and
+    before a capital that follows a lower-case letter.
     """
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     words = [word.lower() for word in re.split(r"[^A-Za-z]+", spaced) if word]
@@ -80,7 +80,7 @@ def _of_names(names: Iterable[str]) -> Surface | None:
 
 
 def surfaces_of(geometry: AssetGeometry) -> dict[str, Surface]:
-    """Kind of surface of every slot of an asset."""
+    """Map every slot of an asset to its kind of surface."""
     asset = geometry.asset
     parts: dict[str, list[str]] = {slot: [] for slot in asset.materials}
     for part in asset.parts:
@@ -107,7 +107,7 @@ def _of_class(material: SlotMaterial) -> Surface:
 
 
 def _shell(geometry: AssetGeometry) -> dict[str, Surface]:
-    """Floor, ceiling and walls among a room's large slots, by orientation and height of their triangles."""
+    """Find floor, ceiling and walls among a room's large slots, by orientation and height."""
     rays = geometry.rays
     total = float(rays.areas.sum())
     if not total > 0:

@@ -110,7 +110,7 @@ class Thing:
         return {}
 
     def collision_at(self, scale: float) -> CollisionModel:
-        """The collision model at a scale, which FCL's rigid poses do not include."""
+        """The collision model at a scale; FCL's poses are rigid and cannot scale it."""
         if scale not in self._models:
             self._models.clear()  # earlier scales seldom recur
             self._models[scale] = CollisionModel(self.geometry.vertices * scale, self.geometry.faces)
@@ -118,7 +118,7 @@ class Thing:
 
 
 def _lattice(corners: Floats) -> Floats:
-    """Seven points of each triangle (M, 3, 3): centroid, one near each corner, middles of edges; (7 M, 3)."""
+    """Points (7 M, 3) of triangles (M, 3, 3): centroid, near each corner, and middle of each edge."""
     if len(corners) == 0:
         return np.zeros((0, 3))
     weights = np.array(
@@ -160,7 +160,7 @@ class PlacedThing:
 
     @cached_property
     def body(self) -> Any:
-        """FCL collision object at the object's pose."""
+        """The FCL collision object at the object's pose."""
         return self.thing.collision_at(self.scale).at(rotation_z(self.yaw_rad), self.position_m)
 
     @cached_property
@@ -186,7 +186,7 @@ class Room:
     def trusts_winding(self) -> bool:
         """Whether at least 90 % of rays from above the support surfaces hit front faces of triangles.
 
-        Downloaded scenes often have random winding; hits of back faces then carry no information.
+        Downloaded scenes often have random winding, so hits on back faces do not indicate solids.
         """
         shown, backs = 0, 0
         for surface in self.asset.support_surfaces:

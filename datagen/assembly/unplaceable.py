@@ -74,7 +74,7 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
 
 
 def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
-    """Reason why no room has a surface for the object, with the remedy; '' if one has."""
+    """The reason why no room has a surface for the object, with the remedy; '' if a room has one."""
     if any(surfaces_for(asset, room) for room in rooms):
         return ""
     if not asset.supports:

@@ -3,7 +3,7 @@
 
 Candidates are drawn in free space, aimed at objects or across the room, and ray-traced at low resolution.
 Those that are too close, show too little, are too dark or overlap too little with other views are rejected
-and counted. Views are then chosen in turn: of the candidates that overlap enough with the views chosen so
+and counted. Views are then chosen one by one: of the candidates that overlap enough with the views chosen so
 far, the most different in position and direction, or, for views of rooms, the one with the most overlap.
 Letters: C candidates, H x W pixels of the low-resolution image, P points.
 """
@@ -203,7 +203,7 @@ class ViewFinder:
         return fresh
 
     def _draw_candidate(self, subject: Subject, draws: Draws) -> Candidate | str:
-        """Draw one candidate; returns it, or the reason for its rejection."""
+        """Draw one candidate; return it or the reason for its rejection."""
         position = self.space.draw(draws)
         if position is None:
             return "no_floor"
@@ -272,7 +272,7 @@ class ViewFinder:
         return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _aim_across(self, position: Floats, draws: Draws) -> Camera:
-        """A camera with a random heading, preferably of large depth, pitched a little down."""
+        """A camera pitched slightly down, with a heading drawn by weight of the room's depth there."""
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         headings = draws.unit() * 2 * math.pi + np.arange(_NUM_HEADINGS) * 2 * math.pi / _NUM_HEADINGS
         level = np.stack([np.cos(headings), np.sin(headings), np.zeros(_NUM_HEADINGS)], axis=1)
@@ -349,7 +349,7 @@ def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None =
 def choose_views(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float, draws: Draws
 ) -> tuple[list[int], int]:
-    """Indices of up to ``count`` chosen views, and how many others overlap too little if these are fewer.
+    """Choose up to ``count`` views; return their indices and, if fewer, how many others overlap too little.
 
     ``overlap`` is the pool's :func:`overlap_matrix`. At least ``min_overlap`` of the points of every chosen
     view are visible in a view chosen before it (of the first view, in the second). Near repetitions are

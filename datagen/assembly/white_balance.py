@@ -24,7 +24,7 @@ NO_TINT: Tint = (1.0, 1.0, 1.0)
 
 
 def tint_of_lamps(irradiance: Floats) -> Tint:
-    """Factors on lamps' red, green and blue for mean ``irradiance`` (3,); 1 in white or bluish light.
+    """Factors of lamps' RGB for the mean irradiance (3,) of a room; 1 if it is white or bluish.
 
     They preserve the luminance of the blackbody light.
     """

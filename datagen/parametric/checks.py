@@ -29,7 +29,7 @@ _LOW_M, _HIGH_M = 0.05, 1.85  # height range of obstacles for a walking person
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault; ``what``: ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``."""
+    """A fault; ``what`` is ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``."""
 
     what: str
     item: str
@@ -49,7 +49,7 @@ class Furnished:
 
 
 def faults_of(room: Furnished) -> list[Fault]:
-    """All faults of a room; walking is checked only if there are no others."""
+    """Find all faults of a room; walking is checked only if there are no others."""
     boxes = [item.boxes() for item in room.items]
     bounds = [hull_of(b) for b in boxes]
     found = _outside(room, bounds)
@@ -89,7 +89,7 @@ def _floating(room: Furnished, bounds: list[Floats]) -> list[Fault]:
 def _gap(
     shell: Shell, item: Placed, b: Floats, by_name: dict[str, tuple[Placed, Floats]]
 ) -> tuple[float, str]:
-    """Distance of an item, with bounds ``b`` (2, 3), from its support (inf if beside it), and its name."""
+    """Distance (m) of an item with bounds ``b`` (2, 3) from its support (inf if beside it), and its name."""
     if item.item.hold == "ceiling":
         return abs(shell.height - float(b[1, 2])), "the ceiling"
     if item.item.hold == "wall":
@@ -135,7 +135,7 @@ def meets(one: Floats, other: Floats, margin: float = 0.0) -> bool:
 
 
 def overlap(one: Floats, other: Floats) -> float:
-    """Largest penetration over pairs of boxes (k, 2, 3) of two items; negative if none overlap."""
+    """Largest penetration in metres over pairs of boxes (k, 2, 3) of two items; negative if none overlap."""
     low = np.maximum(one[:, None, 0], other[None, :, 0])
     high = np.minimum(one[:, None, 1], other[None, :, 1])
     return float((high - low).min(axis=2).max())
@@ -206,7 +206,7 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
 
 
 def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Mask (rows, columns) of the cells reachable from all doors, and the fault of walking, or ''."""
+    """Mask (rows, columns) of the cells reachable from all doors, and a description of the fault, or ''."""
     from scipy.ndimage import label
 
     free = free_cells(shell, boxes)
@@ -244,7 +244,7 @@ def front_zone(item: Placed, depth: float) -> Floats:
 
 
 def reaches(shell: Shell, reached: NDArray[np.bool_], item: Placed) -> bool:
-    """Whether a cell of ``reached`` is in front of an item."""
+    """Whether a cell of the mask ``reached`` (rows, columns) is in front of an item."""
     zone = front_zone(item, item.item.front_m + 0.35)
     (r0, c0), (r1, c1) = (cell_of(shell, (float(x), float(y))) for x, y in zone)
     return bool(reached[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1].any())

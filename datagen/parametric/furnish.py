@@ -16,7 +16,7 @@ _SPACING_M = 2.5  # distance between ceiling lamps of one room
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
-    """Place radiators, curtains and blinds at windows, with these probabilities.
+    """Place radiators, curtains and blinds at windows; each argument is the probability of its kind.
 
     Curtains or blinds are drawn once per room.
     """
@@ -46,7 +46,7 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
 def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
     """Place ``along`` chairs at each long side of a table and one at ``ends`` of its ends.
 
-    Raises :class:`Unfit` if fewer than two fit.
+    Raises :class:`Unfit` if fewer than two chairs fit.
     """
     half = float(table.item.bounds[1, 0])
     made = 0
@@ -61,7 +61,7 @@ def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends:
 
 
 def seats(room: Furnisher, count: int) -> list[Placed]:
-    """Place up to ``count`` armchairs in corners or in the open."""
+    """Place up to ``count`` armchairs in corners or in the middle of the room."""
     found = []
     for _ in range(count):
         item = seating.armchair(room.style, room.draws)
@@ -204,9 +204,9 @@ def _ceiling_lamp(slot: str, kind: str, drop: float, draws: Draws) -> Item:
 
 
 def desk_place(room: Furnisher, needed: bool) -> bool:
-    """Place a desk at a wall, with a chair, a screen and a lamp; returns whether the desk fits.
+    """Place a desk at a wall, with a chair, a screen and a lamp; return whether the desk fits.
 
-    If ``needed``, raises :class:`Unfit` for a desk or chair that does not fit.
+    Raises :class:`Unfit` if ``needed`` and the desk or chair does not fit.
     """
     draws, style = room.draws, room.style
     desk = room.at_wall(tables.desk(style, draws, draws.uniform(1.1, 1.6)), needed=needed)

@@ -50,7 +50,7 @@ class Style:
 
 @dataclass(frozen=True)
 class Support:
-    """A rectangle on which objects may stand: middle (x, y), size, height, free height above it."""
+    """A rectangle on which objects may stand: its middle (x, y), size, height and the free height above."""
 
     kind: SupportKind
     middle: tuple[float, float]
@@ -112,7 +112,7 @@ class Item:
         self.supports.append(Support(kind, middle, size, z, clearance_m))
 
     def boxes(self) -> Floats:
-        """Bounding boxes (k, 2, 3) of the item's shapes, in the item's frame."""
+        """Bounding box (k, 2, 3) of each of the item's shapes, in the item's frame."""
         if len(self._boxes) != len(self.shapes):
             self._boxes = np.stack([shape.bounds for _, shape in self.shapes])
         return self._boxes
@@ -135,7 +135,7 @@ class Placed:
 
     @property
     def room_from_item(self) -> Floats:
-        """The transform (4, 4) by yaw and position."""
+        """The rigid transform (4, 4) from the item's frame to the room's."""
         matrix = np.eye(4)
         matrix[:3, :3] = np.round(rotation("z", self.yaw_rad), 12)
         matrix[:3, 3] = self.at

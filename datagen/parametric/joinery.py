@@ -151,7 +151,7 @@ def legs(
 
 
 def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, height: float) -> float:
-    """Add upright books from x0 up to x1, with their backs at ``y``; returns the end of the row."""
+    """Add upright books from x0 up to x1, with their backs at ``y``; return the x at which the row ends."""
     x = x0
     slots = draws.shuffled(BOOKS)[: draws.integer(3, 6)]
     while True:

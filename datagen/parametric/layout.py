@@ -32,12 +32,12 @@ _TURN: dict[Side, float] = {"back": 0.0, "left": 0.5 * math.pi, "front": math.pi
 
 
 class Unfit(Exception):
-    """A required item has no valid position in the room."""
+    """Raised if a required item has no valid position in the room."""
 
 
 @dataclass
 class Furnisher:
-    """A room while it is furnished; ``zones`` are names and boxes (2, 3) that must stay free."""
+    """A room during furnishing; ``zones`` are names and boxes (2, 3) that must stay free."""
 
     shell: Shell
     style: Style
@@ -80,12 +80,12 @@ class Furnisher:
         return self.draws.shuffled([w for w in WALLS if not any(x.wall == w for x in self.shell.windows)])
 
     def glow(self) -> str:
-        """A new slot for the emitting surface of a lamp."""
+        """Name a new slot for the emitting surface of a lamp."""
         self._num_glows += 1
         return f"glow_{self._num_glows - 1}"
 
     def art(self) -> str:
-        """A new slot for a print."""
+        """Name a new slot for a print."""
         self._num_arts += 1
         return f"art_{self._num_arts - 1}"
 
@@ -94,7 +94,7 @@ class Furnisher:
         self.zones += [(built.name, box) for box in built.boxes()]
 
     def take(self, item: Item, at: tuple[float, float, float], yaw: float, stands_on: str = "") -> Placed:
-        """Place an item without a check; :func:`faults_of` finds its faults."""
+        """Place an item without checking its position, which :func:`faults_of` does later."""
         number = self._names[item.name]
         self._names[item.name] += 1
         rounded = (round(at[0], 6), round(at[1], 6), round(at[2], 6))
@@ -116,7 +116,7 @@ class Furnisher:
         ignores: Sequence[str] = (),
         stands_on: str = "",
     ) -> Placed | None:
-        """Place an item if its position is valid; returns None if it is not.
+        """Place an item if its position is valid; return None otherwise.
 
         The item may extend under or between the items ``near``; ``ignores`` names zones that it may enter.
         """

@@ -17,7 +17,7 @@ _PAPER = np.array([0.93, 0.91, 0.86])
 
 
 def print_image(draws: Draws) -> bytes:
-    """A PNG file with a small picture in a few similar colours, or in greys."""
+    """Draw a small picture in a few similar colours or greys; return it as the bytes of a PNG file."""
     hue, spread = draws.unit(), draws.uniform(0.04, 0.2)
     saturation = 0.0 if draws.chance(0.25) else 1.0
     inks = [

@@ -36,7 +36,7 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A room without faults, from attempt number ``tries``; ``rejected`` are the faults of the others.
+    """A room without faults, made by attempt ``tries``; ``rejected`` are the faults of earlier attempts.
 
     Without ``has_scenery``, the outside of windows is empty, for a panorama.
     """
@@ -51,7 +51,7 @@ class MadeRoom:
 
 
 def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
-    """The room of a kind and seed. Raises :class:`InputError` if :data:`MAX_TRIES` attempts have faults."""
+    """Make a room. Raises :class:`InputError` if :data:`MAX_TRIES` attempts have faults."""
     rejected: list[str] = []
     for attempt in range(MAX_TRIES):
         key = ("parametric room", kind, seed, attempt)

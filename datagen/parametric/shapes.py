@@ -64,7 +64,7 @@ def rotation(axis: str, angle_rad: float) -> Floats:
 
 
 def joined(shapes: Sequence[Shape]) -> Shape:
-    """All triangles of several shapes as one shape."""
+    """Join several shapes into one that has all their triangles."""
     starts = np.cumsum([0] + [len(s.points) for s in shapes[:-1]])
     return Shape(
         np.concatenate([s.points for s in shapes]),
@@ -213,7 +213,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats, is_print: bool = False) -> Shape:
-    """A smooth sheet over points (rows, columns, 3); from its front, columns run right and rows up."""
+    """A smooth sheet through points (rows, columns, 3); from the front, columns run right and rows up."""
     rows, columns = points.shape[:2]
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
@@ -227,7 +227,7 @@ def grid(points: Floats, is_print: bool = False) -> Shape:
 
 
 def flipped(shape: Shape) -> Shape:
-    """The sheet with its front and back exchanged."""
+    """The shape with reversed winding and normals, which exchanges the front and back of a sheet."""
     return replace(shape, normals=-shape.normals, faces=shape.faces[:, ::-1])
 
 
@@ -329,7 +329,7 @@ def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
 
 
 def _wound(shape: Shape) -> Shape:
-    """The shape with triangles wound to agree with its normals."""
+    """The shape with each triangle wound to agree with its vertex normals."""
     p = shape.points[shape.faces]
     cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     inward = (cross * shape.normals[shape.faces].mean(axis=1)).sum(axis=1) < 0

@@ -28,7 +28,7 @@ DOOR_HEIGHT = 2.03
 
 @dataclass(frozen=True)
 class Window:
-    """A window with its middle at ``s`` along the wall; ``panes`` are its columns and rows."""
+    """A window with its middle at ``s`` along the wall; ``panes`` are the numbers of columns and rows."""
 
     wall: Wall
     s: float
@@ -302,7 +302,7 @@ def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
 
 
 def outside(shell: Shell, draws: Draws) -> list[Placed]:
-    """Random scenery outside windows: the ground, and hedges, trees or houses."""
+    """Draw scenery outside the windows: the ground, and hedges, trees or houses."""
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))

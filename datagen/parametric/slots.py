@@ -17,7 +17,7 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot with a plain material, which materials of ``classes`` may replace unless it is fixed."""
+    """A slot with a plain material, which materials of ``classes`` may replace unless the slot is fixed."""
 
     surface: Surface
     classes: Classes

@@ -24,7 +24,7 @@ SLOT_TEXTURE_PX = {"environment": 512, "object": 256}
 
 
 def sources() -> dict[str, str]:
-    """The kind of every asset by its id, in the order of building."""
+    """Map the id of every asset to its kind, in the order of building."""
     kinds = {name: "material" for name in MATERIALS}
     kinds |= {name: "object" for name in OBJECTS}
     kinds |= {name: "environment" for name in ENVIRONMENTS}
@@ -32,7 +32,7 @@ def sources() -> dict[str, str]:
 
 
 def make(name: str) -> str:
-    """Create one asset in an empty file, tagged for the export; returns its kind."""
+    """Create one asset in an empty file, tagged for the export; return its kind."""
     modelling.new_file()
     kind = sources()[name]
     if kind == "material":
@@ -56,7 +56,7 @@ def make(name: str) -> str:
 
 
 def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
-    """Export one asset below ``out``; returns the package's folder and the export's problems as text.
+    """Export one asset below ``out``; return the package's folder and the export's problems as text.
 
     ``quality``: factor of the textures' maximum side and, inverted, of the tolerance.
     """

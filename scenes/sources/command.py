@@ -50,7 +50,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Run the command; return the exit code."""
     arguments = _parser().parse_args(argv)
     if arguments.verb == "panoramas":
         return _panoramas(arguments.maps, arguments.blender_maps, arguments.out)
@@ -137,7 +137,7 @@ def _build(arguments: argparse.Namespace, known: dict[str, str]) -> int:
 
 
 def _remove_orphans(out: Path, known: dict[str, str], folders: dict[str, str]) -> None:
-    """Remove packages without a source."""
+    """Remove the packages that no source builds."""
     for kind, folder in folders.items():
         for package in sorted((out / folder).glob("*/asset.json")):
             if known.get(package.parent.name) != kind:

@@ -66,7 +66,7 @@ PANORAMAS: Sequence[Source] = (
 
 
 def write_panoramas(folder: Path, blender: Path, out: Path) -> list[Path]:
-    """Write the packages below ``out``; returns their folders. A missing map raises :class:`InputError`."""
+    """Write the packages below ``out``; return their folders. A missing map raises :class:`InputError`."""
     written = []
     for source in PANORAMAS:
         path = (blender if source.is_blender else folder) / source.file
@@ -116,7 +116,7 @@ def encoded(pixels: NDArray[np.float32]) -> bytes:
 
 
 def _encoded(pixels: NDArray[np.float32]) -> tuple[bytes, float]:
-    """The bytes of the EXR, and the minimum value read back from it."""
+    """Encode as EXR; return the bytes and the minimum of the values decoded from them."""
     import OpenEXR
 
     header = {

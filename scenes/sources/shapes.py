@@ -46,7 +46,7 @@ class Shape:
         return shape.flipped() if np.prod(factors) < 0 else shape
 
     def flipped(self) -> Shape:
-        """The shape with reversed faces."""
+        """The shape with reversed winding of its faces."""
         corners, start = [], 0
         for face in self.faces:
             corners.append(self.uvs[start : start + len(face)][::-1])
@@ -84,7 +84,7 @@ def rotation(axis: str, degrees: float) -> NDArray:
 
 
 def join(shapes: Sequence[Shape]) -> Shape:
-    """All shapes joined into one."""
+    """Join shapes into one."""
     result = shapes[0]
     for shape in shapes[1:]:
         result = result + shape
@@ -118,7 +118,7 @@ def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) ->
 
 
 def from_bmesh(mesh: bmesh.types.BMesh, grain: int | None = None) -> Shape:
-    """Convert a bmesh, which is freed, to a shape with box-projected UVs."""
+    """Convert a bmesh to a shape with box-projected UVs, and free the bmesh."""
     mesh.verts.index_update()
     points = np.array([v.co[:] for v in mesh.verts])
     faces = [tuple(v.index for v in face.verts) for face in mesh.faces]
@@ -146,7 +146,7 @@ def box(
 
 
 def smooth_curve(points: ArrayLike, per_span: int = 6, closed: bool = False) -> NDArray:
-    """Points (m, d) of a uniform Catmull-Rom spline through ``points`` (k, d), ``per_span`` steps a span."""
+    """Points (m, d) of a uniform Catmull-Rom spline through ``points`` (k, d), with ``per_span`` steps per span."""
     p = np.asarray(points, dtype=float)
     if closed:
         p = np.concatenate([p[-1:], p, p[:2]])

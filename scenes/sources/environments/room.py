@@ -74,7 +74,7 @@ class Room:
     def place(
         self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0
     ) -> tuple[float, float, float]:
-        """Place a part against a wall, as :meth:`on_wall`; returns its x, y and rotation [degrees]."""
+        """Place a part against a wall, as :meth:`on_wall`; return its x, y [m] and rotation [degrees]."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         px, py = x + c * s + sine * gap, y + sine * s - c * gap
@@ -357,7 +357,7 @@ class Room:
     def curtains(
         self, window: Window, slot: str, *, drop: float | None = None, open_share: float = 0.62, seed: int = 0
     ) -> None:
-        """Add a pair of curtains on a rail above a window; ``open_share``: share of the rail left uncovered.
+        """Add a pair of curtains on a rail above a window; ``open_share`` is the uncovered share of the rail.
 
         ``drop``: height of their lower edge [m], None for 0.02.
         """

@@ -83,11 +83,11 @@ class Graph:
         return self.math("MULTIPLY", a, b)
 
     def length(self, parts: Iterable[Value]) -> Socket:
-        """Length of the vector of two ``parts``."""
+        """Length of the vector whose components are ``parts``."""
         return self.math("SQRT", self.add(*[self.math("POWER", part, 2.0) for part in parts]))
 
     def fit(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
-        """Map [low, high] to [to_low, to_high], clamped, smoothly."""
+        """Map [low, high] to [to_low, to_high], clamped, by a smooth step."""
         return self._mapped("SMOOTHSTEP", value, low, high, to_low, to_high)
 
     def line(
@@ -129,7 +129,7 @@ class Graph:
 
     # patterns --------------------------------------------------------------------------------------------
     def uv(self) -> tuple[Socket, Socket]:
-        """The sockets of u and v."""
+        """The output sockets for u and v of the tile."""
         if self._uv is None:
             split = self.node("ShaderNodeSeparateXYZ")
             self.tree.links.new(self.node("ShaderNodeTexCoord").outputs["UV"], split.inputs[0])
@@ -217,7 +217,7 @@ class Graph:
         return self.length(map(along, self.uv(), centre, (1.0, stretch)))
 
     def fingerprints(self, count: int = 7, size: float = 0.05, seed: int = 0) -> Socket:
-        """Mask of ``count`` fingerprints; ``size``: their radius as a share of the tile's side."""
+        """Mask of ``count`` fingerprints; ``size`` is their radius as a share of the tile's side."""
         rng = random.Random(seed)
         warp = self.noise(9, detail=1.0, seed=seed + 3.1)
         mask: Value = 0.0
@@ -244,7 +244,7 @@ class Graph:
     def finish(
         self, base: ColorValue, roughness: Value, metallic: Value = 0.0, ior: float = 1.5, level: Value = 0.5
     ) -> bpy.types.Material:
-        """Link a Principled BSDF to the output; returns the material."""
+        """Link a Principled BSDF to the output; return the material."""
         node = self.node("ShaderNodeBsdfPrincipled")
         for name, value in (
             ("Base Color", base), ("Roughness", roughness), ("Metallic", metallic), ("IOR", ior),
