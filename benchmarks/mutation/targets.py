@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files to mutate, and for each the smallest set of test files that covers it."""
+"""Modules to mutate, each with the smallest set of test files that covers it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """Modules to mutate, the tests that should detect the mutants, and the number of mutants."""
+    """Modules to mutate, test files that should detect the mutants, and the number of mutants to try."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommand ``materials evaluate``, which defers heavy imports."""
+"""The subcommand ``materials evaluate``, which imports heavy modules only when it runs."""
 
 from __future__ import annotations
 
