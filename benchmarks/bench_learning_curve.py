@@ -38,13 +38,7 @@ from model.training.config import PhaseConfig, TrainingConfig, parse_overrides, 
 from model.training.dataset import buffer_names
 from model.training.sources import open_data, spread
 from model.training.train import Trainer
-from model.training.validation import (
-    constant_predictor,
-    evaluate,
-    mean_maps,
-    network_predictor,
-    whole_views,
-)
+from model.training.validation import constant_predictor, evaluate, mean_maps, network_predictor, whole_views
 
 
 def part_of(dataset: Path, count: int, judge: Path, out: Path) -> Path:

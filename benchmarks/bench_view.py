@@ -256,9 +256,7 @@ def main() -> None:
     pairs: dict[int, tuple[Any, Any]] = {}
     for samples in arguments.samples:
         recipe = RenderRecipe(
-            path_samples=samples,
-            auxiliary_samples=arguments.auxiliary_samples,
-            max_depth=arguments.max_depth,
+            path_samples=samples, auxiliary_samples=arguments.auxiliary_samples, max_depth=arguments.max_depth
         )
         renderer = SceneRenderer(configuration, library, recipe)
         if not pairs and arguments.reference_views:

@@ -77,9 +77,7 @@ class ConfidenceNets(nn.Module):
 
 
 def filter_maps(
-    maps: Mapping[str, Tensor],
-    confidences: Mapping[str, Tensor],
-    config: SolverConfig | None = None,
+    maps: Mapping[str, Tensor], confidences: Mapping[str, Tensor], config: SolverConfig | None = None
 ) -> dict[str, Tensor]:
     """Filter the specular albedo and roughness of ``maps`` (B, 3 or 1, H, W), guided by the diffuse albedo.
 

@@ -57,8 +57,7 @@ TARGETS = {
         20,
     ),
     "albedo level": Target(
-        ("model/reconstruction/level/albedo_level.py",),
-        ("tests/model/test_albedo_gains.py",),
+        ("model/reconstruction/level/albedo_level.py",), ("tests/model/test_albedo_gains.py",)
     ),
     "bilateral solver": Target(("model/bilateral_solver.py",), ("tests/model/test_bilateral_solver.py",)),
     "BSDF": Target(
@@ -76,10 +75,7 @@ TARGETS = {
             "datagen/farm/pbs.py",
             "datagen/farm/submission.py",
         ),
-        (
-            "tests/datagen/test_farm_unit.py",
-            "tests/datagen/test_farm_submit.py",
-        ),
+        ("tests/datagen/test_farm_unit.py", "tests/datagen/test_farm_submit.py"),
         30,
     ),
 }

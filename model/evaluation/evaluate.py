@@ -32,15 +32,7 @@ from model.evaluation.camera_faults import CameraFaults, as_taken
 from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures
 from model.evaluation.metrics import means
-from model.evaluation.opened_scene import (
-    INSERTED,
-    OWN,
-    OpenedScene,
-    Tell,
-    key_of,
-    open_scene,
-    told,
-)
+from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_of, open_scene, told
 from model.evaluation.predictions import light_revision, link_files, predictions_folder
 from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.rendering import JudgedView
@@ -267,12 +259,7 @@ def _measure(
 
 
 def _reconstruct(
-    suite: Suite,
-    scene: OpenedScene,
-    method: Method,
-    camera: CameraFaults | None,
-    folder: Path,
-    tell: Tell,
+    suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, folder: Path, tell: Tell
 ) -> tuple[Path, dict[str, Any]]:
     """Run ``infer`` for a method unless done; returns the asset's folder and results from the report."""
     error = method.geometry or (camera.geometry if camera else None)

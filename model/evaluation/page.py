@@ -128,10 +128,7 @@ def best_and_worst(method: MethodResult) -> list[tuple[str, str, float]]:
 
 
 def _cards(
-    scene: SceneResult,
-    method: MethodResult,
-    views: Mapping[str, JudgedView],
-    truth: Mapping[str, JudgedView],
+    scene: SceneResult, method: MethodResult, views: Mapping[str, JudgedView], truth: Mapping[str, JudgedView]
 ) -> str:
     cards = []
     for which, name, psnr in best_and_worst(method):

@@ -217,11 +217,7 @@ def _cost_table(result: SuiteResult) -> Table:
             rows.append((scene.name, method.label, *seconds, total, *spent))
         if scene.name in PUBLISHED:
             statistics, predict, texturing = (60.0 * m for m in PUBLISHED[scene.name].minutes)
-            cells: dict[str, Cell] = {
-                "statistics": statistics,
-                "predict": predict,
-                "merge": 3 * texturing,
-            }
+            cells: dict[str, Cell] = {"statistics": statistics, "predict": predict, "merge": 3 * texturing}
             total = statistics + predict + 3 * texturing
             rows.append(
                 (scene.name, f"{PAPER}Ours", *(cells.get(stage) for stage in _STAGES), total, *(None,) * 3)

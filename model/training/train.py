@@ -172,10 +172,7 @@ class Trainer:
         """Crops per second in the last step, and the share of its time spent waiting for data."""
         seconds = self.context.stopwatch.take()
         crops = self.config.batch_size * self.config.accumulation * self.ranks.count
-        return {
-            "crops_per_s": crops / seconds["step"],
-            "data_wait_share": seconds["data"] / seconds["step"],
-        }
+        return {"crops_per_s": crops / seconds["step"], "data_wait_share": seconds["data"] / seconds["step"]}
 
     def _note(self, phase: Phase, values: dict[str, float], speed: dict[str, float]) -> str:
         text = f"{phase.config.name} loss {values['total']:.4f}, {speed['crops_per_s']:.1f} crops/s"
