@@ -51,6 +51,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from benchmarks.timing import write_report
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.recipe import QUALITIES, ObjectRecipe, Recipe, RenderRecipe
@@ -447,7 +448,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "cycles")
     arguments = parser.parse_args()
     result = Comparison(arguments).run()
-    (arguments.out / "bench_cycles.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out / "bench_cycles.json", is_printed=False)
     text = table(result)
     (arguments.out / "bench_cycles.md").write_text(text + "\n", encoding="utf-8")
     print(text)

@@ -25,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.timing import timed
+from benchmarks.timing import timed, write_report
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RESULTS = REPOSITORY / "benchmarks" / "results"
@@ -90,20 +90,16 @@ def passes(renderer: Any) -> dict[str, float]:
     return found
 
 
-def planned_folder(cache: Path, size: tuple[int, int], views: int, configurations: int = 1) -> Path:
-    """Plan the measured configurations unless ``cache`` contains them; returns their folder."""
+def planned_folder(cache: Path, size: tuple[int, int], views: int) -> Path:
+    """Plan the measured configuration unless ``cache`` contains it; returns its folder."""
     from datagen.formats.base import canonical_json
     from datagen.formats.recipe import ObjectRecipe, Recipe
 
-    folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}_{configurations}"
+    folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}_1"
     if not (folder / "plan.json").is_file():
+        objects = ObjectRecipe(count=(10, 24))
         recipe = Recipe(
-            name="first",
-            seed=2022,
-            configurations=configurations,
-            views=views,
-            resolution=size,
-            objects=ObjectRecipe(count=(10, 24)),
+            name="first", seed=2022, configurations=1, views=views, resolution=size, objects=objects
         )
         cache.mkdir(parents=True, exist_ok=True)
         path = cache / "first_pixel.yaml"
@@ -175,8 +171,7 @@ def main() -> None:
         "pass_s": {n: statistics.median(run["passes"][n] for run in runs) for n in runs[0]["passes"]},
         "target_s": TARGET_S,
     }
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out, is_printed=False)
     print("| stage | wall s | processor s |\n|---|---|---|")
     for name, seconds in {**stages, "start of process to first pixels": total}.items():
         print(f"| {name} | {seconds['wall_s']:.2f} | {seconds['cpu_s']:.2f} |")

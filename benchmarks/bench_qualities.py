@@ -16,12 +16,12 @@ stored in --out and not repeated.
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.timing import write_report
 from datagen.formats.base import canonical_json
 from datagen.formats.recipe import ObjectRecipe, Recipe
 from datagen.tradeoff.selection import Point, as_row, excess_over_front, points_of
@@ -101,7 +101,7 @@ def main() -> None:
             f"{cells} |"
         )
     result = {"points": [as_row(p) for p in points], "excess": found, **sweep.description()}
-    (arguments.out / "bench_qualities.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out / "bench_qualities.json", is_printed=False)
     limits = {"path_samples": arguments.slack, "cpu_s": arguments.time_slack}
     beaten = [f"{q}: {kind} {e[kind]:.2f}" for q, e in found.items() for kind in e if e[kind] > limits[kind]]
     if beaten:

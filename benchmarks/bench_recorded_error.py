@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.bench_view import RESULTS, configuration_of, converted
+from benchmarks.timing import write_report
 from datagen.assembly.plan import assemble
 from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
@@ -175,9 +176,7 @@ def main() -> None:
             print(json.dumps(asdict(point)), file=sys.stderr, flush=True)
     result = {"arguments": {k: str(v) for k, v in vars(arguments).items()}, **figures(points)}
     print(json.dumps(result, indent=1))
-    result["points"] = [asdict(p) for p in points]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report({**result, "points": [asdict(p) for p in points]}, arguments.out, is_printed=False)
     plot(points, arguments.plot)
 
 

@@ -12,7 +12,6 @@ The product of their ratios is the relative time for the same noise. The time to
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_qualities import REPOSITORY, planned_folder
-from benchmarks.timing import Stopwatch, timed
+from benchmarks.timing import Stopwatch, timed, write_report
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
@@ -91,9 +90,7 @@ def main() -> None:
             f"{found['variance_ratio'] * found['time_ratio']:.2f} |",
             flush=True,
         )
-    (arguments.out / "bench_sky_guide.json").write_text(
-        json.dumps(results, indent=1) + "\n", encoding="utf-8"
-    )
+    write_report(results, arguments.out / "bench_sky_guide.json", is_printed=False)
 
 
 if __name__ == "__main__":

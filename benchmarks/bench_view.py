@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import Stopwatch, interleaved, machine, summary
+from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_report
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -271,8 +271,7 @@ def main() -> None:
             entry |= measure_error(configuration, library, recipe, pairs)
         result["by_samples"][str(samples)] = entry
         print(json.dumps({str(samples): entry}, indent=1))
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out, is_printed=False)
 
 
 if __name__ == "__main__":

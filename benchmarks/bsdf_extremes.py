@@ -256,12 +256,6 @@ def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
     return bsdf, si, wo, sample1, sample2
 
 
-def _count(mask: Any) -> int:
-    import drjit as dr
-
-    return int(dr.count(mask)[0])
-
-
 def _batches(count: int) -> Iterator[int]:
     """Batch numbers, with a progress bar."""
     with Bars("batches") as bars:

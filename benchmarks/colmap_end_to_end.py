@@ -336,7 +336,8 @@ class EndToEnd:
                 srgb_from_linear(np.clip(maps["specular_albedo"], 0, 1)),
                 np.repeat(np.clip(maps["roughness"], 0, 1), 3, axis=-1),
             ]
-            first = photograph if maps is truth else _normals(maps["normal_world"])
+            normal = (0.5 + 0.5 * maps["normal_world"].astype(np.float32)) * 255
+            first = photograph if maps is truth else normal.clip(0, 255).astype(np.uint8)
             rows.append(np.concatenate([first, *((s * 255 + 0.5).astype(np.uint8) for s in shown)], axis=1))
         folder = self.out / f"pictures-{self.name}"
         folder.mkdir(exist_ok=True)
@@ -344,10 +345,6 @@ class EndToEnd:
 
 
 _SHOWN = ("view-000", "view-009", "view-018", "view-027")
-
-
-def _normals(normal: NDArray) -> NDArray[np.uint8]:
-    return ((0.5 + 0.5 * normal.astype(np.float32)) * 255).clip(0, 255).astype(np.uint8)
 
 
 def rendered_maps(configuration: Configuration, library: Any) -> list[dict[str, NDArray]]:

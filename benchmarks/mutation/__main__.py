@@ -143,7 +143,9 @@ def draw(
         source = (root / module).read_text()
         compiled = _untraced_lines(source)
         for mutant in find_mutants(module, source):
-            if not mutant.function or mutant.first_line in compiled or _is_signature(mutant):
+            # default values of parameters are evaluated on import
+            is_signature = mutant.statement.startswith(("def ", "async def "))
+            if not mutant.function or mutant.first_line in compiled or is_signature:
                 names = sorted(tests, key=lambda name: tests[name]["seconds"])
             else:
                 names = covering(mutant, module, tests)
@@ -162,11 +164,6 @@ def draw(
                     drawn.append((module, mutant, names))
                     break
     return drawn[:number]
-
-
-def _is_signature(mutant: Mutant) -> bool:
-    """Whether a mutant changes a parameter's default value, which is evaluated on import."""
-    return mutant.statement.startswith(("def ", "async def "))
 
 
 def _untraced_lines(source: str) -> set[int]:

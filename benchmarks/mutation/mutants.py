@@ -190,7 +190,9 @@ class _Finder:
             if not (_is_text(node.left) or _is_text(node.right)):  # in paths and messages
                 self._operator(node.op, self.span(node.left)[1], self.span(node.right)[0], function, of)
         elif isinstance(node, ast.BoolOp):
-            self._between(node.values[0], node.values[1], isinstance(node.op, ast.And), function, of)
+            start, end = self.span(node.values[0])[1], self.span(node.values[1])[0]
+            old, new = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
+            self._replaced(start, end, old, new, "logic", function, of)
         elif isinstance(node, ast.UnaryOp):
             if isinstance(node.op, (ast.Not, ast.Invert, ast.USub)):
                 kind = "arithmetic" if isinstance(node.op, ast.USub) else "logic"
@@ -224,10 +226,6 @@ class _Finder:
     def _operator(self, operator: ast.operator, start: int, end: int, function: str, of: ast.stmt) -> None:
         if type(operator) in ARITHMETIC:
             self._replaced(start, end, *ARITHMETIC[type(operator)], "arithmetic", function, of)
-
-    def _between(self, left: ast.expr, right: ast.expr, is_and: bool, function: str, of: ast.stmt) -> None:
-        old, new = ("and", "or") if is_and else ("or", "and")
-        self._replaced(self.span(left)[1], self.span(right)[0], old, new, "logic", function, of)
 
     def _replaced(
         self, start: int, end: int, old: str, new: str, kind: str, function: str, of: ast.stmt

@@ -139,7 +139,8 @@ def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[st
     """Scale errors of ``estimate`` (N, 3) of D: the best gain, the MSE after it and after one gain per
     ``region`` (N,), and the median |ln(estimate / truth)| of the regions' luminance.
     """
-    gain = _best_gain((estimate * truth).sum(), (estimate**2).sum())
+    square = (estimate**2).sum()
+    gain = float((estimate * truth).sum() / square) if square > 0 else 1.0
     index = np.unique(region, return_inverse=True)[1]
 
     def summed(values: NDArray) -> NDArray[np.float64]:
@@ -156,10 +157,6 @@ def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[st
         "diffuse_mse_region_gain": float(((gains[index][:, None] * estimate - truth) ** 2).mean()),
         "level_error": float(np.median(level[index])),
     }
-
-
-def _best_gain(product: float, square: float) -> float:
-    return float(product / square) if square > 0 else 1.0
 
 
 def psnr_of_mse(mse: float) -> float:
