@@ -79,9 +79,9 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
         )
     size = view_size(places["train"][0])
     if min(size) < crop_px:
-        where = f"{places['train'][0].shard}:{places['train'][0].name}"
+        view = f"{places['train'][0].shard}:{places['train'][0].name}"
         expected = f"at least {crop_px} px per side"
-        raise input_error(where, "size", f"{size[0]} x {size[1]}", expected, "reduce data.crop_px")
+        raise input_error(view, "size", f"{size[0]} x {size[1]}", expected, "reduce data.crop_px")
     return TrainingData(tuple(places["train"]), tuple(places["validation"]), size, tuple(records))
 
 
