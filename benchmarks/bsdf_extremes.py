@@ -7,7 +7,7 @@
     python -m benchmarks.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
 
 Each prints a Markdown table. Inputs of ``evaluations``: roughness in [0, 1] and NaN, -0.5, 1.5; albedos 0, 1
-and between, and NaN, -1, 2 (so that D + S > 1 too); wi and wo at any angle down to 1e-6 rad above the
+and between, and NaN, -1, 2, also with D + S > 1; wi and wo at any angle down to 1e-6 rad above the
 horizon, on it, at the pole, and below.
 """
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Evaluation of all methods of a suite on all its scenes, with results cached in these folders:
 
-CACHE/geometries/               unwrapped meshes given to methods
+CACHE/geometries/               unwrapped meshes that methods use
 CACHE/features/                 LPIPS features of the truth
 CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
