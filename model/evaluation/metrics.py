@@ -4,8 +4,7 @@
 Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR with data range 1; SSIM
 with an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), mean over channels; DSSIM = 1 - SSIM;
 LPIPS-VGG version 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed after
-multiplying all rendered images by one factor, the median ratio of luminance over surface pixels, as if a
-light were dimmed or brightened by hand.
+multiplying all rendered images by one factor, the median ratio of luminance over surface pixels.
 """
 
 from __future__ import annotations
