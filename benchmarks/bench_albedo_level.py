@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Effect of the albedo scale: mean squared errors of the views' maps before and after it.
+"""Effect of the albedo scale: mean squared errors of the views' maps without and with it.
 
     python -m benchmarks.bench_albedo_level SUITE --cache DIR [--views 12 25] [--clip 0.02] [--always]
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
 of their photographs with the suite's networks, for all photographs or for the first ``--views``. ``--clip``:
-share of the pixels that a simulated sensor clips before. Errors are over all surface pixels; "best gain" is
-the factor for the room that minimises them.
+share of pixels clipped by a simulated sensor. Errors are means over all surface pixels; "best gain" is the
+factor for the room that minimises them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COLUMNS = (
 
 
 def captured(scene: TestScene, cache: Path) -> Capture:
-    """Capture of a scene's photographs, without novel views."""
+    """Render a scene unless it is in ``cache``, and return the capture of its photographs."""
     prepared = prepare_scene(scene, cache)
     options = CaptureOptions(library=prepared.library, max_width_px=scene.resolution[0])
     capture = read_capture(prepared.capture, options)
@@ -45,7 +45,7 @@ def captured(scene: TestScene, cache: Path) -> Capture:
 
 
 def predicted(traced: TracedCapture, checkpoint: Path) -> Iterator[dict[str, NDArray]]:
-    """Yield each view's maps (H, W, C), by name."""
+    """Yield the maps (H, W, C) that ``checkpoint`` predicts for each view, by name."""
     views = traced.statistics
     predictor = Predictor(load_checkpoint(checkpoint, "cpu"), capture_exposure(views), PredictOptions())
     gathered = compute_statistics(views, StatisticsOptions())
@@ -54,7 +54,7 @@ def predicted(traced: TracedCapture, checkpoint: Path) -> Iterator[dict[str, NDA
 
 
 def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
-    """Table row of a capture and a network; a share ``clip`` of the pixels is clipped."""
+    """Table row of errors of a network on a capture, with the share ``clip`` of its pixels clipped."""
     traced = trace_capture(capture)
     region_of_face = smooth_regions(traced.geometry.mesh)
     if clip:
@@ -83,7 +83,7 @@ def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the table of errors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("suite", type=Path)
     parser.add_argument("--cache", type=Path, required=True)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's ``roughplastic``.
 
-The same room (walls, 19 objects, a lamp and a window) is rendered with each BSDF in turn, in one process; the
-ratio is taken between two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians
-and quartiles; the target is a median ratio of at most 1.10.
+The same room (walls, 19 objects, a lamp and a window) is rendered with each BSDF in turn, in one process;
+each ratio is that of two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians and
+quartiles; the target is a median ratio of at most 1.10.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BASELINE = "roughplastic"
 
 
 def _material(variant: str, index: int) -> dict[str, Any]:
-    """Material ``index`` of the room: constants for even indices, textures for odd ones."""
+    """Mitsuba dictionary of material ``index`` of the room: constant for even indices, textured for odd."""
     import mitsuba as mi
 
     rng = np.random.default_rng(index)
@@ -60,7 +60,7 @@ def _material(variant: str, index: int) -> dict[str, Any]:
 
 
 def make_room(variant: str, width: int, height: int) -> Any:
-    """A room of 6 x 6 x 3 m with 19 objects; walls and objects have different materials."""
+    """Scene of a room of 6 x 6 x 3 m with 19 objects and 20 materials of the BSDF ``variant``."""
     import mitsuba as mi
 
     transform = mi.ScalarTransform4f
@@ -113,7 +113,7 @@ def _render(scene: Any, spp: int) -> None:
 
 
 def run(width: int, height: int, spp: int, num_pairs: int) -> dict[str, Any]:
-    """Render every variant ``num_pairs`` times, interleaved, and summarise seconds and ratios."""
+    """Render the BSDFs in turn, ``num_pairs`` times with ``spp`` paths per pixel: seconds and ratios."""
     from mitsuba_plugins import register, select_variant
 
     variant = select_variant()
@@ -145,7 +145,7 @@ def run(width: int, height: int, spp: int, num_pairs: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Command line; exit code 1 if the target is missed."""
+    """Run the command; the exit code is 1 if the target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--width", type=int, default=640)
     parser.add_argument("--height", type=int, default=384)

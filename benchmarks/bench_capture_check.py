@@ -4,8 +4,9 @@
     python -m benchmarks.bench_capture_check SHARD ... --trials 4
 
 The check runs on rendered captures with each of these changes: none; one camera in five rotated by 1 degree
-about an axis across its view, rolled by 2 degrees, or moved by 10 cm along its view; the mesh moved by 2 cm
-in a random direction, or enlarged by 2 %. ``--snap 0.02`` coarsens the mesh, as retopology does.
+about an axis perpendicular to its view direction, rolled by 2 degrees, or moved by 10 cm along its view
+direction; the mesh moved by 2 cm in a random direction, or enlarged by 2 %. ``--snap 0.02`` coarsens the
+mesh, as retopology does.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from model.reconstruction.check.capture_check import CheckReport, check_capture
 def changed(
     capture: Capture, rng: np.random.Generator, change: Callable[[NDArray, np.random.Generator], NDArray]
 ) -> tuple[Capture, set[str]]:
-    """The capture with one view in five moved by ``change`` in camera space, and the names of these views."""
+    """Move one camera in five by ``change`` (of a 4 x 4 matrix); also returns the names of these views."""
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)
     views = list(capture.views)
     for index in wrong:
@@ -41,7 +42,7 @@ def changed(
 
 
 def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The identity ``matrix`` (4, 4), rotated by 1 degree about a random axis across the view."""
+    """Return ``matrix`` (4, 4) with a rotation by 1 degree about a random axis perpendicular to the view."""
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
@@ -49,20 +50,20 @@ def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
 
 
 def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The identity ``matrix`` (4, 4), rolled by 2 degrees."""
+    """Return ``matrix`` (4, 4) with a rotation by 2 degrees about the view direction."""
     angle = np.radians(2.0) * rng.choice([-1.0, 1.0])
     matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     return matrix
 
 
 def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """The identity ``matrix`` (4, 4), moved by 10 cm along the view."""
+    """Return ``matrix`` (4, 4) with a translation by 10 cm along the view direction."""
     matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
     return matrix
 
 
 def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Capture, np.ndarray]:
-    """The capture with its mesh moved in a random direction, and the offset (3,) in metres."""
+    """Move the mesh by ``metres`` in a random direction; returns the capture and the offset (3,)."""
     direction = rng.normal(size=3)
     offset = metres * direction / np.linalg.norm(direction)
     matrix = np.eye(4)
@@ -72,7 +73,7 @@ def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Ca
 
 
 def enlarged(capture: Capture, factor: float) -> Capture:
-    """The capture with its mesh enlarged about the cameras' mean position."""
+    """Return the capture with its mesh scaled by ``factor`` about the cameras' mean position."""
     middle = np.mean([camera.position_m for camera in capture.cameras], axis=0)
     matrix = np.diag([factor, factor, factor, 1.0])
     matrix[:3, 3] = (1 - factor) * middle
@@ -82,7 +83,7 @@ def enlarged(capture: Capture, factor: float) -> Capture:
 
 
 def snapped(capture: Capture, grid_m: float) -> Capture:
-    """The capture with vertices snapped to a grid, like coarse retopology; lamps become plain surface."""
+    """Return the capture with vertices rounded to a grid of ``grid_m`` metres and lamps as plain surfaces."""
     mesh = capture.geometry.mesh
     positions = (np.round(mesh.positions / grid_m) * grid_m).astype(np.float32)
     made = without_degenerate(Mesh(positions, mesh.faces))
@@ -90,7 +91,7 @@ def snapped(capture: Capture, grid_m: float) -> Capture:
 
 
 def warned_views(report: CheckReport) -> set[str]:
-    """Names of the views with a warning about their edges."""
+    """Names of the views whose edges the check warns about."""
     words = ("edges", "the mesh looks")
     return {view.name for view in report.views if any(word in w for w in view.warnings for word in words)}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Equal-error comparison with Blender's Cycles: one configuration of the bundled library, complete costs.
+"""Time of our renderer and of Blender's Cycles at equal error, for a configuration of the bundled library.
 
     python -m benchmarks.bench_cycles                      40 views of 640x384 at `standard`; takes hours
     python -m benchmarks.bench_cycles --size 160 96 --cycles-views 3 --error-views 2              18 minutes
@@ -7,27 +7,25 @@
     python -m benchmarks.bench_cycles --cycles-views 40    Cycles renders every view instead of a sample
     python -m benchmarks.bench_cycles --views 4 --size 96 64 --quality draft --out /tmp/cycles   a quick look
 
-Ours: ``datagen run --unit`` on a planned folder, from the start of the process to the committed shard:
-loading, compilation, paths, buffers, denoiser, statistics of all views, compression. Measured twice: with an
-empty kernel cache, and as for the second configuration of a dataset.
+Our time is that of ``datagen run --unit`` on a planned folder, from the start of the process to the finished
+shard: loading, compilation, paths, buffers, denoiser, statistics of all views, compression. It is measured
+with an empty and with a filled kernel cache.
 
-The baseline: bpy as used by BlenderProc (cycles_baseline.py): one process, persistent data, path tracing with
-the same number of segments, OIDN with prefiltered albedo and normal, one EXR per view with depth, normal,
-diffuse and glossy colour, object and material index. The baseline's scene is a .blend made beforehand from
-the same exported configuration, which is not counted. The baseline has no roughness, no multi-view statistics
-and no error control.
+The baseline is bpy as used by BlenderProc (cycles_baseline.py): one process, persistent data, path tracing
+with the same number of segments, OIDN with prefiltered albedo and normal, one EXR per view with depth,
+normal, diffuse and glossy colour, object and material index. Its scene is a .blend made from the same
+configuration, in time that is not counted. It has no roughness, multi-view statistics or error control.
 
-Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
-renderer against two independent converged images by the same renderer, because the materials differ by more
-than the target error (the agreement of the two is measured and reported; if it is poor, the exit code is 1).
-The references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so the energy
-removed by these counts as an error. Cycles' sample count is found by doubling until the error is at most ours
-and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count, with
-Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest of the three or, if
-none reaches the error, the nearest to it.
+The error is the exposed relMSE (``datagen.rendering.error``) of denoised images of ``--error-views`` views,
+against two independent converged images by the same renderer, because the renderers' materials differ by more
+than the target error (their agreement is reported; if it is poor, the exit code is 1). The references have
+neither a clamp nor Blender's *filter glossy*, so the energy that these remove counts as an error. Cycles'
+sample count is doubled until the error is at most ours and then interpolated in logarithms, for three
+settings: Blender's defaults with a uniform sample count, Cycles' adaptive sampling, and neither clamp nor
+filter. The baseline is the fastest of the three or, if none reaches the error, that of the smallest error.
 
-Every step is stored in --out and skipped if it exists: the same command resumes. ``--cycles-views N`` renders
-N views with Cycles and extrapolates to 40 views as the fixed part + 40 x the median of a view.
+Results of steps are stored in --out and reused, so the same command resumes. ``--cycles-views N`` renders N
+views with Cycles; the time of 40 views is then the fixed part + 40 x the median of a view.
 """
 
 from __future__ import annotations
@@ -53,6 +51,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from benchmarks.timing import write_report
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.recipe import QUALITIES, ObjectRecipe, Recipe, RenderRecipe
@@ -64,10 +63,10 @@ from datagen.rendering.error import relative_mse
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
-"""Neither a clamp nor rougher surfaces after a diffuse bounce, as in our references."""
+"""Options without a clamp and without rougher surfaces after a diffuse bounce, as in our references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
-"""Samplings of Cycles, with their options."""
-MIN_TIMED = 3  # views; the first includes the scene's cost, and the median of the others is a view's cost
+"""Settings of Cycles that are compared: options by name."""
+MIN_TIMED = 3  # views: the first includes the fixed part; the others give the median of a view
 
 
 def recipe_of(arguments: argparse.Namespace) -> Recipe:
@@ -84,7 +83,7 @@ def recipe_of(arguments: argparse.Namespace) -> Recipe:
 
 
 def step(path: Path, make: Callable[[], Any]) -> Any:
-    """Read the JSON at ``path``, which is the result of ``make`` if it was missing."""
+    """Read the JSON file ``path``, which is first written with the result of ``make`` if it is missing."""
     if not path.is_file():
         result = make()
         partial = path.with_suffix(".partial")
@@ -94,7 +93,7 @@ def step(path: Path, make: Callable[[], Any]) -> Any:
 
 
 def timed(*command: str, log: Path, environment: dict[str, str] | None = None) -> dict[str, float]:
-    """Run a Python module in a separate process; returns its start (epoch), wall and processor seconds."""
+    """Run a Python module in a separate process; returns the start (epoch), wall and processor seconds."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     began, start = time.time(), time.perf_counter()
     with log.open("wb") as out:
@@ -136,7 +135,7 @@ class Comparison:
     # ---------------------------------------------------------------- the same room for both
 
     def prepare(self) -> None:
-        """Plan, export, and convert the export to a .blend."""
+        """Plan the room, export it, and convert the export to a .blend."""
         plan = self.folder / "plan"
         if not (plan / "plan.json").is_file():
             path = self.folder / "recipe.yaml"
@@ -150,7 +149,7 @@ class Comparison:
             timed("benchmarks.cycles_baseline", "build", str(export), str(blend), log=log)
 
     def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Render views with Cycles into ``folder/name``; returns their seconds."""
+        """Render ``views`` with Cycles into ``folder/name``; returns the seconds by view and of the rest."""
         out = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -173,7 +172,7 @@ class Comparison:
     # ---------------------------------------------------------------- errors
 
     def references(self) -> dict[str, Any]:
-        """Two converged images (H, W, 3) of each error view, by renderer and view."""
+        """Render two converged images (H, W, 3) of each error view, by renderer and view."""
         samples = str(self.arguments.reference_samples)
         out = self.folder / f"our_references_{samples}"
         views = [str(v) for v in self.error_views]
@@ -195,7 +194,7 @@ class Comparison:
 
     @staticmethod
     def agreement(pairs: dict[str, Any]) -> dict[str, Any]:
-        """Ratio of means (cycles : ours) and correlation of the renderers' blurred references, by view."""
+        """Ratio of means (Cycles : ours) and correlation of the renderers' blurred references, by view."""
         ratios, correlations = [], []
         for view, (a, b) in pairs["ours"].items():
             ours, cycles = luminance(0.5 * (a + b)), luminance(0.5 * sum(pairs["cycles"][view]))
@@ -211,7 +210,7 @@ class Comparison:
         }
 
     def cycles_error(self, name: str, pairs: dict[int, Any]) -> float:
-        """Mean error of Cycles' images in ``folder/name`` over those error views that exist."""
+        """Mean error of Cycles' images in ``folder/name`` over the error views among them."""
         found = {v: self.folder / name / f"view_{v:03}.exr" for v in self.error_views}
         return float(
             np.mean(
@@ -246,7 +245,7 @@ class Comparison:
     def cycles_samples(
         self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
     ) -> tuple[int | None, dict[int, float]]:
-        """Smallest sample count that reaches error ``target``, None if none does; and error by count."""
+        """Find the smallest sample count of error ``target`` or None, and the error by count."""
         curve: dict[int, float] = {}
         samples = FIRST_SAMPLES
         while samples <= self.arguments.max_cycles_samples:
@@ -262,7 +261,7 @@ class Comparison:
     # ---------------------------------------------------------------- time
 
     def ours(self, name: str, *, is_cold: bool) -> dict[str, Any]:
-        """Run ``datagen run --unit`` on a new copy of the plan; returns its times."""
+        """Run ``datagen run --unit`` on a copy of the plan, ``is_cold`` without kernel cache; its seconds."""
         root = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -299,7 +298,7 @@ class Comparison:
         return images, records, manifest.num_bytes
 
     def run(self) -> dict[str, Any]:
-        """Run all steps; returns the result, which is also the content of ``bench_cycles.json``."""
+        """Run all steps; returns the content of ``bench_cycles.json``."""
         arguments = self.arguments
         self.prepare()
         pairs = self.references()
@@ -341,7 +340,7 @@ class Comparison:
 
 
 def rank(cycles: dict[str, Any]) -> tuple[float, ...]:
-    """Sort key of Cycles' runs: runs that reach the error by time, then the remaining runs by error."""
+    """Sort key of Cycles' settings: those that reach the error, by time, then the others, by error."""
     return (0.0, cycles["total_cpu_s"]) if cycles["reached"] else (1.0, round(math.log(cycles["rel_mse"]), 2))
 
 
@@ -352,7 +351,7 @@ def agrees(agreement: dict[str, Any]) -> bool:
 
 
 def interpolated(curve: dict[int, float], target: float) -> int:
-    """Sample count at which a decreasing curve crosses ``target``, by its last two points, in logarithms."""
+    """Sample count of error ``target``, by the last two points of ``curve`` (by count) in logarithms."""
     *before, high = sorted(curve)
     if not before:
         return high
@@ -363,9 +362,9 @@ def interpolated(curve: dict[int, float], target: float) -> int:
 
 
 def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
-    """Seconds of the fixed part, of a view and of ``views``; the fixed part includes the first view's excess.
+    """Seconds of the fixed part, including the first view's excess, of one view, and of ``views`` views.
 
-    Processor seconds of ``views`` are scaled like wall seconds. ``run`` is a result of ``Comparison.cycles``.
+    ``run`` is a result of ``Comparison.cycles``. Processor seconds are scaled like wall seconds.
     """
     a_view = statistics.median(run["views_s"][1:])
     leaving = run["wall_s"] - run["start_s"] - sum(run["views_s"])
@@ -431,7 +430,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Parse, measure, write ``bench_cycles.json`` and ``bench_cycles.md``."""
+    """Run the command, which writes ``bench_cycles.json`` and ``bench_cycles.md``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quality", choices=tuple(QUALITIES), default="standard")
     parser.add_argument(
@@ -449,7 +448,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "cycles")
     arguments = parser.parse_args()
     result = Comparison(arguments).run()
-    (arguments.out / "bench_cycles.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out / "bench_cycles.json", is_printed=False)
     text = table(result)
     (arguments.out / "bench_cycles.md").write_text(text + "\n", encoding="utf-8")
     print(text)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Views per second decoded for training by one core: three buffers per view, as stored and as tensors.
+"""Views per second that one core decodes for training, with three buffers per view.
 
     python -m benchmarks.bench_decoding DATASET [--buffers beauty diffuse_albedo roughness] [--views 40]
 
-Processor time with one thread; medians over views, after a first pass that fills the file cache. ``decode``
-is EXR bytes to arrays, ``view`` adds reading and checking the view's JSON, ``crop`` adds a crop of 128 pixels
-as tensors (half of the shorter side if that is less).
+Processor time of one thread; medians over views, after a first pass that fills the file cache. ``decode``
+converts EXR bytes to arrays, ``view`` also reads and checks the view's JSON, ``crop`` also makes tensors of a
+crop of 128 pixels (half of the shorter side if that is less).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from model.loading import ViewStream, read_view
 
 
 def main() -> None:
-    """Entry point."""
+    """Print the milliseconds per view of each measurement."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

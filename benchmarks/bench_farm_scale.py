@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Cost of planning, status and collection as plans grow, in time and file operations.
+"""Time of planning, rerun, status and collection by the number of units of a plan.
 
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
 
-Creates folders of finished units (configurations, markers, shards of one record) and times the operations for
-which a user waits: planning from assembled configurations, a rerun, status and collection. ``cpu_s`` is
-processor time, which depends little on other work on the machine.
+Creates folders of finished units (configurations, markers, shards of one record) and times planning from
+assembled configurations, a rerun, status and collection. ``cpu_s`` is processor time, which depends little on
+other work on the machine.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ from datagen.library import Library
 
 
 def plan_folder(root: Path, num_units: int, library: Library) -> tuple[DatasetFolder, Recipe]:
-    """A folder with the configurations of ``num_units``, 40 cameras each, without a plan."""
+    """Write a folder with ``num_units`` configurations of 40 cameras, without a plan; also returns its
+    recipe."""
     folder = DatasetFolder(root)
     for path in (folder.shards_path, folder.units_path, folder.configuration_path("x").parent):
         path.mkdir(parents=True)
@@ -66,7 +67,7 @@ def _camera(view: int) -> ViewCamera:
 
 
 def _shard(configuration: str) -> bytes:
-    """A tar of one record."""
+    """Bytes of a tar that contains one view's record."""
     record = ViewRecord(
         configuration=configuration,
         name="view-000",
@@ -99,7 +100,7 @@ def _shard(configuration: str) -> bytes:
 
 
 def finish_folder(folder: DatasetFolder, plan: Plan) -> None:
-    """Write markers and shards as if every unit were done."""
+    """Write the markers and shards of a plan whose units are all finished."""
     for unit in plan.units:
         shard = _shard(unit.id)
         digest = sha256_hex(shard)
@@ -122,7 +123,7 @@ def finish_folder(folder: DatasetFolder, plan: Plan) -> None:
 
 
 def time_real_folders(sizes: list[int], repeats: int) -> list[dict]:
-    """Median seconds (wall, processor) of operations for which a user waits, on folders of several sizes."""
+    """Median wall and processor seconds of each operation on folders of ``sizes`` units."""
     rows = []
     library = Library([bundled_library()])
     for size in sizes:

@@ -5,11 +5,10 @@
     python -m benchmarks.bench_first_pixel --cold             an empty cache of compiled kernels each time
     python -m benchmarks.bench_first_pixel --profile          profile of building the scene
 
-A separate process follows the steps of ``datagen run --unit``: imports, opens the library, reads plan and
-configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view with one path
-and one auxiliary sample per pixel: the result in memory counts as the first pixels. Warm means that the
-operating system has the files, and Dr.Jit the kernels, in its cache from one earlier run. Medians of
---repeats runs; the target is 10 s on 2 cores.
+A separate process follows the steps of ``datagen run --unit``: it imports modules, opens the library, reads
+plan and configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view with
+one path and one auxiliary sample per pixel into memory. Warm means that an earlier run filled the file cache
+of the operating system and Dr.Jit's kernel cache. Medians of --repeats runs; the target is 10 s on 2 cores.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.timing import timed
+from benchmarks.timing import timed, write_report
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RESULTS = REPOSITORY / "benchmarks" / "results"
@@ -34,7 +33,7 @@ TARGET_S = 10.0
 
 
 def first_pixels(folder: Path, profile: Path | None) -> None:
-    """The measured process; prints the stages as JSON: name, end (epoch) and processor seconds at the end."""
+    """Run the measured process, which prints each stage's name, end (epoch) and processor seconds as JSON."""
     marks: list[tuple[str, float, float]] = [("interpreter", time.time(), time.process_time())]
 
     def mark(name: str) -> None:
@@ -76,11 +75,8 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Median wall seconds of a pass with one path in each of 32 x 32 cells of the image, with a new recording
-    of Dr.Jit's kernel and with a replayed one.
-
-    Both would take equally long if recordings were not reused.
-    """
+    """Median wall seconds of a pass with one path in each of 32 x 32 cells of the image, by name: with a new
+    recording of Dr.Jit's kernel and with a replayed one."""
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}
     for name in ("new recording", "replayed"):
@@ -94,20 +90,16 @@ def passes(renderer: Any) -> dict[str, float]:
     return found
 
 
-def planned_folder(cache: Path, size: tuple[int, int], views: int, configurations: int = 1) -> Path:
-    """A folder with the measured configurations, planned if it is missing."""
+def planned_folder(cache: Path, size: tuple[int, int], views: int) -> Path:
+    """Plan the measured configuration unless ``cache`` contains it; returns its folder."""
     from datagen.formats.base import canonical_json
     from datagen.formats.recipe import ObjectRecipe, Recipe
 
-    folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}_{configurations}"
+    folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}_1"
     if not (folder / "plan.json").is_file():
+        objects = ObjectRecipe(count=(10, 24))
         recipe = Recipe(
-            name="first",
-            seed=2022,
-            configurations=configurations,
-            views=views,
-            resolution=size,
-            objects=ObjectRecipe(count=(10, 24)),
+            name="first", seed=2022, configurations=1, views=views, resolution=size, objects=objects
         )
         cache.mkdir(parents=True, exist_ok=True)
         path = cache / "first_pixel.yaml"
@@ -138,7 +130,7 @@ def run_once(folder: Path, is_cold: bool, profile: Path | None) -> dict[str, Any
 
 
 def main() -> None:
-    """Parse, measure, write."""
+    """Run the command, which prints and writes the medians."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
     parser.add_argument("--views", type=int, default=40)
@@ -179,8 +171,7 @@ def main() -> None:
         "pass_s": {n: statistics.median(run["passes"][n] for run in runs) for n in runs[0]["passes"]},
         "target_s": TARGET_S,
     }
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out, is_printed=False)
     print("| stage | wall s | processor s |\n|---|---|---|")
     for name, seconds in {**stages, "start of process to first pixels": total}.items():
         print(f"| {name} | {seconds['wall_s']:.2f} | {seconds['cpu_s']:.2f} |")

@@ -5,15 +5,13 @@
     python -m benchmarks.bench_infer --capture SHARD --atlas auto
     python -m benchmarks.bench_infer --capture SHARD --views 160 --size 640x384 --atlas 16384
 
-Without ``--capture`` the capture is an analytic room of 24 triangles with a block in it: its geometry costs
-nothing, so the work per pixel, view and texel is measured. With a rendered capture and ``--views`` its
-cameras are used in turn, moved by up to 0.3 m and rotated by up to 20 degrees; their images are the capture's
-true albedo, lit from the camera: any number of photographs of the same room, without rendering. Weights are
-random unless ``--checkpoint`` is given; time does not depend on weights except in the solver, whose grid
-follows the predicted albedo. Writes JSON with ``--json``.
+Without ``--capture`` the capture is a room of 24 triangles, whose geometry takes no time, so the work per
+pixel, view and texel is measured. With a rendered capture and ``--views``, its cameras are used in turn,
+moved by up to 0.3 m and rotated by up to 20 degrees; the images are the capture's true albedo, lit from the
+camera, so any number of photographs needs no rendering. Weights are random without ``--checkpoint``; only the
+solver's time depends on them. Writes JSON with ``--json``.
 
-Memory is given as that of the process itself, and as all resident memory, including pages of the atlas's
-files that the system may drop at any time.
+Memory is stated without and with the resident pages of the atlas's files, which the system can drop.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ from model.reconstruction.predict.sources import CheckpointMaps
 from oracles.textured_room import room_capture
 
 PAPER_MINUTES = {"statistics": 7.56, "prediction": 3.93, "texturing": 3 * 3.12}
-"""Veach Ajar, 160 views, 16K atlas, three maps, on a Xeon 5218 and a Quadro RTX 5000."""
+"""Minutes by stage for Veach Ajar, 160 views, 16K atlas, three maps, on a Xeon 5218 and a Quadro RTX 5000."""
 STAGES = {
     "statistics": ("trace", "check", "statistics"),
     "prediction": ("predict", "write maps"),
@@ -65,7 +63,7 @@ def random_checkpoint(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class _Shot:
-    """A photograph in memory."""
+    """Image source of a photograph in memory."""
 
     color: NDArray[np.float32]
 
@@ -77,7 +75,7 @@ class _Shot:
 
 
 def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, int]) -> Capture:
-    """A rendered capture's room with ``num`` other views of ``size`` (width, height)."""
+    """Capture of the rendered capture ``shard`` with ``num`` other views of ``size`` (width, height)."""
     select_variant()
     room = open_room(shard, library)
     albedo = room.merged(room.truth, min(room.auto, 4096), None).maps["diffuse_albedo"]
@@ -110,7 +108,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
 
 
 class MemoryWatch:
-    """Peaks of a process's own memory and of its resident memory, in GB; samples ten times a second."""
+    """Peaks in GB of this process's memory without and with mapped files, sampled ten times a second."""
 
     def __init__(self) -> None:
         self.own_gb, self.resident_gb = 0.0, 0.0
@@ -133,7 +131,7 @@ class MemoryWatch:
 def measure(
     capture: Capture, options: InferOptions, checkpoint: Path | None, scratch: Path | None
 ) -> InferReport:
-    """Run inference once, into a temporary folder."""
+    """Run inference once into a temporary folder, below ``scratch`` if given."""
     with tempfile.TemporaryDirectory(prefix="bench-infer-", dir=scratch) as folder:
         source = CheckpointMaps(checkpoint or random_checkpoint(Path(folder)))
         return infer(capture, Path(folder) / "out", source, options)
@@ -172,7 +170,7 @@ def main() -> None:
         minutes = sum(report.seconds.get(stage, 0.0) for stage in stages) / 60
         print(f"{name:<12}{minutes:>8.2f} min   (paper, Veach Ajar's load, GPU: {PAPER_MINUTES[name]:.2f})")
     print(f"processor time {cpu_s:.0f} s, {torch.get_num_threads()} threads, {report.precision}")
-    print(f"peak memory {memory.own_gb:.1f} GB, with pages of files {memory.resident_gb:.1f} GB")
+    print(f"peak memory {memory.own_gb:.1f} GB, with mapped files {memory.resident_gb:.1f} GB")
     if arguments.json:
         peaks = {"peak_own_gb": memory.own_gb, "peak_resident_gb": memory.resident_gb}
         result = {**asdict(report), **peaks, "cpu_s": cpu_s, "threads": torch.get_num_threads()}

@@ -3,9 +3,10 @@
 
     python -m benchmarks.bench_learning DATASET ... --out DIR --compare CHECKPOINT ... [--judge DATASET]
 
-On the whole views of the validation splits, or of ``--judge DATASET`` alone: mean squared errors of every map
-for a constant (the training mean), the exposed median image and the recorded reflectance as diffuse albedo,
-and each checkpoint, with and without the bilateral solver. Writes ``table.md`` and ``results.json`` into DIR.
+Gives mean squared errors of every map on the whole views of the validation splits, or of that of ``--judge
+DATASET``: for a constant (the training mean), for the exposed median image and the recorded reflectance as
+diffuse albedo, and for each checkpoint with and without the bilateral solver. Writes ``table.md`` and
+``results.json`` into DIR.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ from model.training.validation import (
 TRACKS: tuple[TrackName, ...] = ("diffuse", "specular")
 
 CONSTANT = "constant (training mean)"
-METAL_ABOVE = 0.2  # specular albedo of any channel
+METAL_ABOVE = 0.2  # maximum over channels of a non-metal's specular albedo
 
 Rows = dict[str, dict[str, float]]
-"""Metrics by method."""
+"""Metrics (:meth:`MapErrors.metrics`) by method."""
 
 
 def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
-    """The validation views, of the dataset folder ``judge`` if given; ``SystemExit`` if there are none."""
+    """Validation views of ``data``, or of the dataset folder ``judge``; ``SystemExit`` if there are none."""
     root = judge.resolve() if judge else Path("/")
     places = [place for place in data.validation if place.shard.resolve().is_relative_to(root)]
     if not places:
@@ -56,7 +57,7 @@ def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
 def compare(
     config: TrainingConfig, datasets: list[Path], checkpoints: dict[str, Path], judge: Path | None = None
 ) -> Rows:
-    """Metrics by method on the validation views; the training mean is over all ``datasets``."""
+    """Metrics of the baselines and ``checkpoints`` on the validation views of ``datasets`` or ``judge``."""
     device = torch.device("cpu")
     data = open_data(datasets, config.network, config.data.crop_px)
     read = {path: load_checkpoint(path) for path in checkpoints.values()}
@@ -82,10 +83,10 @@ def compare(
 def metal_errors(
     path: Path, datasets: list[Path], judge: Path | None = None, num_views: int = 30
 ) -> dict[str, float]:
-    """Errors of a checkpoint's specular albedo on metal (any channel above 0.2) and elsewhere.
+    """Errors of a checkpoint's specular albedo on metal (any channel above 0.2) and on other surfaces.
 
     Over ``num_views`` evenly spaced validation views: the share of metal among surface pixels and in the sum
-    of squared errors, and the mean squared error and mean prediction on metal and elsewhere.
+    of squared errors, and the mean squared error and mean prediction on metal and on other surfaces.
     """
     network, device = load_checkpoint(path).network, torch.device("cpu")
     data = open_data(datasets, network.config, 16)
@@ -121,7 +122,7 @@ def as_table(rows: Rows) -> str:
 
 
 def write_table(rows: Rows, run: dict[str, Any], out: Path) -> None:
-    """Write ``table.md`` and ``results.json``."""
+    """Write ``table.md`` and ``results.json`` into ``out``, and print the table."""
     table = as_table(rows)
     print(table)
     (out / "table.md").write_text(table)

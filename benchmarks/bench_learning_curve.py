@@ -4,14 +4,14 @@
     python -m benchmarks.bench_learning_curve DATASET [OTHER ...] --out DIR [--counts 5 10 20 40]
         [--steps 400] [--preset small] [--set KEY=VALUE ...] [--threads 2] [--judge DATASET]
 
-Trains the preset on some of a dataset's training configurations, evenly spaced over all, with equally many
-optimiser steps per track for each count; a point is the mean squared error of each map over all views of the
-validation split of ``--judge`` (default: the first DATASET). Every OTHER is a separate curve, judged by the
-same views: the same recipe rendered with fewer samples shows the cost of cheap data, another recipe the
-benefit of variety. Short runs rank the curves; they do not predict the error of a long run.
+For each count, trains the preset on that many evenly spaced training configurations of a dataset, with the
+same number of optimiser steps per track; a point is the mean squared error of each map over all views of the
+validation split of ``--judge`` (default: the first DATASET). Every OTHER is another curve, evaluated on the
+same views, such as the same recipe with fewer samples, or another recipe. Short runs rank the curves; they do
+not predict the error of a long run.
 
 Writes ``table.md``, ``results.json`` and ``curve.png`` into DIR. Existing points are not trained again;
-interrupted points resume. A point costs about ``2 * steps`` times the seconds of a step printed by
+interrupted points resume. A point takes about ``2 * steps`` times the seconds of a step printed by
 ``benchmarks.bench_network``: 400 steps of ``small`` take about 7 minutes of one core.
 """
 
@@ -38,20 +38,12 @@ from model.training.config import PhaseConfig, TrainingConfig, parse_overrides, 
 from model.training.dataset import buffer_names
 from model.training.sources import open_data, spread
 from model.training.train import Trainer
-from model.training.validation import (
-    constant_predictor,
-    evaluate,
-    mean_maps,
-    network_predictor,
-    whole_views,
-)
+from model.training.validation import constant_predictor, evaluate, mean_maps, network_predictor, whole_views
 
 
 def part_of(dataset: Path, count: int, judge: Path, out: Path) -> Path:
-    """A dataset folder with ``count`` training configurations of ``dataset`` and the validation
-    configurations of ``judge``.
-
-    Shards are linked, or copied if that is impossible. Raises ``SystemExit`` if there are too few.
+    """Create a dataset folder with ``count`` training configurations of ``dataset`` and the validation
+    configurations of ``judge``; raises ``SystemExit`` if there are too few.
     """
     source, judged = Dataset(dataset), Dataset(judge)
     training = [shard for shard in source.index.shards if shard.split == "train"]
@@ -93,14 +85,14 @@ def _index_of(index: DatasetIndex, shards: list[ShardRecord], assets: dict) -> D
 
 
 def short_run(config: TrainingConfig, steps: int) -> TrainingConfig:
-    """The configuration with ``steps`` steps for each track, no later phases and no validation."""
+    """Return ``config`` with ``steps`` steps for each track, no later phases and no validation."""
     phases = tuple(PhaseConfig(name=track, steps=steps) for track in TRACKS)
     validation = config.validation.model_copy(update={"num_views": 0})
     return config.model_copy(update={"phases": phases, "validation": validation})
 
 
 def measure(config: TrainingConfig, dataset: Path, out: Path) -> dict[str, float]:
-    """Metrics over the validation views of a run on ``dataset``, trained if necessary."""
+    """Train on ``dataset`` into ``out`` unless done; returns the metrics over its validation views."""
     Trainer(config, [dataset], out, device=torch.device("cpu"), show_progress=True).run()
     data = open_data([dataset], config.network, config.data.crop_px)
     batches = whole_views(data.validation, buffer_names(config.network), torch.device("cpu"))
@@ -109,7 +101,7 @@ def measure(config: TrainingConfig, dataset: Path, out: Path) -> dict[str, float
 
 
 def constant(config: TrainingConfig, dataset: Path) -> dict[str, float]:
-    """Metrics, on the validation views, of the mean of the training maps."""
+    """Metrics over the validation views of a constant prediction, the mean of the training maps."""
     data = open_data([dataset], config.network, config.data.crop_px)
     names, device = buffer_names(config.network), torch.device("cpu")
     means = mean_maps(whole_views(spread(data.train, 80), names, device))
@@ -134,7 +126,7 @@ def as_table(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str,
 
 
 def plot(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, float], path: Path) -> None:
-    """Plot one panel per map, with one line per dataset and the constant dashed."""
+    """Plot a panel per map, with a line per dataset and a dashed line for the constant prediction."""
     matplotlib.use("Agg")
     figure, axes = pyplot.subplots(1, len(MATERIAL_MAPS), figsize=(4 * len(MATERIAL_MAPS), 3.4))
     for axis, name in zip(axes, MATERIAL_MAPS, strict=True):

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of the views' maps from the network, with its albedo scale, and from light: one row per room and
-method.
+"""Errors of the views' maps from the network, from the network with albedo scale, and from light, by room.
 
     python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
         [--worse-mesh] [--ablate] [--checkpoint FILE]
@@ -8,9 +7,9 @@ method.
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
 of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. Mean squared errors
 are over all surface pixels, and over metal (S above 0.2), white (D above 0.6) and glossy pixels (R below
-0.4). Sheets, one per room, show three views: D from the network, from light and from the truth, R from light
-and from the truth. ``--worse-mesh`` uses vertices that are off by 1 cm, three tenths of the triangles and 5 %
-holes. ``--ablate`` adds a row for each omitted step.
+0.4). ``--sheet`` writes a picture per room of three views: D from the network, from light and true, R from
+light and true. ``--worse-mesh`` displaces vertices by 1 cm, keeps three tenths of the triangles and cuts
+holes in 5 % of the area. ``--ablate`` adds a row for each omitted step.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ ABLATIONS = {
 }
 WORSE_MESH = GeometryError(edge_m=0.1, noise_m=0.01, keep_share=0.3, hole_share=0.05)
 ALONG = 3
-"""Every third pixel along both axes is measured."""
+"""Selects every third pixel along both axes, which are measured."""
 
 
 def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
@@ -79,7 +78,7 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
 
 
 def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
-    """Write a sheet of three views, as described above."""
+    """Write the picture of three views that the module's docstring describes."""
     from PIL import Image
 
     def tile(maps: dict[str, NDArray], name: str) -> NDArray:
@@ -103,7 +102,7 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
 
 
 def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, ablates: bool) -> None:
-    """Print the rows of a room."""
+    """Print the table rows of a room, with ``ablates`` also those without single steps."""
     truth = [view.source.read_maps((*NAMES, "surface_mask")) for view in traced.capture.views]
     name = f"{traced.capture.name} | {len(truth)}"
     source = CheckpointMaps(checkpoint)

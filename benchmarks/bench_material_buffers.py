@@ -4,7 +4,7 @@
     python -m benchmarks.bench_material_buffers ../shared/data/scenes/staircase/scene.xml
 
 Each BSDF of the scene is replaced by a ``cook_torrance`` with the same diffuse reflectance, which preserves
-the texture lookups. Both passes run in turn on the same view; ``aov`` gives albedo, shading normal, depth and
+the texture lookups. The passes run in turn on the same view; ``aov`` gives albedo, shading normal, depth and
 shape index, the ground-truth pass gives all 17 channels. Writes JSON with medians and quartiles.
 """
 
@@ -22,7 +22,7 @@ from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_re
 
 
 def _reflectance(bsdf: Any) -> Any:
-    """The diffuse reflectance texture within a tree of BSDFs, or None."""
+    """The first diffuse reflectance texture in a tree of BSDFs, or None."""
     import mitsuba as mi
 
     from mitsuba_plugins.texture_checks import exposed
@@ -38,7 +38,8 @@ def _reflectance(bsdf: Any) -> Any:
 
 
 def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, Any]:
-    """The scene with cook_torrance everywhere, shapes ``merged`` or not, and a sensor with a box filter."""
+    """Load a scene with ``cook_torrance`` as its only BSDF, shapes ``merged`` or not; also returns a sensor
+    with a box filter."""
     import mitsuba as mi
 
     scene = mi.load_file(str(path), optimize=merged)
@@ -69,7 +70,7 @@ def _render(scene: Any, sensor: Any, integrator: Any, spp: int) -> None:
 
 
 def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
-    """Seconds of both passes at 8 and 64 samples, on separate and on merged shapes."""
+    """Seconds of each pass at 8 and 64 samples per pixel, on separate and on merged shapes."""
     from mitsuba_plugins import register, select_variant
 
     variant = select_variant()
@@ -115,7 +116,7 @@ def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", type=Path)
     parser.add_argument("--width", type=int, default=640)

@@ -3,10 +3,10 @@
 
     python benchmarks/bench_memory.py [--configurations 20] [--views 10] [--size 96 64]
 
-Each configuration has new random objects, textured materials, lights and colour adjustments, so scenes,
-textures and kernels all differ. Resident memory is read after each configuration, once all possible memory
-has been freed. Growth is counted from --warm-up configurations on, when libraries are loaded and caches
-filled; the limit is 100 MB.
+Each configuration has other random objects, textured materials, lights and colour adjustments, so scenes,
+textures and kernels differ. Resident memory is read after each configuration, once unused memory is freed.
+Growth is counted after --warm-up configurations, when libraries are loaded and caches filled; the limit is
+100 MB.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def write_library(root: Path) -> Library:
 
 
 def draw_configuration(library: Library, index: int, views: int, size: tuple[int, int]) -> Configuration:
-    """Configuration ``index``: a random number of objects at random poses, random materials and lights."""
+    """Draw configuration ``index``: objects at random poses, random materials and lights."""
     rng = np.random.default_rng(1000 + index)
 
     def assignment() -> MaterialAssignment:
@@ -127,7 +127,7 @@ def resident_mb() -> float:
 
 
 def measure(configurations: int, views: int, size: tuple[int, int]) -> list[float]:
-    """Resident megabytes after each configuration."""
+    """Render ``configurations`` of ``views`` views; returns the resident megabytes after each."""
     memory = []
     with tempfile.TemporaryDirectory() as folder:
         library = write_library(Path(folder))
@@ -145,7 +145,7 @@ def measure(configurations: int, views: int, size: tuple[int, int]) -> list[floa
 
 
 def main() -> None:
-    """Parse, measure, write; exit code 1 if memory grows beyond the limit."""
+    """Run the command; the exit code is 1 if memory grows by more than the limit."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--configurations", type=int, default=20)
     parser.add_argument("--views", type=int, default=10)

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Map errors by options of the merge, on rendered captures of known truth.
+"""Errors of merged maps by options of the merge, on rendered captures with true maps.
 
     python -m benchmarks.bench_merge_quality weights SHARD ...
     python -m benchmarks.bench_merge_quality sizes SHARD ... --sizes 0.5x,1x,2x,16384
     python -m benchmarks.bench_merge_quality seams SHARD ... --views 12
 
-``weights``: mean squared error of the maps from network and light after merging with each choice of weights,
-and before (``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x:
-twice the side of ``auto``). ``seams``: the mean step of merged D between neighbouring texels of smooth true
-D, where the number of views differs (``border``) and where it does not (``inside``), by weights, with the
-errors; printed by room. An atlas is evaluated in the views: at the surface under each pixel's centre, between
-texels, against the pixel's truth; all surface pixels of all views of all shards have equal weight. ``--json``
-stores the figures.
+``weights``: mean squared error of the maps from network and light before merging (``views``) and after
+merging with each choice of weights. ``sizes``: that of the true maps after merging into atlases of several
+sides (2x: twice the side of ``auto``). ``seams``: by room and choice of weights, the errors and the mean step
+of merged D between neighbouring texels of smooth true D, where the number of views differs (``border``) and
+where it does not (``inside``). An atlas is interpolated at the surface point under each pixel's centre and
+compared with the pixel's true map; all surface pixels have equal weight. ``--json`` stores the figures.
 """
 
 from __future__ import annotations
@@ -50,10 +49,9 @@ from model.reconstruction.unwrap.uv import unwrapped
 WEIGHTS: tuple[Weights, ...] = ("none", "borders", "angle", "distance", "confidence", "all")
 Maps = list[dict[str, NDArray]]
 MAX_TRUE_STEP = 0.004
-"""Largest step of true D, in any channel, between neighbouring texels whose merged D should not step either.
-"""
+"""Largest difference of smooth true D, in any channel, between neighbouring texels."""
 MAX_SIDE = 4096
-"""Maximum side of an atlas of size ``auto`` here, since some rooms have a landscape around them."""
+"""Maximum side in texels of an atlas of size ``auto``, since a landscape surrounds some rooms."""
 
 
 @dataclass
@@ -61,8 +59,8 @@ class Room:
     """A rendered capture, traced and unwrapped.
 
     ``sides``: as returned by :func:`seen_sides`; ``uv``: UVs (H, W, 2) of each view's pixels, NaN off the
-    surface; ``truth``: the views' true maps; ``auto``: side of the atlas by the views' pixel density, in
-    texels.
+    surface; ``truth``: the views' true maps; ``auto``: the atlas's side in texels that fits the views' pixel
+    density.
     """
 
     capture: Capture
@@ -74,7 +72,7 @@ class Room:
     auto: int
 
     def merged(self, maps: Maps, size: int, folder: Path | None, weights: Weights = "none") -> Atlas:
-        """Merge the maps of all views into an atlas of ``size`` texels per side, and fill it."""
+        """Merge the maps of all views into an atlas of ``size`` texels per side, and fill unseen texels."""
         regions = smooth_regions(self.traced.geometry.mesh)
         views = map_views(self.traced.views, maps)
         merger = MapMerger(views, MergeOptions(weights=weights), None, regions)
@@ -84,7 +82,7 @@ class Room:
         return atlas
 
     def atlas_errors(self, atlas: Atlas) -> dict[str, float]:
-        """Sums of squared errors of the atlas in the views, by map."""
+        """Sums of squared errors of the atlas over all surface pixels of the views, by map."""
         sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
         for uv, truth in zip(self.uv, self.truth, strict=True):
             on_surface = ~np.isnan(uv[..., 0])
@@ -94,7 +92,7 @@ class Room:
         return sums
 
     def view_errors(self, maps: Maps, reference: Maps) -> dict[str, float]:
-        """Sums of squared differences between the views' ``maps`` and ``reference``, by map."""
+        """Sums of squared differences of ``maps`` and ``reference`` over surface pixels, by map."""
         sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
         for uv, found, truth in zip(self.uv, maps, reference, strict=True):
             on_surface = ~np.isnan(uv[..., 0])
@@ -110,7 +108,7 @@ class Room:
 
 
 def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
-    """Values (K, C) of a map (N, N, C) at UVs (K, 2), interpolated between its texels."""
+    """Interpolate a map (N, N, C) at UVs (K, 2): values (K, C)."""
     size = array.shape[0]
     x = np.clip(uv[:, 0] * size - 0.5, 0, size - 1)
     y = np.clip((1 - uv[:, 1]) * size - 0.5, 0, size - 1)
@@ -123,11 +121,9 @@ def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
 
 
 def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
-    """Sums of the steps of D (mean over channels) between neighbouring observed texels with smooth true D,
-    and the number of pairs.
-
-    The sums are separate at the ``border`` of a view's footprint, where the number of views differs, and
-    ``inside`` it. Both atlases have the same mesh and side.
+    """Sum of the differences of D (mean over channels) between neighbouring observed texels of smooth true D,
+    and number of pairs: for pairs with different numbers of views (``border``) and equal ones (``inside``).
+    The atlases have the same mesh and side.
     """
     found = {"border": (0.0, 0), "inside": (0.0, 0)}
     for axis in (0, 1):
@@ -152,7 +148,7 @@ def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
 
 
 def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeometry) -> NDArray:
-    """UVs (H, W, 2) of the surface under each pixel's centre, NaN off the surface.
+    """UVs (H, W, 2) of ``unwrapped_mesh`` at the surface under each pixel's centre, NaN off the surface.
 
     The meshes have the same order of triangles and corners.
     """
@@ -185,7 +181,7 @@ def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None
 
 
 def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
-    """The maps of all views that ``materials infer`` merges."""
+    """Maps of all views as ``materials infer`` merges them."""
     source = CheckpointMaps(checkpoint)
     with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
         (Path(folder) / "views").mkdir()
@@ -198,7 +194,7 @@ def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
 
 
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:
-    """Sums of squared errors by row of the table (``what``: weights or sizes) and by map."""
+    """Sums of squared errors by row of the table ``what``, ``weights`` or ``sizes``, and by map."""
     rows: dict[str, dict[str, float]] = {}
     if what == "weights":
         maps = predictions(room, checkpoint, InferOptions(weights="all"))
@@ -216,7 +212,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 
 def print_seams(room: Room, checkpoint: Path) -> None:
-    """Print a row of steps and errors for each choice of weights."""
+    """Print a row with a room's steps of D and errors for each choice of weights."""
     maps = predictions(room, checkpoint, InferOptions(weights="all"))
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:
@@ -231,7 +227,7 @@ def print_seams(room: Room, checkpoint: Path) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("what", choices=("weights", "sizes", "seams"))
     parser.add_argument("shards", nargs="+", type=Path)

@@ -4,11 +4,10 @@
     python -m benchmarks.bench_network [--preset paper] [--batch 8] [--threads 2] [--device cpu] [--out FILE]
     python -m benchmarks.bench_network --padding      effect of padding on the maps (docs/decisions/0010)
 
-Prints, and writes as JSON: the forward pass of one track at 640 x 384 in float32 and bfloat16; a training
-step of each phase of the preset, split into forward, render, perceptual, backward and optimiser (and, on a
-GPU, the share of the device's bfloat16 peak, given ``--peak-tflops``); decoding of views and the number of
-crops per second that loading delivers. Times are medians. The batch is synthetic; decoding reads a shard made
-in a temporary folder.
+Prints, and writes as JSON, median times of: the forward pass of one track at 640 x 384 in float32 and
+bfloat16; a training step of each phase of the preset, split into forward, render, perceptual, backward and
+optimiser (with ``--peak-tflops``, also the share of the GPU's bfloat16 peak); decoding of a view, with the
+crops per second that result. The batch is synthetic; decoding reads a shard in a temporary folder.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ WIDTH, HEIGHT = 640, 384
 
 
 def finished(run: Callable[[], Any], device: torch.device) -> Callable[[], None]:
-    """``run`` followed by a wait for the device."""
+    """Return a function that calls ``run`` and waits for the device."""
 
     def wait() -> None:
         run()
@@ -51,7 +50,7 @@ def finished(run: Callable[[], Any], device: torch.device) -> Callable[[], None]
 
 
 def measure_forward(network: NetworkConfig, device: torch.device, repeats: int) -> dict[str, float]:
-    """Seconds of the diffuse track on one view, by number format and memory layout."""
+    """Median seconds of the diffuse track on a view of 640 x 384, by number format and memory layout."""
     x = torch.rand(1, 9, HEIGHT, WIDTH, device=device) * 2 - 1
     result = {}
     for layout in ("contiguous", "channels_last"):
@@ -70,7 +69,7 @@ def measure_forward(network: NetworkConfig, device: torch.device, repeats: int) 
 def measure_steps(
     config: TrainingConfig, device: torch.device, repeats: int, peak_tflops: float | None
 ) -> dict[str, dict[str, float]]:
-    """Seconds of a step of each phase and of its parts."""
+    """Median seconds of a training step and of its parts, by phase."""
     data = TrainingData((), (), (WIDTH, HEIGHT), ())
     batch = synthetic_batch(config.batch_size, config.data.crop_px, device)
     results: dict[str, dict[str, float]] = {}
@@ -96,7 +95,7 @@ def measure_steps(
 
 
 def synthetic_view() -> bytes:
-    """The EXR of a 640 x 384 view with every buffer, smooth with some noise."""
+    """Bytes of the EXR of a 640 x 384 view with all buffers, smooth with some noise."""
     rng = np.random.default_rng(0)
     buffers = {}
     for name in VIEW_BUFFERS:
@@ -122,7 +121,7 @@ def measure_decoding(config: TrainingConfig, repeats: int) -> dict[str, float]:
 
 
 def measure_padding() -> list[dict[str, Any]]:
-    """Change of an untrained track's output when its image is put into a larger canvas."""
+    """Change of an untrained track's output when its input is padded to a larger canvas, by size."""
     rows = []
     for ignores in (False, True):
         for height, width, canvas in ((368, 640, (384, 640)), (384, 640, (640, 640)), (256, 256, (384, 640))):

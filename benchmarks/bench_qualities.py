@@ -5,23 +5,23 @@
     python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
 
 Plans configurations of the bundled library and compares ``draft`` and ``standard`` (with ``--reference`` also
-``reference``, which takes long) with fixed sample counts, both with all light traced and with the irradiance
-cache and the clamp of these two qualities. A quality's excess is its cost divided by the cost at which the
-front of the fixed counts reaches the same error, in processor seconds and in light paths. Qualities estimate
-the error of each view, fixed counts do not: over rooms that differ, an excess below 1 is expected; on the
-other hand a quality needs one or two more denoiser runs per pass. Allowed: --slack in light paths
-(independent of the machine), --time-slack in processor seconds. Trials are stored in --out and not repeated.
+``reference``, which takes long) with fixed sample counts, with all light traced and with the irradiance cache
+and the clamp of these two qualities. A quality's excess is its cost in processor seconds or light paths,
+divided by the cost of the same error on the front of fixed counts. Qualities adapt the count to each view's
+error, which reduces the excess below 1, but run the denoiser once or twice more per pass. The excess may
+reach --slack in light paths (independent of the machine) and --time-slack in processor seconds. Trials are
+stored in --out and not repeated.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.timing import write_report
 from datagen.formats.base import canonical_json
 from datagen.formats.recipe import ObjectRecipe, Recipe
 from datagen.tradeoff.selection import Point, as_row, excess_over_front, points_of
@@ -34,7 +34,7 @@ SLACK, TIME_SLACK = 1.25, 1.5
 
 
 def planned_folder(out: Path, configurations: int) -> Path:
-    """A folder with configurations of the bundled library, planned if it is missing."""
+    """Plan ``configurations`` of the bundled library unless ``out`` contains them; returns their folder."""
     folder = out / "plan"
     if not (folder / "plan.json").is_file():
         out.mkdir(parents=True, exist_ok=True)
@@ -48,7 +48,7 @@ def planned_folder(out: Path, configurations: int) -> Path:
 
 
 def excesses(points: list[Point]) -> dict[str, dict[str, float]]:
-    """Excess of each quality over the front of fixed counts, in light paths and in processor time."""
+    """Cost of each quality relative to the front of fixed counts, in light paths and in processor time."""
     fixed = [p for p in points if not p.setting.quality]
     return {
         p.setting.quality: {
@@ -61,7 +61,7 @@ def excesses(points: list[Point]) -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Sweep, print, fail if a quality exceeds the front by more than the slack."""
+    """Run the command; the exit code is 1 if the excess of a quality is above the slack."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--configurations", type=int, default=3)
     parser.add_argument("--views", type=int, default=4)
@@ -101,7 +101,7 @@ def main() -> None:
             f"{cells} |"
         )
     result = {"points": [as_row(p) for p in points], "excess": found, **sweep.description()}
-    (arguments.out / "bench_qualities.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out / "bench_qualities.json", is_printed=False)
     limits = {"path_samples": arguments.slack, "cpu_s": arguments.time_slack}
     beaten = [f"{q}: {kind} {e[kind]:.2f}" for q, e in found.items() for kind in e if e[kind] > limits[kind]]
     if beaten:

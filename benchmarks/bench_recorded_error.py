@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Compares the recorded error of views with their true error, in ten rooms with four views each.
+"""Recorded and true error of views, in ten rooms with four views each.
 
     python -m benchmarks.bench_recorded_error                      96x64: references, views, figures, picture
     python -m benchmarks.bench_recorded_error --size 320 192 --views 1 --samples 128
 
-Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The true
-error is measured as in `datagen verify --recheck`: four independent parts of plain paths of up to 65
-segments, here with shadow rays through the windows, which has the same expectation. Parts are stored in
---cache, so an interrupted command resumes. A view counts as *not known* if the standard error of its true
-error exceeds a quarter of it.
+The rooms are five of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The
+true error is measured as in `datagen verify --recheck`, against four independent references of plain paths of
+up to 65 segments, here with shadow rays through the windows, which have the same expectation. References are
+stored in --cache, so an interrupted command resumes. A true error is *not known* if its standard error
+exceeds a quarter of it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.bench_view import RESULTS, configuration_of, converted
+from benchmarks.timing import write_report
 from datagen.assembly.plan import assemble
 from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
@@ -45,7 +46,7 @@ IMAGE = Path(__file__).resolve().parents[1] / "docs" / "images" / "recorded_erro
 
 @dataclass(frozen=True)
 class Point:
-    """A view: recorded and true exposed relMSE, standard error of the true one, and brightness error."""
+    """A view's recorded and true exposed relMSE, standard error of the true one, and brightness error."""
 
     room: str
     view: int
@@ -58,12 +59,12 @@ class Point:
 
     @property
     def is_known(self) -> bool:
-        """True if the reference noise is far below the measured error."""
+        """Whether the standard error of the true error is at most a quarter of it."""
         return self.true_error < 0.25 * self.true
 
 
 def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tuple[Configuration, Library]:
-    """Configuration of a room with ``views`` cameras of ``size`` (width, height), and its library."""
+    """Configuration of a room with ``views`` cameras of ``size`` (width, height), and the room's library."""
     if name in IMPORTED:
         library = converted(FOLDERS.get(name, name), cache)
         return configuration_of(library, views, size), library
@@ -95,7 +96,7 @@ def references(
 
 
 def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
-    """Yield a point for each view of a room."""
+    """Render the views of a room and yield a point for each."""
     size = (arguments.size[0], arguments.size[1])
     configuration, library = room_named(room, arguments.views, size, arguments.cache)
     recipe = parse_model(RenderRecipe, {"quality": arguments.quality}, "recipe")
@@ -118,10 +119,8 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
 
 
 def figures(points: list[Point]) -> dict[str, Any]:
-    """Share of views whose recorded error is within a factor of 2 of the true error, and statistics of the
-    ratio of recorded to true error.
-
-    Only views with a known true error count.
+    """Over views with a known true error: the share whose recorded error is within a factor of 2 of it, and
+    statistics of the ratio of recorded to true error.
     """
     known = [p for p in points if p.is_known]
     ratios = np.array([p.recorded / p.true for p in known])
@@ -159,7 +158,7 @@ def plot(points: list[Point], path: Path) -> None:
 
 
 def main() -> None:
-    """Parse, make references, measure, write."""
+    """Run the command, which writes the points, the figures and a plot."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rooms", nargs="+", choices=BUNDLED + IMPORTED, default=BUNDLED + IMPORTED)
     parser.add_argument("--size", type=int, nargs=2, default=(96, 64))
@@ -177,9 +176,7 @@ def main() -> None:
             print(json.dumps(asdict(point)), file=sys.stderr, flush=True)
     result = {"arguments": {k: str(v) for k, v in vars(arguments).items()}, **figures(points)}
     print(json.dumps(result, indent=1))
-    result["points"] = [asdict(p) for p in points]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report({**result, "points": [asdict(p) for p in points]}, arguments.out, is_printed=False)
     plot(points, arguments.plot)
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Cost and variety of generated rooms: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
 
-For N seeds of every kind: processor seconds and bytes of a room's package, and tries; minimum, median and
-maximum of the number of pieces, floor area, proportion, number of windows and their width; the share of
-windows with curtains, blind and radiator.
+For N seeds of every kind of room: processor seconds, bytes of the package, and number of attempts; minimum,
+median and maximum of the number of pieces of furniture, floor area, proportion, number of windows and their
+width; the share of windows with curtains, blind and radiator.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from datagen.parametric.shell import Shell
 
 
 def measure(num_seeds: int) -> dict[str, Any]:
-    """Figures over all kinds, and the slowest room of each kind."""
+    """Generate ``num_seeds`` rooms of each kind; returns figures over all, and each kind's slowest room."""
     seconds: dict[str, list[float]] = {kind: [] for kind in sorted(KINDS)}
     tries, num_bytes, pieces = [], [], []
     shells: list[Shell] = []
@@ -67,12 +67,12 @@ def measure(num_seeds: int) -> dict[str, Any]:
 
 
 def _range(values: Sequence[float]) -> list[float]:
-    """Minimum, median and maximum."""
+    """Minimum, median and maximum of ``values``."""
     return [round(float(x), 2) for x in np.quantile(values, (0.0, 0.5, 1.0))]
 
 
 def main() -> None:
-    """Measure, print and, given ``--json``, write."""
+    """Run the command, which prints the figures and, given ``--json``, writes them."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -3,16 +3,15 @@
 
     python -m benchmarks.bench_sky_guide                  6 rooms, 4 views of 160x96; 4 minutes
 
-Rooms of the bundled library as assembled by recipes, each view traced with ``--samples`` paths per pixel,
-four times with and four times without the guide, with the firefly clamp of the named qualities. Variance is
-half the exposed relMSE of one image against the next, mean over views; time is processor time, median over
-images. Their product is the relative time for the same noise. The cost of learning is listed separately.
+Each view of rooms assembled from the bundled library is traced with ``--samples`` paths per pixel, four times
+with and four times without the guide, with the firefly clamp of the named qualities. Variance is half the
+exposed relMSE of one image against the next, mean over views; time is the median processor time of an image.
+The product of their ratios is the relative time for the same noise. The time to build the guide is separate.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_qualities import REPOSITORY, planned_folder
-from benchmarks.timing import Stopwatch, timed
+from benchmarks.timing import Stopwatch, timed, write_report
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
@@ -33,7 +32,7 @@ CLAMP = 30.0
 
 
 def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
-    """Variance and seconds of one room with and without the guide."""
+    """Ratios (with : without guide) of variance and time in one room, by name, and figures of the guide."""
     tracer, guide = renderer.tracer, renderer.tracer.sky_guide
     kinds = {"plain": None, "guided": guide}
     variances: dict[str, list[float]] = {name: [] for name in kinds}
@@ -67,7 +66,7 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Plan, compare, print a table."""
+    """Run the command, which prints a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--configurations", type=int, default=6)
     parser.add_argument("--samples", type=int, default=32)
@@ -91,9 +90,7 @@ def main() -> None:
             f"{found['variance_ratio'] * found['time_ratio']:.2f} |",
             flush=True,
         )
-    (arguments.out / "bench_sky_guide.json").write_text(
-        json.dumps(results, indent=1) + "\n", encoding="utf-8"
-    )
+    write_report(results, arguments.out / "bench_sky_guide.json", is_printed=False)
 
 
 if __name__ == "__main__":

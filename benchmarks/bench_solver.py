@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 640, 384
 
 
 def make_guide(kind: str) -> torch.Tensor:
-    """Synthetic albedo (1, 3, 384, 640) of the ``kind`` room or noise."""
+    """Synthetic albedo (1, 3, 384, 640) of the ``kind`` ``room`` or ``noise``."""
     generator = torch.Generator().manual_seed(0)
     regions = torch.rand(1, 3, 6, 10, generator=generator)
     guide = 0.1 + 0.7 * torch.nn.functional.interpolate(regions, size=(HEIGHT, WIDTH))
@@ -35,7 +35,7 @@ def make_guide(kind: str) -> torch.Tensor:
 
 
 def measure(kind: str, device: torch.device, repeats: int) -> dict[str, float]:
-    """Medians in seconds, the grid's size, and the remaining error at the iteration limit."""
+    """Median seconds, the grid's number of cells, and the residual at the limit of iterations, by name."""
     generator = torch.Generator().manual_seed(1)
     guide = make_guide(kind).to(device)
     target = torch.rand(1, 4, HEIGHT, WIDTH, generator=generator).to(device)

@@ -4,10 +4,10 @@
     python -m benchmarks.bench_statistics                       speed, relative to the vectorised NumPy oracle
     python -m benchmarks.bench_statistics --scene S/scene.xml   the same on a Mitsuba scene, and accuracy
 
-Speed: 40 views of 640x384, 12 best; kernels and oracle run in turn on the same views. Growth: seconds per
-view for 10, 20, 40 and 80 views, in turn, with a straight line fitted. Accuracy (for a scene with textures):
-colours are the diffuse reflectance, which does not depend on the view direction, so ideally minimum, median
-and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by pair.
+Speed: 40 views of 640x384, statistics of the 12 best; kernels and oracle run in turn on the same views.
+Growth: seconds per view for 10, 20, 40 and 80 views, in turn, with a straight line fitted. Accuracy (for a
+scene with textures): colours are the diffuse reflectance, which does not depend on the view direction, so
+minimum, median and maximum should equal the pixel's colour; the depth test is compared with shadow rays.
 
 Writes JSON with medians and interquartile ranges to --out, and a summary to the terminal.
 """
@@ -29,7 +29,7 @@ from oracles.statistics import OracleOptions, statistics_vectorized
 
 
 def furnished_room():
-    """A closed room with at most thirty boxes, the pose (4, 4) of a camera in it, and the up direction."""
+    """Make a room with at most thirty boxes; returns it, a camera's pose (4, 4) and the up axis (3,)."""
     import mitsuba as mi
 
     rng = np.random.default_rng(7)
@@ -46,7 +46,7 @@ def furnished_room():
 
 
 def scene_from_file(path: Path):
-    """A Mitsuba scene, its first sensor's pose (4, 4), and the world axis nearest to its up direction."""
+    """Load a Mitsuba scene; returns it, its first sensor's pose (4, 4) and the axis (3,) nearest to up."""
     import mitsuba as mi
 
     scene = mi.load_file(str(path))
@@ -56,7 +56,8 @@ def scene_from_file(path: Path):
 
 
 def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
-    """Surface interaction through one position in every pixel, and depth along the optical axis (H * W,)."""
+    """Surface interactions of rays through a position in each pixel, and depth along the optical axis in
+    metres, each (H * W,)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -71,7 +72,7 @@ def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
 
 
 def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsView:
-    """Exact buffers at pixel centres; colour is the mean diffuse reflectance of 4x4 positions per pixel."""
+    """View of exact buffers at pixel centres; colour is the mean diffuse reflectance of 4x4 positions."""
     import drjit as dr
     import mitsuba as mi
 
@@ -96,7 +97,7 @@ def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsVi
 def place_cameras(
     scene, base: np.ndarray, up: np.ndarray, count: int, width: int, height: int
 ) -> list[Camera]:
-    """``count`` cameras: ``base`` (4, 4), and poses around it, directed at points visible from it."""
+    """Place ``count`` cameras at and around the pose ``base`` (4, 4), directed at points visible from it."""
     import mitsuba as mi
 
     rng = np.random.default_rng(0)
@@ -127,7 +128,7 @@ def place_cameras(
 
 
 def seconds_a_view(views: list[StatisticsView], options: StatisticsOptions, scene=None) -> float:
-    """Wall seconds per view, with packing, upload, kernels and download."""
+    """Wall seconds per view of the statistics, including packing, upload, kernels and download."""
     return timed(lambda: list(compute_statistics(views, options, scene))).wall / len(views)
 
 
@@ -165,7 +166,7 @@ def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
 
 
 def measure_visibility(views: list[StatisticsView], scene) -> dict:
-    """Share of pairs of surface point and other view for which the depth test differs from a shadow ray."""
+    """Shares of pairs of a surface point and another view in which depth test and shadow ray differ."""
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     rng = np.random.default_rng(1)
     traced_count, extra, missed = 0, 0, 0
@@ -190,7 +191,7 @@ def measure_visibility(views: list[StatisticsView], scene) -> dict:
 
 
 def measure_accuracy(views: list[StatisticsView], scene) -> dict:
-    """Mean absolute error of each statistic against the pixel's own, view-independent colour."""
+    """Mean absolute error of each statistic against the pixel's colour, which is the same in all views."""
     results = {}
     for mode in ("depth", "trace"):
         for fetch in ("nearest", "bilinear"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time of a view and its distance from convergence: the converted ``staircase``, complete costs.
+"""Time and error of a view of the imported scene ``staircase``, with all stages.
 
     python benchmarks/bench_view.py                             640x384, 40 views
     python benchmarks/bench_view.py --samples 2 4 8 --views 8   a sweep
@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import Stopwatch, interleaved, machine, summary
+from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_report
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -50,7 +50,7 @@ SAMPLES_A_CHUNK = 64
 
 
 def converted(scene: str, cache: Path) -> Library:
-    """Library with the imported scene, in the folder ``cache``; imported on first use."""
+    """Import a scene into the folder ``cache`` unless done; returns its library."""
     folder = cache / "library" / scene
     if not (folder / "environments").is_dir():
         source = SHARED_DATA / "scenes" / scene / "scene.xml"
@@ -76,10 +76,9 @@ def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator
 def lit_views(
     base: Configuration, library: Library, environment: EnvironmentAsset, count: int
 ) -> list[Camera]:
-    """The first valid candidates, judged on images of a tenth of the size.
+    """The first ``count`` candidates outside walls, judged by images of a tenth of the size.
 
-    Cameras inside walls are left out: images must be at least a fifth as bright as the first, with nothing
-    nearer than 0.3 m in more than a twentieth of the image.
+    An image must be at least a fifth as bright as the first, and at most a twentieth of it nearer than 0.3 m.
     """
     recipe = RenderRecipe(path_samples=64, auxiliary_samples=4, denoise=False)
     chosen: list[Camera] = []
@@ -102,7 +101,7 @@ def lit_views(
 
 
 def configuration_of(library: Library, count: int, size: tuple[int, int]) -> Configuration:
-    """Configuration of the imported room with its own lights and ``count`` views."""
+    """Configuration of the imported room with its own lights and ``count`` views of ``size``."""
     (package,) = library.select("environment", for_training=False)
     environment = package.asset
     assert isinstance(environment, EnvironmentAsset)
@@ -123,7 +122,7 @@ def configuration_of(library: Library, count: int, size: tuple[int, int]) -> Con
 def references(
     renderer: SceneRenderer, cache: Path, views: list[int], samples: int
 ) -> dict[int, tuple[Any, Any]]:
-    """Two independent converged images of each view, from the cache or rendered now."""
+    """Two independent converged images (H, W, 3) by view, rendered unless ``cache`` contains them."""
     folder = cache / "references"
     folder.mkdir(parents=True, exist_ok=True)
     configuration = renderer.configuration
@@ -144,7 +143,7 @@ def references(
 
 
 def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) -> np.ndarray:
-    """Mean of ``samples`` paths per pixel, visible emission included; (H, W, 3) float32."""
+    """Image (H, W, 3) of ``samples`` paths per pixel with visible emission; ``half`` selects the seed."""
     sensor = renderer.sensor(renderer.configuration.cameras[view].camera())
     total: Any = 0.0
     for chunk in range(samples // SAMPLES_A_CHUNK):
@@ -154,7 +153,7 @@ def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) 
 
 
 def measure(renderer: SceneRenderer, configuration: Configuration, compression: str) -> dict[str, Any]:
-    """Times of the stages, which run one after the other, and the size of the files."""
+    """Run the stages of all views one after the other; returns seconds by stage and the size of the files."""
     watch = Stopwatch()
     count = len(configuration.cameras)
     renderer.render_view(0)  # warm-up: compiles kernels
@@ -197,7 +196,7 @@ def measure(renderer: SceneRenderer, configuration: Configuration, compression: 
 def measure_error(
     configuration: Configuration, library: Library, recipe: RenderRecipe, pairs: dict[int, tuple[Any, Any]]
 ) -> dict[str, Any]:
-    """relMSE of denoised images by view, against its pair of references, over three seeds."""
+    """relMSE of denoised images against the ``pairs`` of references by view, for three seeds."""
     result: dict[str, Any] = {}
     for exposed in (False, True):
         errors = {view: [] for view in pairs}  # type: dict[int, list[float]]
@@ -216,7 +215,7 @@ def measure_error(
 
 
 def measure_overlap(renderer: SceneRenderer, count: int, repeats: int) -> dict[str, Any]:
-    """Seconds per view of sequential and of overlapped rendering, in turn, and their paired ratio."""
+    """Seconds per view of sequential and overlapped rendering, measured in turn, and their paired ratio."""
     seconds: dict[str, list[float]] = {}
     orders = {
         "sequential": lambda: [renderer.render_view(index) for index in range(count)],
@@ -229,7 +228,7 @@ def measure_overlap(renderer: SceneRenderer, count: int, repeats: int) -> dict[s
 
 
 def main() -> None:
-    """Parse, measure, write."""
+    """Run the command, which writes the figures as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", default="staircase")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
@@ -257,9 +256,7 @@ def main() -> None:
     pairs: dict[int, tuple[Any, Any]] = {}
     for samples in arguments.samples:
         recipe = RenderRecipe(
-            path_samples=samples,
-            auxiliary_samples=arguments.auxiliary_samples,
-            max_depth=arguments.max_depth,
+            path_samples=samples, auxiliary_samples=arguments.auxiliary_samples, max_depth=arguments.max_depth
         )
         renderer = SceneRenderer(configuration, library, recipe)
         if not pairs and arguments.reference_views:
@@ -274,8 +271,7 @@ def main() -> None:
             entry |= measure_error(configuration, library, recipe, pairs)
         result["by_samples"][str(samples)] = entry
         print(json.dumps({str(samples): entry}, indent=1))
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out, is_printed=False)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The BSDF at its extremes: the figures of docs/measurements.md.
+"""Accuracy of the BSDF for extreme inputs: the figures of docs/measurements.md.
 
     python -m benchmarks.bsdf_extremes density      three ways to compute D in float32, in eps
     python -m benchmarks.bsdf_extremes slopes       Newton steps of the sampler: error and time
@@ -7,7 +7,7 @@
     python -m benchmarks.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
 
 Each prints a Markdown table. Inputs of ``evaluations``: roughness in [0, 1] and NaN, -0.5, 1.5; albedos 0, 1
-and between, and NaN, -1, 2 (so that D + S > 1 too); wi and wo at any angle down to 1e-6 rad above the
+and between, and NaN, -1, 2, also with D + S > 1; wi and wo at any angle down to 1e-6 rad above the
 horizon, on it, at the pole, and below.
 """
 
@@ -42,7 +42,7 @@ def _print_table(head: list[str], rows: list[list[Any]]) -> None:
 
 
 def print_density(num: int = 200_000) -> None:
-    """Print the relative error of D in eps within the lobe, for three ways to compute it in float32."""
+    """Print the relative error of Beckmann's distribution in eps, for three ways to compute it in float32."""
     import drjit as dr
 
     from mitsuba_plugins import beckmann
@@ -74,7 +74,7 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Print the maximum error of the slopes' CDF, and seconds for 4e6 samples, by Newton steps."""
+    """Print the maximum error of sampled slopes in the CDF, and seconds for 4e6 samples, by Newton steps."""
     import drjit as dr
     import mitsuba as mi
 
@@ -114,10 +114,9 @@ def print_slopes() -> None:
 
 
 def _angle_transport(specular: float, roughness: float, num_bins: int, num_slopes: int) -> np.ndarray:
-    """K[o, i]: share of the energy that arrives in angle bin i and leaves through the specular lobe into bin
-    o.
+    """Matrix (o, i): share of the energy from angle bin i that the specular lobe reflects into bin o.
 
-    Bins have equal projected solid angle, so the diffuse term adds the same number everywhere.
+    Bins have equal projected solid angle, so the diffuse term adds the same number to all elements.
     """
     edges = np.sqrt(np.linspace(0, 1, num_bins + 1))
     alpha = float(oracle.alpha_from_roughness(np.float64(roughness)))
@@ -135,7 +134,7 @@ def _angle_transport(specular: float, roughness: float, num_bins: int, num_slope
 
 
 def _sum_of_bounces(transport: np.ndarray, num_bounces: int) -> float:
-    """Energy after each bounce between parallel plates, summed; it starts as diffuse light of energy 1."""
+    """Sum over bounces between parallel plates of the remaining energy of diffuse light of energy 1."""
     energy = np.full(len(transport), 1.0 / len(transport))
     total = 0.0
     for _ in range(num_bounces):
@@ -145,7 +144,7 @@ def _sum_of_bounces(transport: np.ndarray, num_bounces: int) -> float:
 
 
 def print_energy() -> None:
-    """Print directional albedo over angle, roughness and (D, S), mean albedo, and growth per bounce."""
+    """Print directional albedo by angle, roughness and (D, S), mean albedo, and growth per bounce."""
     pairs = ((0.0, 0.04), (0.5, 0.04), (0.8, 0.04), (1.0, 0.04), (0.5, 0.5), (0.0, 1.0))
     rows = []
     for diffuse, specular in pairs:
@@ -164,7 +163,7 @@ def print_energy() -> None:
         for diffuse in (0.5, 0.8, 0.9, 0.95, 1.0):
             transport = specular_part + (1 - 0.04) * diffuse / len(specular_part)
             radius = float(np.abs(np.linalg.eigvals(transport)).max())
-            # Upper bound of every direction: columns are scaled down to 1, the least bound.
+            # an upper bound for every direction: columns with a sum above 1 are scaled to 1
             bounded = transport / np.maximum(transport.sum(0), 1.0)
             sums = {
                 name: _sum_of_bounces(t, n)
@@ -190,7 +189,7 @@ def print_energy() -> None:
 
 
 def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
-    """Random values: half uniform in [0, 1], a quarter exactly 0 or 1, a quarter from ``wild``."""
+    """Random values, a float per lane: half uniform in [0, 1], a quarter 0 or 1, a quarter from ``wild``."""
     import drjit as dr
     import mitsuba as mi
 
@@ -202,7 +201,7 @@ def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
 
 
 def _random_direction(rng: Any) -> Any:
-    """Random directions: uniform angles, log-uniform to 1e-6 rad from the horizon, horizon and pole."""
+    """Random unit vectors: uniform angles, log-uniform to 1e-6 rad from the horizon, horizon and pole."""
     import drjit as dr
     import mitsuba as mi
 
@@ -217,22 +216,22 @@ def _random_direction(rng: Any) -> Any:
 
 
 class _LaneTexture:
-    """Replacement of a texture, with one value per lane."""
+    """Substitute for a texture, with one value per lane."""
 
     def __init__(self, make: Callable[[], Any]):
         self.value = make()
 
     def eval(self, si: Any, active: Any = True) -> Any:
-        """The lane's colour."""
+        """Colour of each lane."""
         return self.value
 
     def eval_1(self, si: Any, active: Any = True) -> Any:
-        """The lane's number."""
+        """Number of each lane."""
         return self.value
 
 
 def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
-    """(BSDF with one material per lane, interaction, wo, number sample1, pair sample2)."""
+    """Random inputs of ``num`` lanes: BSDF, surface interaction, wo, and the samples (number, pair)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -248,19 +247,13 @@ def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
     si = dr.zeros(mi.SurfaceInteraction3f, num)
     si.wi = _random_direction(rng)
     wo = _random_direction(rng)
-    # A third of the light directions are in the lobe: the mirror direction, jittered by 10^-4 ... 1.
+    # a third of the light directions are near the mirror direction, at distances of 10^-4 ... 1
     size = dr.exp(dr.lerp(np.log(1e-4), 0.0, rng.next_float32()))
     jitter = mi.Vector3f(*(size * (rng.next_float32() - 0.5) for _ in range(3)))
     mirrored = dr.normalize(mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z) + jitter)
     wo = dr.select(rng.next_float32() < 0.33, mirrored, wo)
     sample1, sample2 = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
     return bsdf, si, wo, sample1, sample2
-
-
-def _count(mask: Any) -> int:
-    import drjit as dr
-
-    return int(dr.count(mask)[0])
 
 
 def _batches(count: int) -> Iterator[int]:
@@ -273,7 +266,7 @@ def _batches(count: int) -> Iterator[int]:
 
 
 def print_evaluations(total: float) -> bool:
-    """Print counts over ``total`` cases; returns True if nothing is NaN, infinite or negative."""
+    """Print the counts of NaN, infinite and negative values in ``total`` cases; returns True if all are 0."""
     import drjit as dr
     import mitsuba as mi
 
@@ -309,7 +302,7 @@ TABLES = {"density": print_density, "slopes": print_slopes}
 
 
 def main() -> int:
-    """Command line; exit code 1 if a forbidden value occurred."""
+    """Run the command; the exit code is 1 if a value is NaN, infinite or negative."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("table", choices=(*TABLES, "energy", "evaluations"))
     parser.add_argument("--total", type=float, default=1e9, help="number of cases")

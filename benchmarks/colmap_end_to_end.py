@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The whole pipeline without ground truth: photographs by Cycles, cameras by COLMAP, `materials infer`.
+"""The whole pipeline without true input: photographs by Cycles, cameras by COLMAP, `materials infer`.
 
     python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/measurements.md: 20 minutes
     python -m benchmarks.colmap_end_to_end --out DIR --cameras true    with the true cameras, without COLMAP
@@ -79,7 +79,7 @@ RECIPE = {
 
 
 def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
-    """Cameras on an ellipse around the study's middle, at two heights in turn, that look across it."""
+    """``num`` cameras on an ellipse around the study's centre, at two heights in turn, directed across it."""
     width, height = size
     focal = 0.5 * width / float(np.tan(np.radians(FOV_X_DEG) / 2))
     made = []
@@ -94,7 +94,7 @@ def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
 
 
 def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArray[np.uint8]:
-    """A photograph from (H, W, 3) radiance without tone mapping: noise, clipping, the sRGB curve."""
+    """Develop radiance (H, W, 3) to 8-bit sRGB, with noise and clipping, without tone mapping."""
     rng = np.random.default_rng(seed)
     electrons = np.clip(linear * exposure, 0, None) * FULL_WELL
     electrons = rng.poisson(np.minimum(electrons, 1e7)) + rng.normal(0, READ_NOISE, linear.shape)
@@ -103,7 +103,7 @@ def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArra
 
 
 def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
-    """A JPEG with its focal length in EXIF, as written by cameras."""
+    """Encode ``pixels`` (H, W, 3) as JPEG, with the camera's focal length in EXIF."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "Cycles", "Cycles"
     details = exif.get_ifd(0x8769)
@@ -114,7 +114,7 @@ def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
 
 
 def run(*command: str, log: Path, is_module: bool = True) -> None:
-    """Run a command in a separate process; raises if it fails, with its output in ``log``."""
+    """Run a command or Python module with its output in ``log``; raises if it fails."""
     start = [sys.executable, "-m"] if is_module else []
     with log.open("ab") as out:
         done = subprocess.run([*start, *command], cwd=REPOSITORY, stdout=out, stderr=subprocess.STDOUT)
@@ -148,7 +148,7 @@ class EndToEnd:
     # ---------------------------------------------------------------- the room and its photographs
 
     def configuration(self) -> Configuration:
-        """The room, planned, with the walk's cameras."""
+        """Plan the room with the cameras of the walk."""
         path = self.out / "configuration.json"
         if not path.is_file():
             recipe = self.out / "recipe.yaml"
@@ -259,7 +259,7 @@ class EndToEnd:
     # ---------------------------------------------------------------- inference and comparison
 
     def infer(self) -> None:
-        """Run the command as a user would."""
+        """Run ``materials infer`` on the capture."""
         mesh, log = self.out / f"{self.mesh}.ply", self.out / f"infer-{self.name}.log"
         if self.mesh == "colmap":
             model = self.capture / "sparse"
@@ -270,7 +270,7 @@ class EndToEnd:
         run("model.cli", "infer", str(self.capture), *options, log=log)
 
     def pose_errors(self) -> dict[str, float]:
-        """Errors of the cameras: centres in mm, directions and focal length."""
+        """Errors of the cameras' centres in mm, directions and focal length, by name."""
         capture = read_capture(self.capture, CaptureOptions(mesh=self.out / "retopology.ply"))
         truth = {view.name: view.camera() for view in self.configuration().cameras}
         millimetres, degrees, focal = [], [], []
@@ -290,7 +290,7 @@ class EndToEnd:
         }
 
     def compare(self) -> dict[str, Any]:
-        """Errors of the atlas in the true views, at texels that were observed."""
+        """Errors of the atlas in the true views, over observed texels, and of the baselines."""
         configuration = self.configuration()
         cameras = configuration.cameras[::COMPARED_EVERY]
         configuration = configuration.model_copy(update={"cameras": cameras})
@@ -336,7 +336,8 @@ class EndToEnd:
                 srgb_from_linear(np.clip(maps["specular_albedo"], 0, 1)),
                 np.repeat(np.clip(maps["roughness"], 0, 1), 3, axis=-1),
             ]
-            first = photograph if maps is truth else _normals(maps["normal_world"])
+            normal = (0.5 + 0.5 * maps["normal_world"].astype(np.float32)) * 255
+            first = photograph if maps is truth else normal.clip(0, 255).astype(np.uint8)
             rows.append(np.concatenate([first, *((s * 255 + 0.5).astype(np.uint8) for s in shown)], axis=1))
         folder = self.out / f"pictures-{self.name}"
         folder.mkdir(exist_ok=True)
@@ -346,12 +347,8 @@ class EndToEnd:
 _SHOWN = ("view-000", "view-009", "view-018", "view-027")
 
 
-def _normals(normal: NDArray) -> NDArray[np.uint8]:
-    return ((0.5 + 0.5 * normal.astype(np.float32)) * 255).clip(0, 255).astype(np.uint8)
-
-
 def rendered_maps(configuration: Configuration, library: Any) -> list[dict[str, NDArray]]:
-    """D, S, R, depth and normal of each view, (H, W, C) float32."""
+    """Render D, S, R, depth and normal of each view, (H, W, C) float32 by name."""
     recipe = RenderRecipe(path_samples=1, auxiliary_samples=16, denoise=False)
     renderer = SceneRenderer(configuration, library, recipe)
     names = (*MATERIAL_MAPS, "depth_z_m", "normal_world")
@@ -364,7 +361,7 @@ def rendered_maps(configuration: Configuration, library: Any) -> list[dict[str, 
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--views", type=int, default=30)

@@ -6,8 +6,9 @@
 
 Every scene is imported into a temporary library, rendered from its own camera at the reference's aspect with
 the original BSDFs and with the project's, and compared with its author's ``reference.exr``. The third column
-is the conversion alone: converted against original. Figures: correlation and median ratio of blurred
-luminance (``datagen.importers.reference.agreement``). Writes --out (JSON) and prints a Markdown table.
+compares the rendering with converted materials to that with original ones. Figures: correlation and median
+ratio of blurred luminance (``datagen.importers.reference.agreement``). Writes --out (JSON) and prints a
+Markdown table.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ MAX_DEPTH = 65
 def compare_scene(
     folder: Path, library_folder: Path, width_px: int, num_samples: int, pictures: Path | None = None
 ) -> dict:
-    """Agreement of one scene's original and converted renderings, and seconds of the import."""
+    """Render a scene with original and converted materials: agreements, and seconds of the import."""
     name = folder.name
     start = time.perf_counter()
     options = ImportOptions(dielectric="replace", unit_scale=UNIT_SCALES.get(name, 1.0), overwrite=True)
@@ -90,7 +91,7 @@ def write_picture(path: Path, reference: np.ndarray, images: dict[str, np.ndarra
 
 
 def table(results: list[dict]) -> str:
-    """A Markdown table of the correlation and median ratio of each pair."""
+    """Markdown table of the correlation and median ratio of each scene's pairs of images."""
     lines = [
         "| scene | original : reference | converted : reference | converted : original | remark |",
         "|---|---|---|---|---|",

@@ -34,7 +34,7 @@ from datagen.foundation.color import clipped_share, luminance, photographic_expo
 
 MAX_CLIPPED = 0.03
 WINDOW_PARTS = ("window", "blind", "curtain")
-"""Prefixes of the names of a generated room's parts that belong to windows: frames, sills, slats."""
+"""Prefixes of the names of window parts in generated rooms: frames, sills, slats."""
 BINS = {
     "luminance of D": np.linspace(0, 1, 41),
     "brightest channel of S": np.geomspace(0.02, 1, 41),
@@ -50,9 +50,9 @@ class RoomFigures:
     """Figures of one room.
 
     ``densities``: a histogram of sum 1 for each of :data:`BINS`. ``metal_share``, ``gloss_share``: shares of
-    surface pixels with high S and with low R. ``exposures``, ``clipped``, ``clipped_in_room``: by view,
-    exposure and clipped shares of all surfaces and of surfaces outside windows. ``picture``: the view with
-    most instances, (H, W, 3) sRGB.
+    surface pixels with high S and with low R. By view (N,): ``exposures``, and the clipped shares of surface
+    pixels, ``clipped``, and of those outside windows, ``clipped_in_room``. ``picture``: the view with most
+    instances, (H, W, 3) sRGB.
     """
 
     name: str
@@ -70,7 +70,7 @@ class RoomFigures:
 
 
 def is_window(view: View) -> NDArray[np.bool_]:
-    """Mask (H, W) of pixels whose instance belongs to a window, judged by its name."""
+    """Mask (H, W) of pixels whose instance has the name of a window part."""
     parts = [
         int(number)
         for number, name in view.record.instances.items()
@@ -86,7 +86,7 @@ def _density(name: str, values: NDArray) -> NDArray:
 
 
 def figures_of(name: str, views: Sequence[View]) -> RoomFigures:
-    """The figures of a room from its views."""
+    """Measure the figures of the room ``name`` in its views."""
     values: dict[str, list[NDArray]] = {key: [] for key in BINS}
     exposures, clipped, clipped_in_room, sizes, lit = [], [], [], [], []
     for view in views:
@@ -121,7 +121,7 @@ def figures_of(name: str, views: Sequence[View]) -> RoomFigures:
 
 
 def read_room(shard: Path, num_views: int) -> RoomFigures:
-    """Figures of ``num_views`` evenly spaced views of a shard."""
+    """Measure a room's figures in ``num_views`` evenly spaced views of its shard."""
     reader = ShardReader(shard)
     count = sum(1 for _ in reader.records())
     chosen = {k * count // num_views for k in range(min(num_views, count))} if count > num_views else None
@@ -130,7 +130,7 @@ def read_room(shard: Path, num_views: int) -> RoomFigures:
 
 
 def table(groups: dict[str, list[RoomFigures]]) -> str:
-    """The figures of each group of rooms in Markdown."""
+    """Markdown table of the figures of each group of rooms."""
     lines = [
         "| | rooms, views | S > 0.3 | R < 0.3 | clipped, median | at most 3 % clipped | outside windows "
         "| exposures within a room, median and most |",
@@ -150,7 +150,7 @@ def table(groups: dict[str, list[RoomFigures]]) -> str:
 
 
 def draw(groups: dict[str, list[RoomFigures]], path: Path) -> None:
-    """Draw densities as means over the rooms of a group, with the range of the middle 80 % of them."""
+    """Plot densities by group, as mean over rooms with the range of the middle 80 % of rooms."""
     matplotlib.use("Agg")
     figure, axes = plt.subplots(1, len(BINS), figsize=(15, 2.9), layout="constrained")
     for axis, (name, bins) in zip(axes, BINS.items(), strict=True):
@@ -172,7 +172,7 @@ def draw(groups: dict[str, list[RoomFigures]], path: Path) -> None:
 
 
 def _fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture cropped at its centre to the aspect of ``size`` (width, height), and resized."""
+    """Crop a picture at its centre to the aspect of ``size`` (width, height), and resize it."""
     height, width = picture.shape[:2]
     cut_w, cut_h = (
         min(width, round(height * size[0] / size[1])),

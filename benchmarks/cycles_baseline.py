@@ -28,7 +28,7 @@ SENSOR_MM = 36.0
 
 
 def build(export: Path, out: Path) -> None:
-    """Write a .blend of the exported room with its lights, its sky, and the cameras in a text block."""
+    """Write a .blend of the exported room with its lights and sky, and with the cameras in a text block."""
     import bpy
 
     from blender_addon.import_package import import_package
@@ -89,7 +89,7 @@ def _add_light(light: dict[str, Any]) -> None:
 
 
 def _area_light(lamp: Any, thing: Any, light: dict[str, Any]) -> float:
-    """Place a flat light; returns watts per unit of radiance."""
+    """Set the pose of an area light; returns its power in W per unit of radiance."""
     origin, u, v = (np.array(light[key]) for key in ("origin_m", "edge_u_m", "edge_v_m"))
     lamp.shape = "RECTANGLE" if light["shape"] == "rectangle" else "ELLIPSE"
     lamp.size, lamp.size_y = float(np.linalg.norm(u)), float(np.linalg.norm(v))
@@ -119,10 +119,8 @@ def _add_sky(image: Path) -> None:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of Cycles; ``max_depth`` in segments of a path.
-
-    ``noisy``: without denoiser and passes; ``adaptive``: Cycles' adaptive sampling; ``clamp`` of indirect
-    light and ``filter_glossy`` after diffuse bounces have Blender's defaults.
+    """Settings of Cycles: ``samples`` per pixel, ``max_depth`` in path segments, ``noisy`` (without denoiser
+    and passes), ``adaptive`` sampling, ``clamp`` of indirect light, ``filter_glossy`` after diffuse bounces.
     """
 
     samples: int = 32
@@ -199,7 +197,7 @@ def render(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Parse and run."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     build_command = verbs.add_parser("build")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bpy part of colmap_end_to_end.py: a room's views rendered by Cycles, and its mesh coarsened.
+"""The bpy part of colmap_end_to_end.py: renders a room's views with Cycles, and simplifies its mesh.
 
     python -m benchmarks.cycles_photographs render BLEND OUT --samples 32 --f-stop 4 --focus 2.5
     python -m benchmarks.cycles_photographs retopology BLEND OUT.ply --triangles 20000
@@ -89,7 +89,7 @@ def retopology(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Parse and run."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     command = verbs.add_parser("render")

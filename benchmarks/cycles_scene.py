@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""A planned configuration for another renderer, and our own converged images of it (see bench_cycles.py).
+"""Export of a planned configuration for another renderer, and our converged images (see bench_cycles.py).
 
     python -m benchmarks.cycles_scene export FOLDER OUT              one package, lights, cameras, a sky
     python -m benchmarks.cycles_scene reference FOLDER OUT VIEW... --samples 256
 
-``export`` writes the whole room as one asset package: every placed part with its assigned material,
-variations applied, UVs scaled, so readers of packages get exactly the scene that our renderer renders.
-``setup.json`` next to it contains the lights (skies as an equirectangular image and a sun) and the cameras.
+``export`` writes the room as one asset package, exactly as our renderer renders it: every placed part with
+its assigned material, variations applied and UVs scaled. ``setup.json`` next to it contains the lights (skies
+as an equirectangular image and a sun) and the cameras.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ SKY_SIZE = (512, 1024)
 
 
 def open_folder(path: Path) -> tuple[Configuration, Library, DatasetFolder]:
-    """The first configuration of a planned folder, its library, the folder."""
+    """Open a planned folder; returns its first configuration, its library and the folder."""
     folder = DatasetFolder(path)
     configuration = folder.read_configuration(folder.read_plan().units[0])
     return configuration, Library(folder.library_paths()), folder
 
 
 class RoomExport:
-    """Writes one package that contains a whole configuration."""
+    """Export of a whole configuration to the package ``out``."""
 
     def __init__(self, configuration: Configuration, library: Library, out: Path):
         self.configuration, self.library, self.out = configuration, library, out
@@ -141,7 +141,7 @@ class RoomExport:
 
 
 def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) of a sky or environment without sun, as in Blender: +X in the centre, +Y left."""
+    """Equirectangular radiance (H, W, 3) of a sky without sun, as in Blender: +X in the centre, +Y left."""
     rows, columns = SKY_SIZE
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi
@@ -165,7 +165,7 @@ def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[n
         pixels = read_image(library.package(light.asset).local_file(light.image)).astype(np.float64)
         environment_from_world = np.array(light.world_from_environment)[:3, :3].T
         values = light.scale * lookup(pixels[..., :3])(directions @ environment_from_world.T)
-    # OpenEXR writes memory in its order and ignores strides
+    # OpenEXR ignores strides, so the array must be contiguous
     return np.ascontiguousarray(values.reshape(rows, columns, 3), np.float32)
 
 
@@ -188,7 +188,7 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
 
 
 def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
-    """Write two independent converged images per missing view, ``view_000.npz``, all light traced."""
+    """Write two independent converged images per missing view to ``view_000.npz`` ..., all light traced."""
     configuration, library, planned = open_folder(folder)
     recipe = planned.read_recipe().render.model_copy(update={"irradiance_cache": False})
     renderer = SceneRenderer(configuration, library, recipe)
@@ -206,7 +206,7 @@ def write_references(folder: Path, out: Path, views: list[int], samples: int) ->
 
 
 def main() -> None:
-    """Parse and run."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     for verb in ("export", "reference"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Statistics, projection, encodings and rendering at their extremes: the tables of docs/measurements.md.
+"""Accuracy of statistics, projection, encodings and rendering for extreme inputs: tables of measurements.
 
     python -m benchmarks.data_extremes            all tables as Markdown
 
@@ -37,7 +37,7 @@ COLORS = ("color_min", "color_median", "color_max")
 
 
 def scaled_views(views: Sequence[StatisticsView], factor: float) -> list[StatisticsView]:
-    """The views of a scene enlarged by ``factor``."""
+    """Return the views of the same scene enlarged by ``factor``."""
     found = []
     for view in views:
         pose = view.camera.world_from_camera.copy()
@@ -48,7 +48,7 @@ def scaled_views(views: Sequence[StatisticsView], factor: float) -> list[Statist
 
 
 def scale_of_scene(factor: float, size: tuple[int, int] = (60, 40)) -> dict[str, float]:
-    """Changes of statistics and projections when the whole scene is enlarged by ``factor``."""
+    """Changes of statistics and projections, by name, when the whole scene is enlarged by ``factor``."""
     views = make_views((size,), is_noise=False)
     larger = scaled_views(views, factor)
     changed, difference = [], 0.0
@@ -111,7 +111,7 @@ def alike_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[Statis
 
 
 def spread_of_alike_views(num_views: int) -> float:
-    """Largest relative difference between maximum and minimum for identical views."""
+    """Largest difference of maximum and minimum of identical views, relative to their colour."""
     views = alike_views(num_views)
     (result,) = compute_statistics(views, only=(0,))
     own = np.maximum(views[0].color, 1e-30)
@@ -166,11 +166,11 @@ def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
 
 
 def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Largest and median relative difference of a pixel from the room of scale 1 and radiance 1, for each
-    case.
+    """Largest and median relative difference of a pixel from that of scale 1 and radiance 1, for each case
+    (scale, radiance).
 
-    The random numbers are the same, so differences come from rounding. Near the light's edge, one of a
-    pixel's 64 paths may hit the light in one room and miss it in the other.
+    The random numbers are the same, so differences are due to rounding; near the light's edge, one of a
+    pixel's 64 paths may miss the light in one room only.
     """
     expected = lit_floor(1.0, 1.0)
     found = [np.abs(lit_floor(metres, radiance) / radiance / expected - 1) for metres, radiance in cases]
@@ -178,7 +178,7 @@ def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, f
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A Markdown table."""
+    """Markdown table with a title."""
     lines = [f"**{title}**", "", f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
     lines += [f"| {' | '.join(_text(cell) for cell in row)} |" for row in rows]
     return "\n".join(lines) + "\n"
@@ -189,8 +189,8 @@ def _text(cell: object) -> str:
 
 
 def relative(got: NDArray | float, expected: float) -> str:
-    """Relative error as text; none for 0 and for values beyond the range of half floats."""
-    if expected == 0 or not 0 < expected < 65519:
+    """Relative error as text; "" if ``expected`` is 0 or beyond the range of half floats."""
+    if not 0 < expected < 65519:
         return ""
     return f"{abs(float(got) - expected) / expected:.1e}"
 

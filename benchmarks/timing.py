@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Timing harness of the benchmarks: warm-up, interleaved repeats, medians with quartiles, JSON reports."""
+"""Time measurement of the benchmarks: warm-up, interleaved repeats, medians and quartiles, JSON reports."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ Action = Callable[[], Any]
 
 
 class Seconds(NamedTuple):
-    """Wall time, and processor time of all threads, which depends little on the machine's load."""
+    """Seconds of wall time, and of processor time of all threads, which hardly depends on other work."""
 
     wall: float
     cpu: float
 
 
 def cpu_seconds() -> float:
-    """User and system time of all threads of this process."""
+    """User and system seconds of all threads of this process."""
     times = os.times()
     return times.user + times.system
 
 
 def timed(action: Action) -> Seconds:
-    """Time of one call, which includes the wait for its device."""
+    """Time of one call of ``action``, which must wait for its device."""
     wall, cpu = time.perf_counter(), time.process_time()
     action()
     return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
 
 
 def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -> dict[str, list[Seconds]]:
-    """Times of ``repeats`` calls of each action after ``warm_up`` calls, which compile and fill caches.
+    """Times of ``repeats`` calls of each action, by name, after ``warm_up`` calls that are not measured.
 
     Actions run in turn, in reversed order every other time, so drift of the machine affects all of them
     equally; entries with the same index belong to one turn.
@@ -54,7 +54,7 @@ def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -
 
 
 def median_seconds(action: Action, repeats: int, clock: str = "wall", warm_up: int = 1) -> float:
-    """Median seconds of ``action`` by one ``clock`` of :class:`Seconds`."""
+    """Median seconds of ``action`` over ``repeats`` calls, by a ``clock``, ``wall`` or ``cpu``."""
     times = interleaved({"": action}, repeats, warm_up)[""]
     return float(np.median([getattr(seconds, clock) for seconds in times]))
 
@@ -66,7 +66,7 @@ def summary(values: list[float], digits: int = 6) -> dict[str, Any]:
 
 
 class Stopwatch:
-    """Times by stage, for work whose stages cannot be called separately."""
+    """Stopwatch for the stages of work that cannot be called separately."""
 
     def __init__(self) -> None:
         self.wall: dict[str, list[float]] = {}
@@ -74,7 +74,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str, share: int = 1) -> Iterator[None]:
-        """Time a block; its times divided by ``share`` are recorded."""
+        """Context whose times, divided by ``share``, are recorded under ``name``."""
         wall, cpu = time.perf_counter(), cpu_seconds()
         yield
         self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)
@@ -89,7 +89,7 @@ class Stopwatch:
 
 
 def machine() -> dict[str, Any]:
-    """Processor and interpreter with which figures were measured."""
+    """Name and cores of the processor, and versions of the software, by name."""
     return {
         "processor": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),

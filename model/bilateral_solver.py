@@ -32,11 +32,7 @@ from datagen.formats.base import StrictModel
 
 warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta", category=UserWarning)
 
-_YUV_FROM_RGB = (
-    (0.299, 0.587, 0.114),
-    (-0.168736, -0.331264, 0.5),
-    (0.5, -0.418688, -0.081312),
-)
+_YUV_FROM_RGB = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -0.081312))
 _BLUR_DIAGONAL = 10.0  # two per dimension of the grid
 
 
@@ -56,7 +52,7 @@ class SolverConfig(StrictModel):
     max_iterations: int = Field(default=25, ge=1)
     """Maximum number of iterations."""
     num_bistochastize: int = Field(default=10, ge=1)
-    """Number of iterations that compute n."""
+    """Number of iterations of the bistochastization, which computes the scale n of the blur."""
     diagonal_floor: float = Field(default=1e-5, gt=0)
     """Minimum of the diagonal by which the preconditioner divides."""
     confidence_floor: float = Field(default=1e-6, gt=0)
@@ -109,7 +105,7 @@ class BilateralGrid:
 
 
 def guide_yuv(guide: Tensor) -> Tensor:
-    """Luma and two chromas, centred at 128, (B, 3, H, W) of a linear RGB guide scaled to a maximum of 255."""
+    """Convert linear RGB (B, 3, H, W), scaled to a maximum of 255 per image, to luma and chromas (+128)."""
     peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide has no edges
     matrix = torch.tensor(_YUV_FROM_RGB, dtype=guide.dtype, device=guide.device)
     yuv = torch.einsum("kc,bchw->bkhw", matrix, guide / peak * 255.0)
@@ -117,7 +113,7 @@ def guide_yuv(guide: Tensor) -> Tensor:
 
 
 def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGrid:
-    """Build the grid of guide images (B, 3, H, W), linear RGB >= 0; no gradient flows to them."""
+    """Build the grid of guide images (B, 3, H, W), linear RGB >= 0, without a gradient."""
     config = config or SolverConfig()
     with torch.no_grad():
         keys, strides = _cell_keys(guide.detach(), config)
@@ -139,7 +135,7 @@ def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGr
 
 
 def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
-    """Integer key (P,) of each pixel's cell, and the strides of image, y, x, luma and the chromas in it."""
+    """Return each pixel's cell as an integer key (P,), and its strides of image, y, x, luma and 2 chromas."""
     batch, _, height, width = guide.shape
     yuv = guide_yuv(guide)
     sigmas = torch.tensor(
@@ -161,7 +157,7 @@ def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
 
 
 def _splat_matrix(vertex_of_pixel: Tensor, num_vertices: int) -> Tensor:
-    """S (V, P) as a sparse CSR matrix of float32 ones."""
+    """Sparse CSR matrix S (V, P) of float32, 1 at (v, p) if pixel p is in cell v."""
     order = torch.argsort(vertex_of_pixel, stable=True)
     counts = torch.bincount(vertex_of_pixel, minlength=num_vertices)
     starts = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
@@ -172,20 +168,20 @@ def _splat_matrix(vertex_of_pixel: Tensor, num_vertices: int) -> Tensor:
 
 
 def _neighbours(vertices: Tensor, strides: list[int]) -> Tensor:
-    """Indices (2, E) of all ordered pairs of occupied cells that are adjacent in one of five dimensions."""
-    own = torch.arange(len(vertices), device=vertices.device)
+    """Indices (2, E) of all ordered pairs of occupied cells, of keys ``vertices`` (V,), that are adjacent."""
+    indices = torch.arange(len(vertices), device=vertices.device)
     pairs = []
     for stride in strides[1:]:
         wanted = vertices + stride
         found = torch.searchsorted(vertices, wanted).clamp_max(len(vertices) - 1)
         hit = vertices[found] == wanted
-        low, high = own[hit], found[hit]
+        low, high = indices[hit], found[hit]
         pairs += [torch.stack([low, high]), torch.stack([high, low])]
     return torch.cat(pairs, dim=1)
 
 
 def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
-    """Sparse CSR matrix (V, V) with n_i n_j at every pair of neighbours (i, j)."""
+    """Sparse CSR matrix (V, V) with n_i n_j at each (i, j) of ``pairs`` (2, E)."""
     order = torch.argsort(pairs[0] * len(n) + pairs[1])
     rows, columns = pairs[0][order], pairs[1][order]
     starts = torch.searchsorted(rows, torch.arange(len(n) + 1, device=n.device))
@@ -204,10 +200,10 @@ class SolveReport:
 def solve(
     grid: BilateralGrid, config: SolverConfig, weights: Tensor, rhs: Tensor, start: Tensor
 ) -> tuple[Tensor, SolveReport]:
-    """Solve A y = ``rhs`` for y (V, C) by preconditioned conjugate gradients.
+    """Solve the module's A y = ``rhs`` (V, C) for y (V, C) by preconditioned conjugate gradients.
 
-    ``weights`` (V, C) is S c, ``start`` (V, C) the initial y. Every (image, channel) is a separate system;
-    converged systems are not updated while others continue.
+    ``weights`` (V, C) is S c, the confidence summed by cell; ``start`` (V, C) is the initial y. Every (image,
+    channel) is a separate system; converged systems are not updated while others continue.
     """
     dtype = rhs.dtype
     coupling = grid.coupling.to(dtype) * config.smoothness
@@ -242,7 +238,7 @@ def solve(
 
 
 class _Filter(torch.autograd.Function):
-    """Solve for x = S^T y. For its gradient g: z = A^-1 S g; dL/dt = c S^T z; dL/dc = S^T z (t - x)."""
+    """The filter x = S^T A^-1 S (c t); with g = dL/dx, z = S^T A^-1 S g: dL/dt = c z, dL/dc = z (t - x)."""
 
     @staticmethod
     def forward(
@@ -271,11 +267,11 @@ class _Filter(torch.autograd.Function):
 def bilateral_solve(
     target: Tensor, confidence: Tensor, grid: BilateralGrid, config: SolverConfig | None = None
 ) -> Tensor:
-    """Smooth ``target`` (B, C, H, W), weighted by ``confidence`` (B, C or 1, H, W) >= 0, over a guide's grid.
+    """Smooth ``target`` (B, C, H, W), weighted by ``confidence`` (B, C or 1, H, W) >= 0, within regions of a
+    guide image of the same size.
 
-    Differentiable in target and confidence. Solves in float64: with a small confidence, A is too
-    ill-conditioned for float32, and memory bandwidth limits the speed, not arithmetic. Raises ``ValueError``
-    if the shapes do not match the grid's guide.
+    Differentiable in target and confidence. The system is solved in float64, as it is too ill-conditioned for
+    float32 at small confidence. Raises ``ValueError`` if the target's size is not that of the guide.
     """
     config = config or SolverConfig()
     batch, channels, height, width = target.shape

@@ -43,9 +43,8 @@ class DataRecord(StrictModel):
 class CheckpointCard(StrictModel):
     """Metadata of a checkpoint: architecture and provenance.
 
-    ``loss`` names the terms and the perceptual distance of the training; ``phase`` and ``step`` are the
-    training's state when the checkpoint was saved; ``metrics`` its validation figures by name; ``training``
-    its resolved configuration.
+    ``loss`` names the terms of the loss and its perceptual distance; the checkpoint was saved at ``step`` of
+    ``phase``, with the validation ``metrics``; ``training`` is the run's resolved configuration.
     """
 
     format: Literal["scene-materials/checkpoint"] = "scene-materials/checkpoint"
@@ -106,7 +105,7 @@ def save_checkpoint(
 
 
 def read_card(path: Path) -> CheckpointCard:
-    """Read the card in a checkpoint's header. Raises :class:`InputError` as :func:`load_checkpoint`."""
+    """Read the card in a checkpoint's header. Raises :class:`InputError` for any other file."""
     return _open(path)[0]
 
 
@@ -139,8 +138,8 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
     from safetensors.torch import load_file
 
     card, shapes = _open(path)
-    is_own = card.network.factory is not None  # its constructor may read values, which meta tensors lack
-    with torch.device("cpu" if is_own else "meta"):
+    is_custom = card.network.factory is not None  # its constructor may read values, which meta tensors lack
+    with torch.device("cpu" if is_custom else "meta"):
         modules: dict[str, nn.Module] = {"network": make_network(card.network)}
     with torch.device("meta"):
         if card.has_confidence:
@@ -165,13 +164,13 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
             expected_values = "finite float32 or float16 values"
             raise input_error(path, name, f"{value.dtype}, NaN or Inf", expected_values, _REMEDY)
     for prefix, module in modules.items():
-        # cloned: tensors mapped from the file lack the alignment that convolutions need
-        own = {
+        # copied: tensors mapped from the file lack the alignment that convolutions need
+        state = {
             n.removeprefix(f"{prefix}."): v.to(torch.float32, copy=True)
             for n, v in tensors.items()
             if n.startswith(prefix)
         }
-        module.load_state_dict(own, assign=True)
+        module.load_state_dict(state, assign=True)
         module.eval().requires_grad_(False)
     network, confidence = modules["network"], modules.get("confidence")
     assert isinstance(network, MaterialNetwork | OwnNetwork)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``materials`` and its subcommands, which defer heavy imports."""
+"""The command ``materials``, whose subcommands import heavy modules only when they run."""
 
 from __future__ import annotations
 

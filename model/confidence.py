@@ -32,7 +32,7 @@ class _Block(nn.Sequential):
 
 
 class ConfidenceNet(nn.Module):
-    """Network for the confidence (B, 1, H, W) in [0, 1], maximum 1 per image, of a map of ``map_channels``.
+    """Network that estimates the confidence of a predicted map with ``map_channels`` channels.
 
     The layers are two stride-2 downsamplings and a 3x3 convolution; upsampling, concatenation with the first
     downsampling and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.
@@ -47,10 +47,8 @@ class ConfidenceNet(nn.Module):
         self.last = nn.Conv2d(_WIDTH, 1, 3, padding=1, padding_mode="replicate")
 
     def forward(self, image: Tensor, predicted: Tensor) -> Tensor:
-        """The confidence of ``predicted``, (B, C, H, W) in [0, 1], for ``image``, (B, 3, H, W) encoded to
-        [-1, 1].
-
-        Both inputs are detached from the graph."""
+        """Confidence (B, 1, H, W) in [0, 1], with a maximum of 1 per image, of ``predicted`` (B, C, H, W) in
+        [0, 1] for ``image`` (B, 3, H, W) encoded to [-1, 1]. No gradient flows to the inputs."""
         height, width = image.shape[-2:]
         x = torch.cat([image, 2.0 * predicted - 1.0], dim=1).detach()
         bottom, right = -height % 4, -width % 4
@@ -62,7 +60,7 @@ class ConfidenceNet(nn.Module):
         x = self.up1(torch.cat([x, first], dim=1))
         x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
         confidence = 0.5 * (torch.tanh(self.last(x)[:, :, :height, :width]) + 1.0)
-        # an image without any confidence stays near 0 instead of dividing by 0
+        # avoids a division by 0 for an image whose confidence is 0 everywhere
         return confidence / confidence.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)
 
 
@@ -79,14 +77,12 @@ class ConfidenceNets(nn.Module):
 
 
 def filter_maps(
-    maps: Mapping[str, Tensor],
-    confidences: Mapping[str, Tensor],
-    config: SolverConfig | None = None,
+    maps: Mapping[str, Tensor], confidences: Mapping[str, Tensor], config: SolverConfig | None = None
 ) -> dict[str, Tensor]:
     """Filter the specular albedo and roughness of ``maps`` (B, 3 or 1, H, W), guided by the diffuse albedo.
 
-    Returns all maps by name. ``confidences`` are (B, 1, H, W). Both filtered maps share one grid and one
-    solve. Gradients flow to the confidences and to the filtered maps.
+    Returns all maps by name. ``confidences`` contains (B, 1, H, W) for each filtered map. Gradients flow to
+    the confidences and to the specular albedo and roughness.
     """
     grid = build_grid(maps["diffuse_albedo"], config)
     target = torch.cat([maps[name] for name in FILTERED_MAPS], dim=1)

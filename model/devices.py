@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The option ``--device``."""
+"""Parsing of the option ``--device``."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from datagen.foundation.errors import input_error
 
 
 def parse_device(text: str) -> torch.device:
-    """Torch device of a name: ``cpu``, ``cuda`` or ``cuda:N``.
+    """Return the torch device with the name ``text``: ``cpu``, ``cuda`` or ``cuda:N``.
 
-    Raises :class:`InputError` for other names, and for a GPU that this machine or this build of torch does
-    not have.
+    Raises :class:`InputError` for other names, and for a GPU that is not available to torch.
     """
     kind, separator, number = text.partition(":")
     if kind not in ("cpu", "cuda") or (separator and not number.isdigit()):

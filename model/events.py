@@ -27,10 +27,10 @@ from model.named_code import load_named
 class Event:
     """An event of training or inference.
 
-    ``scalars``: ``values`` are figures by name at ``step``; ``name`` is ``train/PHASE``, ``validation/PHASE``
-    or ``speed/PHASE``. ``image``: (H, W, 3) uint8 at ``step``. ``progress``: ``step`` out of
-    ``values["total"]`` steps of the inference stage ``name`` are done. ``end``: the run is over; ``folder``
-    contains its result.
+    Fields by ``kind``. ``scalars``: ``values`` are figures by name at training step ``step``; ``name`` is
+    ``train/PHASE``, ``validation/PHASE`` or ``speed/PHASE``. ``image``: ``image`` (H, W, 3) uint8 with the
+    title ``name``. ``progress``: ``step`` out of ``values["total"]`` steps of the inference stage ``name``
+    are done. ``end``: the run is finished and its result is in ``folder``.
     """
 
     source: Literal["train", "infer"]
@@ -50,7 +50,7 @@ ListenerOption = Annotated[
 
 
 class Listeners:
-    """The listeners of a run, which may be none."""
+    """The listeners of a run, possibly none."""
 
     def __init__(self, listeners: Iterable[Listener] = ()):
         self._listeners = list(listeners)
@@ -73,7 +73,7 @@ class Listeners:
 def load_listeners(names: Iterable[str]) -> Listeners:
     """Import listeners by name, ``MODULE:FUNCTION``; modules may be in the working directory.
 
-    Raises :class:`InputError` that lists every name that is not a function.
+    Raises :class:`InputError` with every name that cannot be imported or is not callable.
     """
     found: list[Listener] = []
     problems = []

@@ -45,8 +45,8 @@ class ViewStream(IterableDataset[dict[str, Any]]):
     side of the ``crops_per_view`` crops of each view; with None and views of several sizes, a loader needs
     ``batch_size`` 1. Crops are shuffled within groups of eight views. ``rank`` and ``num_ranks`` come from
     ``torch.distributed`` if it is running; all ranks yield the same number of samples, so the last few views
-    of an epoch may be dropped. Raises :class:`InputError` for paths that are not datasets, if there are no
-    views, and for damaged views, with shard and view.
+    of an epoch may be dropped. Raises :class:`InputError` for paths that are not datasets, for fewer views
+    than ranks and, during iteration, for a damaged view.
     """
 
     def __init__(
@@ -64,12 +64,8 @@ class ViewStream(IterableDataset[dict[str, Any]]):
     ):
         super().__init__()
         self.buffers = tuple(buffers)
-        unknown = [
-            Problem("ViewStream", "buffers", name, ", ".join(BUFFERS))
-            for name in self.buffers
-            if name not in BUFFERS
-        ]
-        raise_problems(unknown)
+        unknown = [name for name in self.buffers if name not in BUFFERS]
+        raise_problems([Problem("ViewStream", "buffers", name, ", ".join(BUFFERS)) for name in unknown])
         self.crop_px, self.crops_per_view = crop_px, crops_per_view if crop_px else 1
         self.shuffle, self.seed = shuffle, seed
         self.rank, self.num_ranks = _ranks(rank, num_ranks)
@@ -78,7 +74,7 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             where = ", ".join(map(str, sources))
             got = f"{len(self.places)} views of split {split}"
             raise input_error(where, "views", got, f"at least one for each of {self.num_ranks} ranks")
-        # In shared memory, so that a new epoch reaches persistent loader processes.
+        # in shared memory, as persistent loader processes must read it
         self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
 
     def set_epoch(self, epoch: int) -> None:
@@ -130,9 +126,9 @@ class ViewStream(IterableDataset[dict[str, Any]]):
 
 
 def read_view(place: ViewPlace, names: Sequence[str]) -> tuple[ViewRecord, dict[str, NDArray]]:
-    """Read a view's record and the buffers ``names``, (H, W, C) as stored.
+    """Read a view's record and the buffers ``names``, each (H, W, C) in its stored type.
 
-    Raises :class:`InputError` that names the view.
+    Raises :class:`InputError` for a damaged view.
     """
     where = f"{place.shard}:{place.name}"
     try:
@@ -155,8 +151,8 @@ def _ranks(rank: int | None, num_ranks: int | None) -> tuple[int, int]:
     if (rank is None) != (num_ranks is None):
         raise input_error("ViewStream", "rank", rank, "rank and num_ranks, or neither of them")
     if rank is None or num_ranks is None:
-        is_on = distributed.is_available() and distributed.is_initialized()
-        return (distributed.get_rank(), distributed.get_world_size()) if is_on else (0, 1)
+        is_running = distributed.is_available() and distributed.is_initialized()
+        return (distributed.get_rank(), distributed.get_world_size()) if is_running else (0, 1)
     if not 0 <= rank < num_ranks:
         raise input_error("ViewStream", "rank", rank, f"a number from 0 to num_ranks - 1 = {num_ranks - 1}")
     return rank, num_ranks

@@ -9,7 +9,8 @@ from typing import Any
 
 
 def load_named(name: str) -> Any:
-    """Import ``MODULE:NAME``. Raises ImportError or AttributeError if it is missing, else ValueError."""
+    """Import the object ``MODULE:NAME``. Raises ``ImportError`` or ``AttributeError`` if it does not exist,
+    and ``ValueError`` if ``name`` does not have this form."""
     module, colon, attribute = name.partition(":")
     if not (colon and module and attribute):
         raise ValueError("no MODULE:NAME")

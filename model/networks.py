@@ -46,7 +46,7 @@ COLOR_STATISTICS = ("color_median", "color_max", "color_min")
 INPUTS = ("beauty", *COLOR_STATISTICS, "normal_camera", "depth", *LIGHT_BUFFERS)
 """Names of all possible inputs of a network."""
 MAX_REFLECTANCE = 2.0
-"""Reflectance that is encoded as 1. Gloss, and lamps outside all views, raise it above every albedo."""
+"""Reflectance that is encoded as 1. Gloss and lamps outside all views can raise reflectance above 1."""
 
 
 class NetworkConfig(StrictModel):
@@ -57,7 +57,7 @@ class NetworkConfig(StrictModel):
     global_channels: int = Field(default=128, ge=1, le=4096)
     """Width of the global track."""
     wide_decoder: bool = False
-    """Give the decoder 8, 4, 2 times ``base_channels``, the literal reading of the paper, not 4, 2, 1."""
+    """Decoder layers of 8, 4, 2 times ``base_channels``, the literal reading of the paper, not 4, 2, 1."""
     dropout: float = Field(default=0.5, ge=0.0, lt=1.0)
     """Dropout rate of the three inner decoder layers, off at inference."""
     ignores_padding: bool = True
@@ -120,8 +120,8 @@ def track_channels(track: TrackName, config: NetworkConfig) -> int:
 
 
 def blend_reflectance(outputs: Tensor, reflectance: Tensor) -> Tensor:
-    """Blend recorded ``reflectance`` (B, 3, H, W) and the diffuse track's ``outputs`` (B, 7, H, W) in [0, 1]
-    (D, share and gain of the reflectance): D (B, 3, H, W) in [0, 1].
+    """Return D (B, 3, H, W) in [0, 1], blended from recorded ``reflectance`` (B, 3, H, W) and the diffuse
+    track's ``outputs`` (B, 7, H, W) in [0, 1]: D (3), the reflectance's share (1) and gain (3).
     """
     base, share, gain = outputs.split(_BLEND_CHANNELS, dim=1)
     scale = torch.exp2(_MAX_GAIN_STOPS * (2.0 * gain - 1.0))
@@ -136,11 +136,9 @@ def encode_color(linear: Tensor, exposure: Tensor | float) -> Tensor:
 
 
 def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor:
-    """Encode depth (B, 1, H, W) in metres, relative to the view's maximum, as (B, 3, H, W) in [-1, 1]; pixels
-    without a surface (0) become -1.
+    """Encode depth (B, 1, H, W) in metres, 0 without a surface, as (B, 3, H, W): -1 at 0, 1 at the maximum.
 
-    ``depth_max_m`` (B,) is the whole view's maximum; None uses the tensor's own maximum, which is correct
-    only for whole views.
+    ``depth_max_m`` (B,) is the maximum of the whole view; None uses the tensor's, which differs for a crop.
     """
     if depth_max_m is None:
         depth_max_m = depth_z_m.amax(dim=(1, 2, 3))
@@ -182,7 +180,7 @@ def assemble_inputs(
 
 
 def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
-    """Set x (B, C, H, W) to 0 outside its top left ``valid`` (h, w), like a convolution's zero padding."""
+    """Set x (B, C, H, W) to 0 outside its top left ``valid`` (height, width), as a convolution's padding."""
     height, width = x.shape[-2:]
     if valid == (height, width):
         return x
@@ -190,7 +188,8 @@ def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
 
 
 class _GlobalLink(nn.Module):
-    """Global track at a layer: ``add`` maps g to a summand, ``update`` maps g and the mean to the next g."""
+    """Global track at a layer: ``add`` maps g to the layer's summand; ``update`` maps g and the layer's mean
+    to the g of the next layer."""
 
     def __init__(self, global_channels: int, layer_channels: int, has_update: bool):
         super().__init__()
@@ -201,15 +200,15 @@ class _GlobalLink(nn.Module):
             self.update = _selu_linear(global_channels + layer_channels, global_channels)
 
     def next(self, g: Tensor, mean: Tensor) -> Tensor:
-        """g of the following layer, (B, ``global_channels``), from this layer's mean (B, C)."""
+        """Return g (B, ``global_channels``) of the next layer, given this layer's spatial mean (B, C)."""
         if self.update is None:
             return g
         return F.selu(self.update(torch.cat([g, mean.to(g.dtype)], dim=1)))
 
 
 def _draw_normal(weights: Tensor, deviation: float, mean: float = 0.0) -> None:
-    # meta tensors, with which a checkpoint is checked, have no values; initialising them would import torch's
-    # compiler (1 s), which makes a temporary folder
+    # Checkpoints are checked with meta tensors, which have no values; initialising them would import torch's
+    # compiler (1 s), which creates a temporary folder.
     if not weights.is_meta:
         nn.init.normal_(weights, mean, deviation)
 
@@ -242,7 +241,8 @@ class _Layer(nn.Module):
             self.shift = nn.Parameter(torch.zeros(num_out))
 
     def modulate(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Norm(x) + W g, and the next layer's g. Statistics are over x's top left ``valid`` (h, w)."""
+        """Return x, normalised, plus a linear map of g, and the next layer's g. The norm's mean and variance
+        are those of x's top left ``valid`` (height, width)."""
         inside = x[:, :, : valid[0], : valid[1]]
         if inside.dtype != torch.float32 and inside.dtype != torch.float64:
             inside = inside.float()
@@ -270,9 +270,9 @@ class _Down(_Layer):
 
 
 def _strip_rows(x: Tensor) -> int:
-    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all if x has no more values."""
-    doubled = 4 * x.numel()
-    return x.shape[2] if doubled <= 4 * STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // doubled)
+    """Rows of x in a strip of about ``STRIP_ELEMENTS`` upsampled values; all if x has at most as many."""
+    count = x.numel()
+    return x.shape[2] if count <= STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // (4 * count))
 
 
 class _Up(_Layer):
@@ -339,9 +339,9 @@ class Track(nn.Module):
         bottom, right = (-n % STRIDE for n in x.shape[-2:])
         if bottom or right:
             x = F.pad(x, (0, right, 0, bottom))
-        seen = (height, width) if self.config.ignores_padding else (x.shape[-2], x.shape[-1])
-        valid = [(-(-seen[0] // 2**k), -(-seen[1] // 2**k)) for k in range(NUM_LEVELS + 1)]
-        mean = x[:, :, : seen[0], : seen[1]].mean(dim=(2, 3))
+        used = (height, width) if self.config.ignores_padding else (x.shape[-2], x.shape[-1])
+        valid = [(-(-used[0] // 2**k), -(-used[1] // 2**k)) for k in range(NUM_LEVELS + 1)]
+        mean = x[:, :, : used[0], : used[1]].mean(dim=(2, 3))
         g = F.selu(self.global_start(mean))
         e1 = _zero_padding(self.enc1(_zero_padding(x, valid[0])), valid[1])
         e2, g = self.enc2(e1, g, valid[2])
@@ -382,7 +382,7 @@ class MaterialNetwork(nn.Module):
         depth_max_m: Tensor | None = None,
         tracks: tuple[TrackName, ...] = ("diffuse", "specular"),
     ) -> dict[str, Tensor]:
-        """Maps (B, 3 or 1, H, W) in [0, 1] by name; arguments as :func:`assemble_inputs`."""
+        """Predicted maps (B, 3 or 1, H, W) in [0, 1] by name; arguments as for :func:`assemble_inputs`."""
         maps: dict[str, Tensor] = {}
         for track in tracks:
             x = assemble_inputs(track, buffers, exposure, self.config, depth_max_m)
@@ -404,5 +404,5 @@ class MaterialNetwork(nn.Module):
 
 
 def num_parameters(module: nn.Module) -> int:
-    """Number of trainable values."""
+    """Number of trainable parameters of ``module``."""
     return sum(p.numel() for p in module.parameters() if p.requires_grad)

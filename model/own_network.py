@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import input_error
 from model.named_code import load_named
 from model.networks import (
     INPUTS,
@@ -45,10 +45,8 @@ class OwnNetwork(nn.Module):
         try:
             self.module = made(**config.arguments)
         except TypeError as error:
-            problem = Problem(
-                "network", "arguments", str(error), f"arguments of {config.factory}", "correct it"
-            )
-            raise InputError(problem) from None
+            expected = f"arguments of {config.factory}"
+            raise input_error("network", "arguments", str(error), expected, "correct it") from None
 
     def parts(self) -> dict[str, nn.Module]:
         """The single module, by the name of its class."""
@@ -65,7 +63,10 @@ class OwnNetwork(nn.Module):
         depth_max_m: Tensor | None = None,
         tracks: tuple[TrackName, ...] = ("diffuse", "specular"),
     ) -> dict[str, Tensor]:
-        """Maps (B, 3 or 1, H, W) by name. Raises :class:`InputError` if the maps violate the contract."""
+        """Predicted maps (B, 3 or 1, H, W) by name, of the outputs of ``tracks``.
+
+        Raises :class:`InputError` if the module returns maps of other names or shapes.
+        """
         shaped = exposure.reshape(-1, 1, 1, 1)
         inputs = {name: encode_input(name, buffers, shaped, depth_max_m) for name in self.inputs}
         maps = self.module(inputs)
@@ -80,7 +81,7 @@ class OwnNetwork(nn.Module):
 
 
 def make_network(config: NetworkConfig) -> MaterialNetwork | OwnNetwork:
-    """Construct the network of a configuration; raises :class:`InputError` as :class:`OwnNetwork`."""
+    """Construct the network of a configuration. Raises :class:`InputError` for an invalid ``factory``."""
     return MaterialNetwork(config) if config.factory is None else OwnNetwork(config)
 
 
@@ -106,15 +107,14 @@ def try_network(network: OwnNetwork) -> None:
         if not bool(((value >= 0) & (value <= 1)).all()):
             low, high = float(value.min()), float(value.max())
             where = f"{network.config.factory}: {name}"
-            raise input_error(
-                "network", where, f"{low:.3g} to {high:.3g}", "values in [0, 1]", "end with a sigmoid"
-            )
+            got = f"{low:.3g} to {high:.3g}"
+            raise input_error("network", where, got, "values in [0, 1]", "end with a sigmoid")
 
 
 def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
-    """The class named by a configuration, and its inputs.
+    """Import the class that ``factory`` names, and return it with the names of its inputs.
 
-    Raises :class:`InputError` for anything else that ``factory`` may name, before it is called.
+    Raises :class:`InputError` if it is no ``torch.nn.Module`` or its ``inputs`` are invalid.
     """
     name = config.factory or ""
     expected = "MODULE:CLASS of a torch.nn.Module with `inputs`"

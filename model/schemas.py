@@ -19,7 +19,7 @@ from model.training.config import TrainingConfig
 def json_schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema (2020-12) of each format, by name.
 
-    No training setting is required, since they override a preset.
+    No training setting is required, since a file of settings overrides a preset.
     """
     training = TrainingConfig.model_json_schema()
     training.pop("required", None)

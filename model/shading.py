@@ -49,7 +49,7 @@ def alpha_from_roughness(roughness: Tensor) -> Tensor:
 
 
 def beckmann_log_pdf(tan2_theta: Tensor, alpha: Tensor) -> Tensor:
-    """ln D_b of a half vector at theta to the normal: D_b = exp(-tan^2/alpha^2) / (pi alpha^2 cos^4)."""
+    """Logarithm of Beckmann's distribution, exp(-tan^2/alpha^2) / (pi alpha^2 cos^4), at the angle theta."""
     return (
         -tan2_theta / (alpha * alpha)
         - math.log(math.pi)
@@ -59,10 +59,10 @@ def beckmann_log_pdf(tan2_theta: Tensor, alpha: Tensor) -> Tensor:
 
 
 def smith_g1_over_cos(cos_theta: Tensor, sin2_theta: Tensor, alpha: Tensor) -> Tensor:
-    """Exact Smith G1 for Beckmann, divided by cos(theta) > 0; finite down to the horizon.
+    """Exact Smith G1 for Beckmann, divided by cos(theta) > 0; finite up to 90 degrees.
 
-    G1 = 2 / (1 + erf(a) + exp(-a^2)/(a sqrt(pi))), a = cos/(alpha sin). Dividing by cos first turns the pole
-    of 1/a into alpha sin, so G1/cos tends to sqrt(pi) * 2 / (alpha sin) instead of 0/0.
+    G1 = 2 / (1 + erf(a) + exp(-a^2)/(a sqrt(pi))), a = cos/(alpha sin). The division by cos cancels the pole
+    of 1/a, so G1/cos tends to 2 sqrt(pi) / (alpha sin) instead of 0/0.
     """
     sin_theta = torch.sqrt(sin2_theta.clamp_min(_TINY_SIN2))
     a = cos_theta / (alpha * sin_theta)
@@ -87,8 +87,8 @@ def brdf_cos(
     """The BRDF times cos(theta_i), in 1/sr: (1-S) D/pi cos_i + F D_b G / (4 cos_o).
 
     ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...).
-    The result is 0 if viewer or light is at or below the horizon (one-sided). tan^2 of the half angle is
-    computed from n x h, never from 1 - cos^2; neither n nor h needs to be normalised for it.
+    The result is 0 if the viewer or the light is at or below the horizon (one-sided). tan^2 of the half
+    vector's angle is computed from n x h instead of 1 - cos^2, which would cancel.
     """
     cos_o, cos_i = dot(normal, view_dir), dot(normal, light_dir)
     is_lit = (cos_o > 0) & (cos_i > 0)
@@ -144,16 +144,15 @@ class SphericalGaussians:
 
 
 def sg_integral(sharpness: Tensor) -> Tensor:
-    """Integral of a unit-amplitude lobe over the sphere: 2 pi (1 - exp(-2 l)) / l for sharpness l."""
+    """Integral of a unit-amplitude spherical Gaussian: 2 pi (1 - exp(-2 l)) / l for sharpness l."""
     return -2.0 * math.pi * torch.expm1(-2.0 * sharpness) / sharpness
 
 
 def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) -> Tensor:
-    """Integral over the sphere of the product of two unit-amplitude lobes.
+    """Integral over the sphere of the product of two unit-amplitude spherical Gaussians.
 
-    For sharpness l1, l2 and axes p1, p2, with ``axis_gap2`` = |p1 - p2|^2 in [0, 4]: 2 pi exp(-l1 l2
-    |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u with u = |l1 p1 + l2 p2|: no cancellation and no overflow at
-    any sharpness.
+    For sharpness l1, l2 and axes p1, p2, with ``axis_gap2`` = |p1 - p2|^2 in [0, 4] and u = |l1 p1 + l2 p2|:
+    2 pi exp(-l1 l2 |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u, without cancellation or overflow.
     """
     total = sharpness1 + sharpness2
     product = sharpness1 * sharpness2 * axis_gap2
@@ -163,10 +162,10 @@ def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) 
 
 
 def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Integral of a unit-amplitude lobe over the hemisphere around a pole at the angle beta to its axis.
+    """Integral of a unit-amplitude spherical Gaussian over the hemisphere at the angle beta to its axis.
 
-    Meder and Bruederlin 2018: blend of the integrals of the upper and the lower hemisphere, with their fitted
-    sigmoid; written with expm1, which avoids overflow.
+    Meder and Bruederlin 2018: the integrals over the hemispheres around the axis and opposite to it, blended
+    by a fitted sigmoid; written with expm1, which avoids overflow.
     """
     lam = sharpness
     t = torch.sqrt(lam) * ((1.6988 * lam + 10.8438) * lam) / ((lam + 6.2201) * lam + 10.2415)
@@ -180,10 +179,10 @@ _COSINE_SHARPNESS, _COSINE_AMPLITUDE, _COSINE_OFFSET = 0.0315, 32.7080, 31.7003
 
 
 def sg_irradiance(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Irradiance of a unit-amplitude lobe on a surface whose normal is at the angle beta to the lobe's axis.
+    """Irradiance due to a unit-amplitude spherical Gaussian on a surface whose normal is at beta to its axis.
 
-    Meder and Bruederlin 2018: the cosine is a lobe of sharpness 0.0315 minus a constant, so the irradiance is
-    the difference of two hemisphere integrals. Cancellation costs 5 bits; the result is clamped at 0.
+    Meder and Bruederlin 2018: the cosine is approximated by a spherical Gaussian minus a constant, so the
+    irradiance is the difference of two hemisphere integrals. Cancellation costs 5 bits.
     """
     gap2 = 2.0 - 2.0 * cos_beta
     total = sharpness + _COSINE_SHARPNESS
@@ -206,9 +205,9 @@ def shade_spherical_gaussians(
 ) -> Tensor:
     """Reflected radiance (B, 3, ...) under distant area lights, after Wang et al. 2009.
 
-    The lobe D_b is one spherical Gaussian, warped to the light's domain; the remaining factors are evaluated
-    at the lobe's centre. For training only: the error relative to the exact lobe is 1 % at alpha 0.1 and 50 %
-    at alpha 1. Maps must be (B, C, H, W) or (B, C).
+    Beckmann's distribution is approximated by a spherical Gaussian of light directions; the other factors are
+    evaluated at its axis. The error relative to the exact lobe is 1 % at alpha 0.1 and 50 % at alpha 1. Maps
+    and directions are (B, C, H, W) or (B, C).
     """
     alpha = alpha_from_roughness(roughness)
     cos_o = dot(normal, view_dir)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mutates modules, one change at a time, and counts the changes detected by their tests.
+"""Mutation of modules, one change at a time, and the share of changes that their tests detect.
 
     python -m benchmarks.mutation [TARGET ...] [--number N] [--seed S] [--again] [--work DIR] [--out FILE]
 
@@ -36,7 +36,7 @@ from benchmarks.mutation.targets import TARGETS, Target
 
 PROJECT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
-# time limit of a mutant's tests: minimum, and multiple of their time without mutation
+# time limit of a mutant's tests: minimum in seconds, and multiple of their time without a mutation
 MIN_TIMEOUT_S, PATIENCE = 60.0, 6.0
 SURVIVED = 0  # exit code of pytest
 
@@ -61,7 +61,7 @@ class Copy:
             (work / name).mkdir(exist_ok=True)
 
     def environment(self, **more: str) -> dict[str, str]:
-        """Environment of processes in the copy."""
+        """Environment of processes in the copy, with the variables ``more``."""
         own = {
             "PYTHONPATH": str(self.root),
             "HOME": str(self.work / "home"),
@@ -71,7 +71,7 @@ class Copy:
         return {**os.environ, **own, **more}
 
     def run_once(self, tests: tuple[str, ...], **more: str) -> None:
-        """Run tests in a separate process; exit if they fail."""
+        """Run test files in a separate process with the variables ``more``; exit if a test fails."""
         command = [sys.executable, "-m", "pytest", *self._arguments(tests)]
         if more:
             command += ["-p", "benchmarks.mutation.tracing"]
@@ -82,7 +82,7 @@ class Copy:
             sys.exit(f"the tests fail without any mutant:\n{done.stdout[-3000:]}{done.stderr[-1000:]}")
 
     def run(self, tests: list[str], timeout_s: float) -> tuple[int, str]:
-        """Exit code of pytest, negative if it crashed or timed out, and its output."""
+        """Run tests in a warm process; returns pytest's exit code (< 0: crash or timeout) and its output."""
         if self._warm is None:
             command = [sys.executable, "-m", "benchmarks.mutation.warm"]
             self._warm = subprocess.Popen(
@@ -109,7 +109,7 @@ class Copy:
 
 
 def trace(copy: Copy, target: Target) -> dict[str, Any]:
-    """Lines executed by each test of a target, as recorded by :mod:`benchmarks.mutation.tracing`."""
+    """Run a target's tests and return the lines of each, as :mod:`benchmarks.mutation.tracing` states."""
     for path in (copy.work / "children").iterdir():
         path.unlink()
     found = copy.work / "trace.json"
@@ -125,10 +125,8 @@ def trace(copy: Copy, target: Target) -> dict[str, Any]:
 
 
 def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
-    """Tests that run a mutant's line, fastest first.
-
-    All tests are returned if the line runs on import, or in compiled code, which cannot be traced.
-    """
+    """Names of the ``tests`` that run a mutant's line, fastest first; all tests if the line runs on import or
+    in compiled code, which cannot be traced."""
     lines = set(range(mutant.first_line, mutant.last_line + 1))
     chosen = [name for name, test in tests.items() if lines & test["lines"].get(module, set())]
     return sorted(chosen, key=lambda name: tests[name]["seconds"])
@@ -137,15 +135,17 @@ def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
 def draw(
     root: Path, target: Target, tests: dict[str, Any], number: int, seed: int
 ) -> list[tuple[str, Mutant, list[str]]]:
-    """A sample of a target's mutants on tested lines, with the tests that run each: at most one mutant per
-    statement, alternating between kinds.
+    """Draw ``number`` of a target's mutants on tested lines, at most one per statement, alternating between
+    kinds; returns module, mutant and the tests that run it.
     """
     by_kind: dict[str, list[tuple[str, str, Mutant, list[str]]]] = defaultdict(list)
     for module in target.modules:
         source = (root / module).read_text()
-        compiled = _unwatched_lines(source)
+        compiled = _untraced_lines(source)
         for mutant in find_mutants(module, source):
-            if not mutant.function or mutant.first_line in compiled or _is_signature(mutant):
+            # default values of parameters are evaluated on import
+            is_signature = mutant.statement.startswith(("def ", "async def "))
+            if not mutant.function or mutant.first_line in compiled or is_signature:
                 names = sorted(tests, key=lambda name: tests[name]["seconds"])
             else:
                 names = covering(mutant, module, tests)
@@ -166,13 +166,8 @@ def draw(
     return drawn[:number]
 
 
-def _is_signature(mutant: Mutant) -> bool:
-    """True for default values of parameters, which are evaluated on import."""
-    return mutant.statement.startswith(("def ", "async def "))
-
-
-def _unwatched_lines(source: str) -> set[int]:
-    """Lines of functions that are compiled as a whole."""
+def _untraced_lines(source: str) -> set[int]:
+    """Numbers of the lines of compiled functions, which cannot be traced."""
     lines: set[int] = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.FunctionDef):
@@ -185,7 +180,7 @@ def _unwatched_lines(source: str) -> set[int]:
 def attempt(
     copy: Copy, module: str, mutant: Mutant, names: list[str], tests: dict[str, Any]
 ) -> dict[str, Any]:
-    """Try one mutant; returns its verdict, and the test that detected it."""
+    """Run tests ``names`` on one mutant; returns the verdict, the seconds and the test that detected it."""
     path = copy.root / module
     source, times = path.read_text(), path.stat()
     usual = sum(tests[name]["seconds"] for name in names)
@@ -211,12 +206,12 @@ def attempt(
 
 
 def equivalents() -> dict[str, str]:
-    """Reasons why mutants are equivalent to the original, by key."""
+    """Reasons why mutants behave like the original, by key of the mutant."""
     return {row["key"]: row["why"] for row in yaml.safe_load(EQUIVALENT.read_text())}
 
 
 def table(results: dict[str, dict[str, Any]]) -> str:
-    """A Markdown table of counts by target."""
+    """Markdown table of the number of mutants by target and verdict."""
     known = equivalents()
     rows = ["| part | mutants | killed | equivalent | survived | killed of those that matter |",
             "|---|---|---|---|---|---|"]  # fmt: skip
@@ -235,7 +230,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 
 
 def survivors(results: dict[str, dict[str, Any]]) -> str:
-    """Mutants that no test detected, with the reason if one is known."""
+    """Text that lists the mutants that no test detected, with the reason if known."""
     known, lines = equivalents(), []
     for key, row in results.items():
         if row["verdict"] == "survived":

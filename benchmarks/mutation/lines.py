@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recording of the lines of some files that a process runs."""
+"""Recording of the lines of given files that a process executes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Lines = set[tuple[str, int]]
 
 
 class Tracer:
-    """Collects the lines of some files in ``lines``."""
+    """Trace function that collects the executed lines of ``files`` in ``lines``."""
 
     def __init__(self, files: list[str]):
         self.files = set(files)
@@ -44,7 +44,7 @@ class Tracer:
 
 
 def trace_child() -> None:
-    """Trace a process started by a test; a line is written at once, since the process may be killed."""
+    """Trace this process, started by a test; each line is written immediately, as it may be killed."""
     folder = os.environ.get("MUTATION_CHILDREN")
     if folder:
         file = (Path(folder) / f"{os.getpid()}.txt").open("a")

@@ -63,20 +63,20 @@ SWAPS = {
 }
 SWAPS |= {new: old for old, new in SWAPS.items() if new != "bit_count"}
 UNWRAPPED = ("clip", "sqrt", "abs", "square", "normalize", "detach", "log", "exp", "sorted")
-"""Functions that a mutant replaces by their first argument."""
+"""Functions whose calls a mutant replaces by their first argument."""
 UNCHAINED = ("clamp_min", "clamp_max", "sqrt", "cumsum")
-"""Methods that a mutant replaces by their object."""
+"""Methods whose calls a mutant replaces by their object."""
 WORDS = ("Problem", "input_error", "InputError", "ValueError", "RuntimeError", "print", "filterwarnings")
-"""Calls whose arguments only form a message."""
-SMALLEST = 1e-5  # smaller numbers guard against rounding; their mutants would change nothing
+"""Functions whose arguments only form messages."""
+SMALLEST = 1e-5  # smaller numbers prevent rounding errors; their mutants would not change results
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change: ``text`` between two offsets of a module's source becomes ``new``.
+    """Replacement of ``text``, from ``start`` to ``end`` in a module's source, by ``new``.
 
-    ``first_line`` and ``last_line`` are the lines of the statement; ``key`` changes only with the statement
-    or its function.
+    ``first_line`` and ``last_line`` are those of the statement; ``key`` depends only on the module, the
+    function and the statement.
     """
 
     key: str
@@ -91,7 +91,7 @@ class Mutant:
     statement: str
 
     def apply(self, source: str) -> str:
-        """The mutated source."""
+        """Return the mutated ``source``."""
         return source[: self.start] + self.new + source[self.end :]
 
 
@@ -106,7 +106,7 @@ class _Finder:
         self.found: list[tuple[str, str, ast.stmt, int, int, str]] = []
 
     def offset(self, line: int, column: int) -> int:
-        """Offset of a position in the tree, whose columns count bytes."""
+        """Offset in characters of a line (from 1) and a column in bytes, as in the syntax tree."""
         return self._starts[line - 1] + len(self._lines[line - 1].encode()[:column].decode())
 
     def span(self, node: ast.AST) -> tuple[int, int]:
@@ -190,7 +190,9 @@ class _Finder:
             if not (_is_text(node.left) or _is_text(node.right)):  # in paths and messages
                 self._operator(node.op, self.span(node.left)[1], self.span(node.right)[0], function, of)
         elif isinstance(node, ast.BoolOp):
-            self._between(node.values[0], node.values[1], isinstance(node.op, ast.And), function, of)
+            start, end = self.span(node.values[0])[1], self.span(node.values[1])[0]
+            old, new = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
+            self._replaced(start, end, old, new, "logic", function, of)
         elif isinstance(node, ast.UnaryOp):
             if isinstance(node.op, (ast.Not, ast.Invert, ast.USub)):
                 kind = "arithmetic" if isinstance(node.op, ast.USub) else "logic"
@@ -224,10 +226,6 @@ class _Finder:
     def _operator(self, operator: ast.operator, start: int, end: int, function: str, of: ast.stmt) -> None:
         if type(operator) in ARITHMETIC:
             self._replaced(start, end, *ARITHMETIC[type(operator)], "arithmetic", function, of)
-
-    def _between(self, left: ast.expr, right: ast.expr, is_and: bool, function: str, of: ast.stmt) -> None:
-        old, new = ("and", "or") if is_and else ("or", "and")
-        self._replaced(self.span(left)[1], self.span(right)[0], old, new, "logic", function, of)
 
     def _replaced(
         self, start: int, end: int, old: str, new: str, kind: str, function: str, of: ast.stmt
@@ -280,7 +278,7 @@ def _other_constants(value: object) -> Iterator[str]:
 
 
 def find_mutants(name: str, source: str) -> list[Mutant]:
-    """All mutants of a module; ``name`` is its path in the project."""
+    """List all mutants of the module with the path ``name`` in the project."""
     finder = _Finder(source)
     finder.body(ast.parse(source).body, "")
     mutants, seen = [], set()
@@ -301,7 +299,7 @@ def find_mutants(name: str, source: str) -> list[Mutant]:
 
 
 def _end_of_header(statement: ast.stmt) -> tuple[int, int]:
-    """End of a statement or, of a compound one, of its header."""
+    """Line and column of the end of a statement or, if compound, of its header."""
     body = getattr(statement, "body", None)
     if not isinstance(body, list) or not body:
         return statement.end_lineno or 0, statement.end_col_offset or 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files to mutate, and for each the smallest set of test files that covers it."""
+"""Modules to mutate, each with the smallest set of test files that covers it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """Modules to mutate, the tests that should detect the mutants, and the number of mutants."""
+    """Modules to mutate, test files that should detect the mutants, and the number of mutants to try."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
@@ -57,8 +57,7 @@ TARGETS = {
         20,
     ),
     "albedo level": Target(
-        ("model/reconstruction/level/albedo_level.py",),
-        ("tests/model/test_albedo_gains.py",),
+        ("model/reconstruction/level/albedo_level.py",), ("tests/model/test_albedo_gains.py",)
     ),
     "bilateral solver": Target(("model/bilateral_solver.py",), ("tests/model/test_bilateral_solver.py",)),
     "BSDF": Target(
@@ -76,10 +75,7 @@ TARGETS = {
             "datagen/farm/pbs.py",
             "datagen/farm/submission.py",
         ),
-        (
-            "tests/datagen/test_farm_unit.py",
-            "tests/datagen/test_farm_submit.py",
-        ),
+        ("tests/datagen/test_farm_unit.py", "tests/datagen/test_farm_submit.py"),
         30,
     ),
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pytest plugin that records the lines of some files that each test runs, and the test's duration.
+"""Pytest plugin that records the lines of given files that each test executes, and the test's seconds.
 
 ``MUTATION_FILES`` names the files (separated by ``:``), ``MUTATION_TRACE`` the JSON file that is written:
 ``{test: {"seconds": s, "lines": {file: [line, ...]}}}``. Lines run by a fixture count for every test that
@@ -22,7 +22,7 @@ from benchmarks.mutation.lines import Lines, Tracer
 
 
 class Recorder:
-    """The plugin's hooks."""
+    """Pytest hooks that record lines and seconds by test."""
 
     def __init__(self, tracer: Tracer, children: Path):
         self.tracer, self.children = tracer, children

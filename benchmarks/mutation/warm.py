@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A process with slow modules imported, which runs each call of pytest in a fork of itself.
+"""A process that imports slow modules once, and runs each call of pytest in a fork.
 
 Reads one JSON object per line: ``arguments`` of pytest, ``environment`` to add, ``timeout_s`` and the file
 for its ``output``; answers with the exit code, negative after a signal. Modules of the project are imported
@@ -19,7 +19,7 @@ from typing import Any
 
 import psutil
 
-# No import here may start threads, which a fork would lose.
+# no import here may start threads, as a fork has only the calling thread
 LIBRARIES = (
     "pytest", "hypothesis", "numpy", "scipy.ndimage", "scipy.sparse", "pydantic", "yaml", "torch", "numba",
     "trimesh", "psutil", "OpenEXR",
@@ -29,7 +29,7 @@ CLOCK_SHARE = 10.0
 
 
 def serve() -> None:
-    """Answer requests on standard input until it ends."""
+    """Answer requests from standard input until its end."""
     for name in LIBRARIES:
         with suppress(ImportError):  # an optional module
             importlib.import_module(name)
@@ -57,10 +57,10 @@ def _run(request: dict[str, Any]) -> None:
 
 
 def outcome_of(process: int, timeout_s: float) -> int:
-    """Exit code of a process that is killed after ``timeout_s`` of processor time, or ten times as much wall
-    time.
+    """Wait for a child process and return its exit code, negative after a signal.
 
-    Processor time excludes delays by other work; wall time covers tests that sleep.
+    It is killed after ``timeout_s`` of processor time, which does not depend on other work, or ten times as
+    much wall time, as tests may sleep.
     """
     end = time.monotonic() + CLOCK_SHARE * timeout_s
     while time.monotonic() < end and _processor_s(process) < timeout_s:
@@ -74,7 +74,7 @@ def outcome_of(process: int, timeout_s: float) -> int:
 
 
 def _processor_s(process: int) -> float:
-    """Processor time in seconds of a process and its children."""
+    """Processor seconds of the process with this id and of its children."""
     total = 0.0
     with suppress(psutil.Error):  # a child ended meanwhile
         top = psutil.Process(process)

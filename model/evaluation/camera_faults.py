@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Simulated faults of cameras, applied to rendered photographs to measure their effect on a method.
 
-The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the k1 on
-normalised coordinates that calibration left uncorrected) and darkens the corners (``vignetting_stops``).
-Exposures, unknown to methods, vary between images by a normal distribution of ``exposure_stops``. Photon
-noise (``white_electrons`` at the limit) and read noise (``read_electrons``) are added. Values beyond the
-limit are clipped: ``clipped_share`` of all pixels of all images at the common exposure, lamps and windows
-first. A curve steeper than sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG
-of quality ``jpeg``. The reader assumes sRGB for 8 bits and linear values for 14, as ``materials infer`` does.
-The poses given to methods are off by ``pose_mm`` along each axis and by an angle of ``pose_deg`` about a
-random axis (standard deviations), and the mesh has the errors of ``geometry`` unless the method sets its own.
+The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the
+uncorrected k1 on normalised coordinates) and darkens the corners (``vignetting_stops``). Exposures, unknown
+to methods, vary between images with a standard deviation of ``exposure_stops``. Photon noise
+(``white_electrons`` at the sensor's limit) and read noise (``read_electrons``) are added. Values above the
+limit are clipped: ``clipped_share`` of all pixels of all images at the common exposure. A curve steeper than
+sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG of quality ``jpeg``. It is
+decoded as sRGB from 8 bits and as linear values from 14, as in ``materials infer``. Camera poses have errors
+of ``pose_mm`` along each axis and ``pose_deg`` about a random axis (standard deviations), and the mesh has
+the errors of ``geometry`` unless the method defines others.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve is not monotonic
 
 
 class CameraFaults(StrictModel):
-    """Faults of photographs, as in the module's docstring. ``seed`` is that of noise, exposures and poses."""
+    """Faults of photographs, as in the module's docstring; ``seed`` draws noise, exposures and poses."""
 
     name: Slug
     bits: Literal[8, 14] | None = None
@@ -70,7 +70,7 @@ class CameraFaults(StrictModel):
 
 _MESH = GeometryError(edge_m=0.1, noise_m=0.01, keep_share=0.3, hole_share=0.05)
 _SINGLE: dict[str, dict[str, object]] = {
-    # exposing for a lamp at the limit would leave the room black
+    # an exposure that keeps lamps below the limit would leave the room black
     "bits-8": {"bits": 8, "clipped_share": 0.01},
     "bits-14": {"bits": 14, "clipped_share": 0.001},
     "exposure": {"exposure_stops": 0.5},
@@ -116,14 +116,14 @@ PRESETS = {
         "phone-and-mesh": {**_PHONE, "geometry": _MESH},
     }.items()
 }
-"""Every fault alone, and three combinations, by name."""
+"""Cameras by name: each fault alone, and three combinations."""
 BUNDLES = ("raw-camera", "phone", "phone-and-mesh")
 EACH = "each"
-"""In a suite: every fault alone."""
+"""Name in a suite for all cameras with a single fault."""
 
 
 def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, ...]:
-    """Camera faults named by a suite's ``camera``. Raises ``ValueError`` for an unknown or repeated name."""
+    """Camera faults of a suite's ``camera``; raises ``ValueError`` for an unknown or repeated name."""
     found: list[CameraFaults] = []
     for name in names:
         if isinstance(name, CameraFaults):
@@ -141,7 +141,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 
 
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
-    """The capture with images and poses of a camera with ``faults``; mesh and true maps are unchanged."""
+    """Return ``capture`` with the images and poses of a camera with ``faults``; mesh and true maps stay."""
     scale = 1.0 / _limit(capture, faults.clipped_share)
     views = tuple(
         replace(
@@ -155,14 +155,14 @@ def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
 
 
 def _limit(capture: Capture, clipped_share: float) -> float:
-    """Radiance at the sensor's limit, which a share ``clipped_share`` of all pixels exceeds."""
+    """Radiance that a share ``clipped_share`` of all pixels of the capture exceeds: the sensor's limit."""
     bright = [view.read().color.max(axis=2).ravel()[::_EVERY] for view in capture.views]
     limit = float(np.quantile(np.concatenate(bright), 1.0 - clipped_share))
     return limit if limit > 0 else 1.0
 
 
 def _random(faults: CameraFaults, view: str, purpose: str) -> np.random.Generator:
-    """A generator for one purpose of one view, independent of all other draws."""
+    """Random generator for one purpose in one view, independent of all others."""
     return np.random.default_rng(int.from_bytes(digest(faults.seed, view, purpose)[:8], "little"))
 
 
@@ -181,7 +181,7 @@ def _moved(camera: Camera, faults: CameraFaults, view: str) -> Camera:
 
 @dataclass(frozen=True)
 class _Taken:
-    """Pixels of a view with faults, taken by ``true_camera``; ``scale`` brings the sensor's limit to 1."""
+    """Image source of a view with faults; ``scale`` multiplies radiance to 1 at the sensor's limit."""
 
     source: ImageSource
     true_camera: Camera
@@ -200,7 +200,7 @@ class _Taken:
 
 
 def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str = "") -> NDArray[np.float64]:
-    """Apply all faults to ``color`` (H, W, 3), linear with the sensor's limit at 1; also returned linear."""
+    """Apply the image faults to linear ``color`` (H, W, 3), whose limit is 1; the result is linear too."""
     random = _random(faults, view, "image")
     if faults.distortion:
         color = _distorted(color, camera, faults.distortion)
@@ -223,7 +223,7 @@ def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str
 
 
 def _radius_squared(camera: Camera) -> NDArray[np.float64]:
-    """Squared distance (H, W) of pixels from the image's centre, 1 in its corners."""
+    """Squared distance (H, W) of pixels from the image's centre, 1 at its corners."""
     x = (np.arange(camera.width_px) + 0.5 - 0.5 * camera.width_px) / (0.5 * camera.width_px)
     y = (np.arange(camera.height_px) + 0.5 - 0.5 * camera.height_px) / (0.5 * camera.height_px)
     return np.asarray(0.5 * (x[None] ** 2 + y[:, None] ** 2))

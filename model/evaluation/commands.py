@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommand ``materials evaluate``, which defers heavy imports."""
+"""The subcommand ``materials evaluate``, which imports heavy modules only when it runs."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ def evaluate(
         typer.Option("--cache", help="Folder of scenes, atlases and renderings; default: OUT/cache."),
     ] = None,
     checkpoint: Annotated[
-        Path | None,
-        typer.Option("--checkpoint", help="Weights (.safetensors) in place of the bundled ones."),
+        Path | None, typer.Option("--checkpoint", help="Weights (.safetensors) in place of the bundled ones.")
     ] = None,
     compare: Annotated[
         Path | None,

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Comparison of two runs of a suite: differences of the figures, and whether they exceed the noise.
 
-Scenes, methods and views are matched by name. Every figure has its two means over the views judged in both
-runs, their difference and its standard error (``noise``); a difference below two standard errors counts as
-none.
+Scenes, methods and views are matched by name. For every figure the table gives the means over the views
+judged in both runs, their difference and its standard error (``noise``); a difference below two standard
+errors is not significant.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from model.evaluation.results import MethodResult, SuiteResult
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Cell, Table
 
 _IMAGES = {"psnr_srgb_db": ("PSNR (dB)", True), "dssim": ("DSSIM", False), "lpips_vgg": ("LPIPS", False)}
-"""Compared image metrics: name, and whether higher is better."""
+"""Image metrics that are compared, by name, and whether a higher value is better."""
 _STAGES = {"per_view": "per view", "merged": "merged"}
 NONE = "none"
 
 
 def read_other(path: Path) -> SuiteResult:
-    """Read another run's ``evaluation.json``, given as file or folder; raises :class:`InputError`."""
+    """Read another run's ``evaluation.json``, or that in a folder; raises :class:`InputError` if invalid."""
     file = path / "evaluation.json" if path.is_dir() else path
     if not file.is_file():
         expected = "evaluation.json of another run, or its folder"
@@ -73,7 +73,7 @@ def _cells(found: Difference, more_is_better: bool) -> tuple[Cell, ...]:
 
 
 def _differences(other: MethodResult, this: MethodResult) -> Iterator[tuple[str, Difference, bool]]:
-    """Yield each figure's name, its difference, and whether higher is better."""
+    """Yield each figure's name, its difference between the runs, and whether a higher value is better."""
     for stage, words in _STAGES.items():
         rows = [result.map_views.get(stage, {}) for result in (other, this)]
         weights = {view: row["pixels"] for view, row in rows[1].items()}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Test scenes drawn from a recipe: rooms with objects, materials and lights as in datasets.
 
-The recipe's configuration number ``configuration`` is used unchanged except for its cameras: their number,
-resolution and sampling are the scene's, and a walk of novel views is added.
+The scene is the recipe's configuration number ``configuration`` with other cameras: their number, resolution
+and sampling are those of the test scene, and a walk of novel views is added.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 
 def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """Import ``sources`` into ``folder`` if it is missing; returns (``folder``,), or () without sources."""
+    """Import ``sources`` into ``folder`` unless it exists; returns (``folder``,), or () without sources."""
     if not sources:
         return ()
     if not folder.is_dir():
@@ -39,7 +39,7 @@ def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
 
 
 def recipe_library(source: Path, own: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The folders of the libraries of the recipe at ``source``, and ``own``."""
+    """Library folders of the recipe at ``source``, followed by the folders ``own``."""
     return (*resolve_library_paths(read_yaml(Recipe, source).library, source.parent), *own)
 
 
@@ -52,10 +52,10 @@ def draw_room(
     num_views: int,
     num_novel: int,
 ) -> Configuration:
-    """Configuration ``index`` of the recipe at ``source``, with ``num_views`` cameras view-000 ... and
-    ``num_novel`` cameras path-000 ... on a walk.
+    """Draw configuration ``index`` of the recipe at ``source``, with ``num_views`` cameras view-000 ... and
+    ``num_novel`` cameras path-000 ... on a walk, of ``resolution`` (width, height).
 
-    Raises :class:`InputError` if the recipe has no such configuration, generates its rooms or is invalid.
+    Raises :class:`InputError` if the recipe is invalid, has no such configuration, or generates its rooms.
     """
     changes = {"views": num_views, "resolution": resolution, "cameras": cameras}
     recipe = read_yaml(Recipe, source).model_copy(update=changes)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Runs a suite: scenes, methods, figures. Results in the cache are reused.
+"""Evaluation of all methods of a suite on all its scenes, with results cached in these folders:
 
-CACHE/geometries/               unwrapped meshes given to methods
+CACHE/geometries/               unwrapped meshes that methods use
 CACHE/features/                 LPIPS features of the truth
 CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
@@ -32,15 +32,7 @@ from model.evaluation.camera_faults import CameraFaults, as_taken
 from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures
 from model.evaluation.metrics import means
-from model.evaluation.opened_scene import (
-    INSERTED,
-    OWN,
-    OpenedScene,
-    Tell,
-    key_of,
-    open_scene,
-    told,
-)
+from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_of, open_scene, told
 from model.evaluation.predictions import light_revision, link_files, predictions_folder
 from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.rendering import JudgedView
@@ -55,29 +47,30 @@ from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import MapSource
 
 _MEASURES = 4
-"""Revision of the measures: figures of another revision are measured again."""
+"""Revision of the measures; cached figures of another revision are measured again."""
 _RECONSTRUCTION = 13
-"""Revision of ``infer``: maps of another revision are computed again."""
+"""Revision of ``materials infer``; cached maps of another revision are computed again."""
 _MATERIALS_FROM_LIGHT = 8
-"""Further revision of materials from light, in addition to ``LIGHT_REVISION``."""
+"""Revision of materials from light in evaluations, in addition to ``LIGHT_REVISION``."""
 _TAKEN = 1
-"""Further revision of photographs with faults."""
+"""Revision of photographs with camera faults."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Result of a suite. ``truth``: for each scene, its judged views under its own light."""
+    """Result of a suite; ``truth`` contains the true judged views under the scene's own light, by scene and
+    view."""
 
     result: SuiteResult
     truth: dict[str, dict[str, JudgedView]]
 
 
 def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: None) -> Evaluation:
-    """Measure every method on every scene.
+    """Evaluate every method on every scene of a suite; ``cache`` is the folder of intermediate results.
 
     Before any rendering, all scenes are imported and compared with the training data of the checkpoints. A
     scene that fails (a bad source, faulty maps, a checkpoint trained on it) is listed in the result's
-    ``failures`` with the reason; the other scenes are not affected.
+    ``failures`` with the reason.
     """
     lpips = Lpips(cache / "features")
     failures: dict[str, str] = {}
@@ -118,7 +111,7 @@ def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: 
 
 
 def _opened(suite: Suite, planned: PlannedScene, tell: Tell) -> OpenedScene:
-    """Photograph a planned scene, open it, and check the files of methods of kind ``maps``."""
+    """Render a planned scene, open it, and check the files of methods of kind ``maps``."""
     name = planned.recipe.name
     prepared = photograph(planned, lambda stage, done, total: tell(f"{name}: {stage}", done, total))
     scene = open_scene(suite, planned.recipe, prepared, tell)
@@ -139,7 +132,7 @@ def _assert_unknown(suite: Suite, planned: PlannedScene) -> None:
 
 
 def _check_maps(suite: Suite, scene: OpenedScene) -> None:
-    """Check the files of methods of kind ``maps`` before hours are spent on other methods."""
+    """Raise :class:`InputError` for invalid files of methods of kind ``maps``, before other methods run."""
     problems: list[Problem] = []
     for method in suite.methods:
         if isinstance(method, MapsMethod):
@@ -157,7 +150,7 @@ def _check_maps(suite: Suite, scene: OpenedScene) -> None:
 def _judge(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, lpips: Lpips, tell: Tell
 ) -> MethodResult:
-    """Results of a method on a scene, photographed with the faults ``camera``; from the cache if possible."""
+    """Evaluate a method on a scene's photographs with the faults ``camera``, or read the cached result."""
     name = scene.recipe.name
     base = MethodResult(
         scene=name,
@@ -206,7 +199,7 @@ def _judge(
 
 
 def _maps_identity(method: Method, scene: str) -> list[str]:
-    """Name, size and time of each file of a method of kind ``maps``; changed files are measured again."""
+    """Name, size and time of change of each file of a method of kind ``maps``; empty for other methods."""
     folder = getattr(method, "folder", None)
     if folder is None:
         return []
@@ -266,14 +259,9 @@ def _measure(
 
 
 def _reconstruct(
-    suite: Suite,
-    scene: OpenedScene,
-    method: Method,
-    camera: CameraFaults | None,
-    folder: Path,
-    tell: Tell,
+    suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, folder: Path, tell: Tell
 ) -> tuple[Path, dict[str, Any]]:
-    """Folder of a method's asset, and results from the report of ``infer``, which runs if it is missing."""
+    """Run ``infer`` for a method unless done; returns the asset's folder and results from the report."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
@@ -314,7 +302,7 @@ def _reconstruct(
 
 
 def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
-    """Errors of the predicted maps of the judged input views, before merging."""
+    """Errors of the maps predicted for the judged input views, before they are merged."""
     measures = MapMeasures()
     for name in scene.inputs:
         maps = decode_view(folder / "views" / f"{name}.exr", MATERIAL_MAPS)
@@ -325,7 +313,7 @@ def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
 
 
 def _map_results(stage: str, measures: MapMeasures, earlier: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Fields of :class:`MethodResult` for the maps of a stage, added to the ``earlier`` ones."""
+    """Fields of :class:`MethodResult` for the maps of a stage, merged with the ``earlier`` fields."""
     found = earlier or {}
     return {
         f"maps_{stage}": measures.mse(),

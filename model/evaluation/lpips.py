@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""LPIPS of many methods' images against the same truth, whose VGG features are computed once.
+"""LPIPS of many methods' images against the same true images, whose VGG features are computed once.
 
-Features are stored in half precision in a folder, each file named by the hash of its image: 34 MB for 480 x
-288 pixels. Half precision changes a distance by less than 1e-4.
+Features are stored in half precision in files named by the hash of the image: 34 MB for 480 x 288 pixels.
+Half precision changes a distance by less than 1e-4.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _REVISION = 1
 
 
 class Lpips:
-    """LPIPS-VGG; ``absence`` is the reason if its weights are missing, else ''.
+    """LPIPS-VGG distance of images; ``absence`` states why its weights are missing, '' if they are not.
 
-    ``folder``: folder in which features of true images are stored, if any; ``layers``: VGG16's convolutions,
-    None for those of :func:`~model.training.weights.find_vgg`.
+    ``folder`` stores the features of true images (None: nowhere); ``layers`` are VGG16's convolutions, None
+    for those of :func:`~model.training.weights.find_vgg`.
     """
 
     def __init__(self, folder: Path | None = None, layers: Sequence[Any] | None = None) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of maps: by map and by kind of surface, scale errors, and measures of other publications.
+"""Errors of maps, in total and by kind of surface, scale errors, and measures of other publications.
 
 All squared errors are of linear values over surface pixels and channels. ``diffuse gain``: the factor for the
 whole scene that minimises the squared error of D; ``region gain``: one such factor for each region of the
@@ -9,8 +9,8 @@ scene, which leaves the error within regions. ``level error``: median over surfa
 ``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which also
 gives FIPT's figures: 8-bit values, PSNR of every whole view with emitters (and for kd everything of a
 roughness other than 1) set to zero in both images, and the mean of the decibels. Our kd is D, and our a' is
-(1 - S) D + S; IRIS uses the diffuse colour and the integrated reflectance of Disney's lobe. Emission: pixels
-of surfaces that emit and have no material.
+(1 - S) D + S; IRIS uses the diffuse colour and the integrated reflectance of Disney's lobe. An emitter's
+pixels are those of emitting surfaces without a material.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ QUARTERS = 4
 
 @dataclass
 class MapMeasures:
-    """Accumulates errors over views, from which methods compute the results.
+    """Errors accumulated over views.
 
-    ``squared`` and ``pixels``: sums of squared errors and numbers of pixels by kind of surface; ``views``:
-    each view's mean squared errors by map, and its number of ``pixels``; ``num_surface``: number of true
-    surface pixels.
+    ``squared``: sums of squared errors by kind of surface and map; ``pixels``: numbers of pixels by kind;
+    ``views``: by view, mean squared errors by map and the number of ``pixels``; ``num_surface``: number of
+    true surface pixels.
     """
 
     squared: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -60,10 +60,10 @@ class MapMeasures:
         rendered: JudgedView | None = None,
         confidence: NDArray | None = None,
     ) -> None:
-        """Add the maps (H, W, C) of a view, by name.
+        """Add the maps (H, W, C) of a view, by name, with the kinds of its ``surfaces``.
 
-        ``rendered``: the view of the recovered scene, if the maps are rendered from it: pixels without its
-        surface are excluded, and its emission is compared. ``confidence`` (H, W, 3) of D, S and R.
+        ``rendered`` is the view of the recovered scene if the maps are rendered from it: pixels without its
+        surface are excluded, and its emission is compared. ``confidence`` (H, W, 3) is that of D, S and R.
         """
         mask = truth.surface_mask if rendered is None else truth.surface_mask & rendered.surface_mask
         errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MATERIAL_MAPS}
@@ -85,7 +85,7 @@ class MapMeasures:
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
-        """Figures by name: PSNR of maps, D after gains, level errors, and measures of other publications."""
+        """Figures by name: PSNR of maps in dB, errors of D after gains, level errors, measures of others."""
         found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
         estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
         found |= level_figures(estimate, truth, region)
@@ -94,7 +94,7 @@ class MapMeasures:
         return found
 
     def mse(self) -> dict[str, float]:
-        """Mean squared error by map."""
+        """Mean squared error over all compared pixels, by map."""
         count = max(self.pixels.get("all", 0), 1)
         return {name: self.squared["all"][name] / count for name in MATERIAL_MAPS}
 
@@ -117,8 +117,8 @@ class MapMeasures:
     def calibration(self) -> dict[str, list[float]]:
         """Calibration of the confidence, by map; empty without confidence.
 
-        A list of the rank correlation of confidence and negative error, and of the root mean square errors of
-        four quarters of the pixels, from the least to the most confident.
+        The list contains the rank correlation of confidence and negative error, then the root mean square
+        errors of four quarters of the pixels in order of increasing confidence.
         """
         if not self._sure:
             return {}
@@ -136,10 +136,11 @@ class MapMeasures:
 
 
 def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
-    """Scale errors of D (N, 3): the best gain, the MSE after it and after one gain per ``region`` (N,), and
-    the median |ln ratio| of the regions' luminance.
+    """Scale errors of ``estimate`` (N, 3) of D: the best gain, the MSE after it and after one gain per
+    ``region`` (N,), and the median |ln(estimate / truth)| of the regions' luminance.
     """
-    gain = _best_gain((estimate * truth).sum(), (estimate**2).sum())
+    square = (estimate**2).sum()
+    gain = float((estimate * truth).sum() / square) if square > 0 else 1.0
     index = np.unique(region, return_inverse=True)[1]
 
     def summed(values: NDArray) -> NDArray[np.float64]:
@@ -158,10 +159,6 @@ def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[st
     }
 
 
-def _best_gain(product: float, square: float) -> float:
-    return float(product / square) if square > 0 else 1.0
-
-
 def psnr_of_mse(mse: float) -> float:
     """PSNR in dB of values with a range of 1; at most 100 dB."""
     return float(-10.0 * np.log10(max(mse, _MIN_MSE)))
@@ -174,13 +171,13 @@ def _eight_bits(values: NDArray) -> NDArray[np.float64]:
 def measures_of_others(
     maps: Mapping[str, NDArray], truth: JudgedView, rendered: JudgedView | None = None
 ) -> dict[str, float]:
-    """PSNR of ``kd``, ``a_prime`` and ``roughness`` of one view in dB.
+    """PSNR of ``kd``, ``a_prime`` and ``roughness`` of one view in dB, by name.
 
-    A rendered view whose truth shows an emitter also has the IoU of the emitters' pixels and the mean squared
-    difference of ln(1 + emission).
+    For a rendered view whose truth contains an emitter, also the IoU of the emitters' pixels and the mean
+    squared difference of ln(1 + emission).
     """
     lit = truth.emission_mask
-    is_seen = truth.surface_mask | lit  # the background is zero in both images
+    is_seen = truth.surface_mask | lit  # in both images the background is zero
     rough = np.clip(_eight_bits(truth.maps[R]), _MIN_ROUGHNESS, 1.0)
     matt = rough[..., 0] >= 1.0
     pairs: dict[str, tuple[NDArray, NDArray, NDArray]] = {

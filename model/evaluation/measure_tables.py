@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Further tables of a suite: levels, kinds of surface, other measures, noise, confidence, cameras."""
+"""Further tables of a suite: albedo scale, kinds of surface, other measures, noise, confidence, cameras."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PUBLISHED_OTHERS = (
 
 
 def measure_tables(result: SuiteResult) -> list[Table]:
-    """All tables with rows, and always the table of surface kinds."""
+    """Further tables of a suite's result, without empty ones except that of the kinds of surface."""
     tables = [_levels(result), _kinds(result), _others(result), _noise(result)]
     tables += [_calibration(result), _cameras(result)]
     return [table for table in tables if table.rows or table.name == "kinds"]
@@ -119,7 +119,7 @@ def _noise(result: SuiteResult) -> Table:
 
 
 def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
-    """(light, set of views, PSNR in dB with its noise) for each light and set that has views."""
+    """PSNR in dB with its noise for each light and set of views, as (light, set, figure)."""
     found = []
     for light in LIGHTS:
         for views in VIEW_SETS:

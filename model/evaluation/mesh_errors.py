@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Meshes with simulated errors, to measure how much a result depends on exact geometry.
+"""Simulated errors of meshes, to measure how much a result depends on exact geometry.
 
-Parts keep their order; lamps are unchanged, since their effect on the light is not under test.
+The order of parts is preserved. Lamps are unchanged, since their effect on the light is not under test.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _MAX_HOLES = 10_000
 
 
 class GeometryError(StrictModel):
-    """Errors of a mesh, applied in this order.
+    """Errors of a mesh, in the order of their application.
 
-    Edges are split to at most ``edge_m`` (None: not split), vertices moved along each axis by Gaussian noise
-    of standard deviation ``noise_m``, triangles reduced to the share ``keep_share``, and round holes of
-    ``hole_radius_m`` cut until ``hole_share`` of the area is removed.
+    Edges are split to at most ``edge_m`` metres (None: not split), vertices moved along each axis by Gaussian
+    noise of standard deviation ``noise_m``, the number of triangles reduced to the share ``keep_share``, and
+    round holes of radius ``hole_radius_m`` cut until ``hole_share`` of the area is removed.
     """
 
     noise_m: NonNegative = 0.0
@@ -48,7 +48,7 @@ class GeometryError(StrictModel):
 
 
 def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeometry:
-    """Apply the errors; the result has no UVs and normals, like a reconstructed mesh."""
+    """Apply ``error`` to ``geometry``; like a reconstructed mesh, the result has neither UVs nor normals."""
     random = np.random.default_rng([error.seed, 0x6D657368])
     meshes = []
     for part in geometry.parts:
@@ -89,7 +89,8 @@ def _worse(mesh: Mesh, error: GeometryError, random: np.random.Generator) -> Mes
 
 
 def _reduced(positions: NDArray, faces: NDArray, keep_share: float) -> tuple[NDArray, NDArray]:
-    """Collapse edges by quadric error (Garland and Heckbert 1997) to a share of the triangles."""
+    """Collapse edges by quadric error (Garland and Heckbert 1997) until ``keep_share`` of the triangles is
+    left; returns ``positions`` (V, 3) and ``faces`` (M, 3)."""
     from fast_simplification import simplify
 
     count = max(_MIN_FACES, round(keep_share * len(faces)))

@@ -4,8 +4,7 @@
 Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR with data range 1; SSIM
 with an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), mean over channels; DSSIM = 1 - SSIM;
 LPIPS-VGG version 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed after
-multiplying all rendered images by one factor, the median ratio of luminance over surface pixels, as if a
-light were dimmed or brightened by hand.
+multiplying all rendered images by one factor, the median ratio of luminance over surface pixels.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ _DARK = 1e-6  # keeps the ratio of two black pixels at 1
 
 
 def common_exposure(views: Sequence[JudgedView]) -> float:
-    """Exposure that brings the 95th percentile of the luminance of all views' surface pixels to 0.9."""
+    """Factor that scales the 95th percentile of the luminance of all views' surface pixels to 0.9."""
     return exposure_for(np.concatenate([view.color[view.surface_mask] for view in views]))
 
 
 def shown(color: NDArray, exposure: float) -> NDArray[np.float64]:
-    """An image (H, W, 3) exposed, clipped and sRGB-encoded, in [0, 1]."""
+    """Multiply linear ``color`` (H, W, 3) by ``exposure``, clip it to [0, 1] and encode it as sRGB."""
     return np.asarray(srgb_from_linear(np.clip(color.astype(np.float64) * exposure, 0.0, 1.0)))
 
 
 def psnr_db(image: NDArray, truth: NDArray) -> float:
-    """Peak signal-to-noise ratio of images in [0, 1], in dB, at most ``MAX_PSNR_DB``."""
+    """Peak signal-to-noise ratio in dB of images of equal shape in [0, 1], at most ``MAX_PSNR_DB``."""
     mse = float(((image - truth) ** 2).mean())
     return MAX_PSNR_DB if mse == 0 else min(MAX_PSNR_DB, float(-10.0 * np.log10(mse)))
 
@@ -57,7 +56,7 @@ def ssim(image: NDArray, truth: NDArray) -> float:
 
 
 def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView]) -> float:
-    """Median ratio of true to rendered luminance over the surface pixels of all views; 1 without any."""
+    """Median ratio of true to rendered luminance over surface pixels of all views; 1 without such pixels."""
     ratios = []
     for name, view in truth.items():
         mask = view.surface_mask & rendered[name].surface_mask
@@ -70,7 +69,7 @@ def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedVi
 def image_figures(
     rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView], exposure: float, lpips: Lpips | None
 ) -> dict[str, dict[str, float | None]]:
-    """Metrics by view of ``truth`` and by name; LPIPS is None if ``lpips`` is None."""
+    """Metrics of ``rendered`` views against ``truth``, by view and name; LPIPS is None without ``lpips``."""
     gain = fitted_gain(rendered, truth)
     return {
         name: _figures_of(rendered[name], true_view, exposure, gain, lpips)
@@ -98,7 +97,7 @@ def _figures_of(
 
 
 def means(rows: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Mean of every metric over views, None if a view has no value; empty without views."""
+    """Mean over views of each metric of ``rows`` (by view and name), None if a view lacks it."""
     found: dict[str, float | None] = {}
     for key in next(iter(rows.values()), {}):
         values = [row[key] for row in rows.values()]

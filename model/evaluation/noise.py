@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Noise of figures.
+"""Standard errors of figures.
 
-A figure is a mean over views, with noise from the choice of views, estimated by bootstrap, and noise from the
-renderer's samples, estimated by rendering some views with a second seed. The two are added in quadrature. For
-the difference of two methods on the same views, the bootstrap is paired: variation common to both cancels.
+A figure is a mean over views. Its noise due to the choice of views is estimated by bootstrap, the noise of
+the renderer by rendering some views with a second seed; the two are added in quadrature. The bootstrap of the
+difference of two methods on the same views is paired, so variation common to the methods cancels.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 
 _RESAMPLES = 2000
 _SEED = 0x6E6F6973
-SURE = 2.0  # standard errors: smaller differences count as none
+SURE = 2.0  # minimum significant difference in standard errors
 
 
 def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Standard error of the (weighted) mean of values (V,), by bootstrap; NaN for fewer than two values."""
+    """Standard error of the (weighted) mean of ``values`` (V,), by bootstrap; NaN for fewer than two."""
     values = np.asarray(values, np.float64)
     if len(values) < 2:
         return float("nan")
@@ -49,16 +49,16 @@ class Figure:
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
-    """Mean of a figure's ``values`` over views; ``spread``: standard deviation of a value by seed."""
+    """Mean of one figure's ``values`` per view; ``spread`` is a value's standard deviation over seeds."""
     return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
 
 
 def seed_spread(
     pairs: Sequence[tuple[Mapping[str, float | None], Mapping[str, float | None]]],
 ) -> dict[str, float]:
-    """Standard deviation of each figure of a view, from pairs of the same views with two seeds.
+    """Standard deviation over seeds of each figure of a view, from ``pairs`` of a view's figures by name.
 
-    Figures after a gain are left out: the gain is fitted to all views, and few are rendered twice.
+    Figures with a gain are omitted, since the gain is fitted to all views and few are rendered twice.
     """
     found = {}
     for key in (key for key in pairs[0][0] if "gain" not in key):
@@ -74,7 +74,7 @@ def seed_spread(
 
 @dataclass(frozen=True)
 class Difference:
-    """The figures ``other`` and ``this``, and the standard error of ``this - other``."""
+    """Figures ``other`` and ``this`` of two runs, and the standard error of their difference."""
 
     other: float
     this: float
@@ -82,7 +82,7 @@ class Difference:
 
     @property
     def is_none(self) -> bool:
-        """Whether the difference may be due to chance."""
+        """Whether the difference is below two standard errors."""
         return not abs(self.this - self.other) > SURE * self.error
 
 
@@ -92,10 +92,10 @@ def difference(
     spreads: tuple[float, float] = (0.0, 0.0),
     weights: Mapping[str, float] | None = None,
 ) -> Difference | None:
-    """Difference of two means over the views in ``other`` and ``this``; None for fewer than two such views.
+    """Difference of the means of two figures, by view, over common views; None for fewer than two of them.
 
-    ``spreads``: standard deviations of a view's figure by seed, in ``other`` and ``this``; ``weights``: by
-    view.
+    ``spreads`` are standard deviations of a view's figure over seeds, in ``other`` and ``this``; ``weights``
+    are by view.
     """
     names = [name for name in other if name in this]
     if len(names) < 2:

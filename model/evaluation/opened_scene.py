@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A test scene, shared by all methods of a suite: capture, lights, judged views, truth."""
+"""A test scene as shared by all methods of a suite: capture, lights, judged views and true images."""
 
 from __future__ import annotations
 
@@ -30,20 +30,19 @@ from model.reconstruction.captures import CaptureOptions, read_capture
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
 RECOVERED = "recovered"
-"""The lights found by a method, in place of the scene's; compared with the truth under the scene's own light.
-"""
-RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, that of the photographs
+"""Light of renderings with a method's own lights; compared with the truth under the scene's own light."""
+RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, which photographs use
 _REVISION = 2
-"""Revision of atlases and renderings; results of another revision are computed again."""
+"""Revision of atlases and renderings; cached ones of another revision are computed again."""
 
 
 @dataclass
 class OpenedScene:
-    """A scene with its judged views, ``inputs`` and ``novel``.
+    """A scene and the names of its judged views, ``inputs`` and ``novel``.
 
-    ``sceneries``, ``truth`` (by view), ``exposures`` and ``renders`` (folders of true views that are not in
-    the capture) are by light. ``root`` is the folder of results; ``figure_views`` are the views in the
-    pictures; ``modified_gain`` scales the scene's own lamps under modified light.
+    By light: ``sceneries``, ``truth`` (true views by name), ``exposures``, and ``renders`` (folders of true
+    views that are not in the capture). ``root`` is the folder of results; ``figure_views`` are the views in
+    pictures, by set; ``modified_gain`` scales the scene's own lights under modified light.
     """
 
     recipe: TestScene
@@ -63,15 +62,15 @@ class OpenedScene:
 
     @property
     def geometries(self) -> Path:
-        """Folder of the unwrapped meshes of all scenes."""
+        """Folder of unwrapped meshes, shared by all scenes."""
         return self.root.parents[1] / "geometries"
 
     def view(self, name: str) -> CaptureView:
-        """The view of the capture with this name."""
+        """The view ``name`` of the capture."""
         return next(view for view in self.capture.views if view.name == name)
 
     def surfaces(self, name: str) -> ViewSurfaces:
-        """The kinds of surface in a judged view, computed once."""
+        """Kinds of surface in the judged view ``name``, computed once."""
         if name not in self._surfaces:
             if self._finder is None:
                 self._finder = SurfaceFinder(self.capture.geometry, self.capture.lights)
@@ -79,11 +78,11 @@ class OpenedScene:
         return self._surfaces[name]
 
     def views_of(self, light: str) -> tuple[str, ...]:
-        """Names of the views rendered under a light."""
+        """Names of the judged views that are rendered under ``light``."""
         return (self.figure_views["input"],) if light == INSERTED else (*self.inputs, *self.novel)
 
     def input_capture(self) -> Capture:
-        """Capture of the photographs available to methods."""
+        """The capture with only the photographs that methods may use."""
         inputs = set(self.prepared.input_names)
         return replace(self.capture, views=tuple(v for v in self.capture.views if v.name in inputs))
 
@@ -96,10 +95,10 @@ class OpenedScene:
         views: tuple[str, ...] | None = None,
         *stopped_by: Any,
     ) -> Rendering:
-        """Rendering of ``scenery`` under ``light``, in a folder named by everything that affects its pixels.
+        """Define the rendering of ``scenery`` under ``light``, in a folder named by a hash of its inputs.
 
-        ``views``: None for all views of the light. ``seed`` is added to the scenery's seed; ``stopped_by``
-        identifies the criterion of early stopping.
+        ``views`` None selects all views of the light; ``seed`` is added to the scenery's seed; ``stopped_by``
+        are further inputs, those of early stopping.
         """
         seed += scenery.configuration.seed
         cameras = self.views_of(light)
@@ -108,7 +107,7 @@ class OpenedScene:
         return Rendering(seed, views or cameras, self.root / "renders" / key)
 
     def result(self, methods: tuple[MethodResult, ...]) -> SceneResult:
-        """The scene's part of the suite's result."""
+        """Result of the scene with the results of all methods."""
         samples = [record.render.path_samples for record in ShardReader(self.prepared.capture).records()]
         return SceneResult(
             name=self.recipe.name,
@@ -126,7 +125,7 @@ class OpenedScene:
 
 
 def key_of(*parts: Any) -> str:
-    """Hash of ``parts``, 12 hexadecimal digits, for the name of a folder or file."""
+    """Hash of ``parts`` in 12 hexadecimal digits, for names of folders and files."""
     return sha256_hex(canonical_json([_REVISION, *parts]))[:12]
 
 
@@ -136,7 +135,7 @@ def told(tell: Tell, stage: str) -> Callable[[int, int], None]:
 
 
 def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: Tell) -> OpenedScene:
-    """Open a photographed scene, and render the parts of its truth that are missing."""
+    """Open a photographed scene, and render its missing true views under each light."""
     select_variant()
     whole = read_capture(
         prepared.capture, CaptureOptions(library=prepared.library, max_width_px=recipe.resolution[0])
@@ -183,7 +182,7 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
 
 
 def _choose_figures(suite: Suite, scene: OpenedScene) -> None:
-    """Choose views for the pictures, and the position of the inserted object in one of them."""
+    """Choose the views in pictures, and add the scenery with the object inserted in one of them."""
     inserted = suite.inserted[scene.recipe.name]
     package = open_package(Path(inserted.package))
     thing, _ = package_geometry(package, PlacedAsset(name=INSERTED, asset=package.id))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Self-contained HTML page of a suite. For every scene: the best and the worst view of each method behind a
-slider between truth and estimate, errors of D, S and R of one view on one scale, a chart of errors by kind of
-surface, all pictures, and the tables.
+"""Self-contained HTML page of a suite. For every scene it shows the best and the worst view of each method
+with a slider between truth and estimate, errors of D, S and R in one view on a common scale, a chart of
+errors by kind of surface, all pictures, and the tables.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from model.evaluation.surface_kinds import KINDS
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Table
 
 _JPEG_QUALITY = 88
-_BOUNDS = ("oracle", "truth")  # no method can be better
+_BOUNDS = ("oracle", "truth")  # kinds of methods that are upper bounds of all others
 _WIDTH_PX = 480
 LARGEST_ERROR = 0.5
-"""Error that has the last colour of the error maps' scale."""
+"""Smallest error with the last colour of the scale of error maps."""
 NOTHING = 0.88
-"""Grey of pixels without an error, in [0, 1]; lighter than any colour of the scale."""
+"""Grey in [0, 1] of pixels that are not compared; lighter than any colour of the scale."""
 _BAR_PX, _NAME_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 27, 12, 92, 430
 
 
@@ -42,7 +42,7 @@ def page_html(
     rows: Mapping[str, list[Row]],
     truths: Mapping[str, Mapping[str, JudgedView]],
 ) -> str:
-    """The page as HTML. ``rows`` and ``truths``, true views under the scene's own light, are by scene."""
+    """The page as HTML. By scene: ``rows`` of pictures, and ``truths``, true views under its own light."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)
@@ -64,7 +64,7 @@ def page_html(
 
 
 def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
-    """HTML section of one scene. ``truth``: its true views under its own light, by name."""
+    """HTML section of one scene; ``truth`` contains its true views under its own light, by name."""
     methods = [m for m in scene.methods if not m.skipped and m.kind != "truth"]
     views = {method.label: rendered_views(method, "own") for method in methods}
     cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)
@@ -78,7 +78,7 @@ def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, Judg
 
 
 def _summary(scene: SceneResult) -> str:
-    """HTML table of the main figures, with the best method, except bounds, in bold."""
+    """HTML table of a scene's main figures, with the best method in bold; bounds are not methods."""
     judged = [method for method in scene.methods if not method.skipped]
     heads = [f"{letter} (MSE)" for letter in LETTERS.values()]
     heads += [f"{light} light, {views} (dB)" for light in LIGHTS for views in VIEW_SETS]
@@ -112,8 +112,8 @@ def _summary(scene: SceneResult) -> str:
 
 
 def best_and_worst(method: MethodResult) -> list[tuple[str, str, float]]:
-    """The views of highest and lowest PSNR under the scene's own light, as ("best" or "worst", name, PSNR in
-    dB); a single view is listed once, as best.
+    """Views of highest and lowest PSNR under the scene's own light, as ("best" or "worst", view, PSNR in dB);
+    a single view is listed once, as best.
     """
     rows = {
         name: row["psnr_srgb_db"] or 0.0
@@ -128,10 +128,7 @@ def best_and_worst(method: MethodResult) -> list[tuple[str, str, float]]:
 
 
 def _cards(
-    scene: SceneResult,
-    method: MethodResult,
-    views: Mapping[str, JudgedView],
-    truth: Mapping[str, JudgedView],
+    scene: SceneResult, method: MethodResult, views: Mapping[str, JudgedView], truth: Mapping[str, JudgedView]
 ) -> str:
     cards = []
     for which, name, psnr in best_and_worst(method):
@@ -166,7 +163,7 @@ def _error_maps(
     views: Mapping[str, Mapping[str, JudgedView]],
     truth: Mapping[str, JudgedView],
 ) -> str:
-    """HTML grid with a row for each map: the truth, and the error of every method."""
+    """HTML grid with a row for each map: the true map, then the error of every method."""
     name = scene.figure_views["input"]
     judged = [method for method in methods if name in views[method.label]]
     heads = ("", "truth", *(method.label for method in judged))
@@ -219,7 +216,7 @@ def _hue(index: int) -> str:
 
 
 def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> str:
-    """SVG chart of a map's errors by horizontal bars: a group for each kind, a bar for each method."""
+    """SVG chart of the errors of the map ``name``: a group of bars for each kind, a bar for each method."""
     errors = {
         (kind, k): float(np.sqrt(method.by_kind["merged"][kind][name]))
         for kind in kinds

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Camera positions for the photographs of a test scene, and a walk for novel views.
+"""Cameras for the photographs of a test scene, and for novel views on a walk.
 
-Photographs use the view sampling of datasets (:mod:`datagen.assembly.views`): free positions at the height of
-a handheld camera, directed at the contents of the room, none inside a wall, none similar to another. The walk
-leads through free space from one photograph's position to another's, with directions close enough that
-everything visible on the way was photographed.
+Photographs use the view sampling of datasets (:mod:`datagen.assembly.views`): different positions in free
+space at the height of a handheld camera, directed at the contents of the room. The walk leads through free
+space between two photographs with similar directions, so everything visible from it was photographed.
 """
 
 from __future__ import annotations
@@ -49,9 +48,10 @@ def choose_cameras(
     num_novel: int,
     seed: int,
 ) -> tuple[ViewCamera, ...]:
-    """``num_views`` cameras view-000 ... of photographs, then ``num_novel`` cameras path-000 ... of a walk.
+    """Choose ``num_views`` cameras view-000 ... and ``num_novel`` cameras path-000 ... on a walk.
 
-    Raises :class:`InputError` if the room has too few camera positions, or if none is lit by its own lights.
+    ``resolution`` is (width, height). Raises :class:`InputError` if the room has too few camera positions, or
+    if none is lit by its own lights.
     """
     geometry = GeometryCache().get(package)
     asset = geometry.asset
@@ -77,18 +77,16 @@ def choose_cameras(
 def walk_between(
     cameras: list[Camera], count: int, room: EnvironmentAsset, rays: RayScene, recipe: CameraRecipe
 ) -> list[Camera]:
-    """A walk of ``count`` cameras between two of ``cameras`` in a furnished room.
+    """Place ``count`` cameras on a walk between two of ``cameras`` in a furnished room.
 
-    Raises :class:`InputError` if no two of them have a free path between them.
+    Raises :class:`InputError` if there is no free path between any two of them.
     """
     return _walk(cameras, count, FreeSpace(room, rays, recipe.height_m), recipe.min_distance_m)
 
 
 def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) -> list[Camera]:
-    """``count`` cameras evenly spaced between two of ``cameras``, ends excluded.
-
-    Of all pairs with a free path and a small angle between them, the most distant one is used.
-    """
+    """Place ``count`` cameras at equal distances between two of ``cameras``, ends excluded: the most distant
+    pair with similar directions and a free path."""
     if count == 0:
         return []
     for first, last in _pairs(cameras):
@@ -105,7 +103,7 @@ def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) ->
 
 
 def _pairs(cameras: list[Camera]) -> NDArray[np.int64]:
-    """Indices (N, 2) of pairs of cameras with a small angle between them, the most distant pair first."""
+    """Indices (N, 2) of pairs of cameras with a small angle between directions, by decreasing distance."""
     positions = np.array([camera.position_m for camera in cameras])
     forwards = np.array([camera.forward for camera in cameras])
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of a scene side by side, for the page and for the figure of relighting and insertion."""
+"""Pictures of a scene in rows, for the page and for the figure of relighting and object insertion."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ COLUMNS = (
     "novel view, modified light",
 )
 RELIGHTING = ("original light", "modified light", "inserted object", "novel view")
-"""Rows of the figure of relighting."""
+"""Rows of the figure of relighting and object insertion."""
 
 
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
-    """Rows of the truth and of each method. ``stored``: the judged true views under own light, by name."""
+    """Rows of the truth and of each method; ``stored``: true views under the scene's own light, by name."""
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
     truth["own"] = stored
     if "recovered" in scene.exposures:
@@ -69,7 +69,7 @@ def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
 
 
 def rendered_views(method: MethodResult, light: str) -> dict[str, JudgedView]:
-    """A method's rendered views under a light; empty if there are none."""
+    """A method's rendered views under ``light``, by name; empty if there are none."""
     return _views(Path(method.renders[light])) if light in method.renders else {}
 
 
@@ -101,7 +101,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
 
 
 def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
-    """A map (H, W, 3) for display: D and S sRGB-encoded, R linear, black without surface."""
+    """The map ``name`` of a view for display, (H, W, 3): D and S as sRGB, R linear, black off surfaces."""
     values = view.maps[name]
     encoded = srgb_from_linear(values) if name != "roughness" else values
     pixels = np.where(view.surface_mask[..., None], encoded, 0.0)
@@ -109,7 +109,7 @@ def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
 
 
 def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8]:
-    """The image (H, W, 3) in [0, 1] as 8-bit pixels, scaled down to at most ``max_width_px`` of width."""
+    """Convert an image (H, W, 3) in [0, 1] to 8 bits, reduced to at most ``max_width_px`` in width."""
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels, np.float32)
     if width > max_width_px:
@@ -119,7 +119,7 @@ def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8
 
 
 def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDArray[np.uint8]:
-    """Sheet (H, W, 3) of labelled pictures: a row per method, or per item of ``columns`` if ``is_turned``."""
+    """Sheet (H, W, 3) of labelled pictures, a line per row or, if ``is_turned``, per item of ``columns``."""
     table = [[row.pictures[column] for column in columns] for row in rows]
     across, down = list(columns), [row.label for row in rows]
     if is_turned:
@@ -150,7 +150,7 @@ def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDAr
 
 
 def _write(canvas: NDArray[np.uint8], text: str, at: tuple[int, int], width: int) -> None:
-    """Draw text at (x, y), scaled down to at most ``width`` pixels."""
+    """Draw ``text`` at ``at`` (x, y) on a ``canvas`` (H, W, 3), reduced to at most ``width`` pixels."""
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.45
     (needed, _), _ = cv2.getTextSize(text, font, scale, 1)
     if needed > width:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Folders of maps predicted by a checkpoint, shared by methods that differ in later stages only."""
+"""Folders of predicted maps, shared by methods that differ only in later stages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from model.own_network import network_inputs
 def predictions_folder(
     scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str
 ) -> Path:
-    """Folder for the predictions of ``weights`` (a hash), named by everything that affects them."""
+    """Folder for predictions of the checkpoint with the hash ``weights``, named by a hash of their inputs."""
     faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
     names = scene.prepared.input_names
     return (
@@ -29,16 +29,13 @@ def predictions_folder(
 
 
 def light_revision(method: NetworkMethod) -> list[int]:
-    """[revision of recorded light] if it is an input of the method's network, else []."""
+    """List with the revision of recorded light if that is an input of the method's network, else []."""
     inputs = network_inputs(read_card(Path(method.checkpoint)).network)
     return [LIGHT_REVISION] if set(LIGHT_BUFFERS) & set(inputs) else []
 
 
 def link_files(source: Path, target: Path) -> None:
-    """Hard-link the files of ``source``, if any, into ``target``; existing files are kept.
-
-    Replacing a file in one folder leaves the other unchanged.
-    """
+    """Hard-link the files of the folder ``source``, if it exists, into ``target``; existing files stay."""
     if not source.is_dir():
         return
     target.mkdir(parents=True, exist_ok=True)

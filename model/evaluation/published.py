@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Figures of the paper (Prakash, Rainer, Bousseau, Drettakis 2022) for scenes that our suites also use.
 
-Its tables do not state with which views and light its re-renderings were judged, nor how exposure was
-matched; its DSSIM is assumed to be 1 - SSIM. *Ours Im.* and *No RP* are errors of maps per view, *Ours* of
-merged maps.
+Its tables do not state the views, the light and the exposure of its re-renderings; its DSSIM is assumed to be
+1 - SSIM. *Ours Im.* and *No RP* are errors of maps per view, *Ours* of merged maps.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 
 @dataclass(frozen=True)
 class PublishedMaps:
-    """Mean squared errors of a method's maps, in the order D, S, R."""
+    """Published mean squared errors of a method's maps, in the order D, S, R."""
 
     method: str
     is_merged: bool
     mse: tuple[float, float, float]
 
     def by_map(self) -> dict[str, float]:
-        """The errors by name of the map."""
+        """The errors by name of map."""
         return dict(zip(MATERIAL_MAPS, self.mse, strict=True))
 
 
@@ -30,8 +29,8 @@ class PublishedMaps:
 class PublishedScene:
     """Published figures of a scene.
 
-    ``images``: PSNR in dB and DSSIM by method; ``minutes``: of statistics, prediction and the texturing of
-    one of three maps, on a Xeon 5218 with a Quadro RTX 5000.
+    ``images``: (PSNR in dB, DSSIM) by method; ``minutes``: times of statistics, prediction and the texturing
+    of one of three maps, on a Xeon 5218 with a Quadro RTX 5000.
     """
 
     num_views: int
@@ -62,4 +61,4 @@ PUBLISHED = {
         (4.56, 3.26, 1.32),
     ),
 }
-"""Published figures by name of the scene."""
+"""Published figures by name of scene."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sceneries of a reconstruction under the scene's lights, and under the recovered lights."""
+"""Sceneries of a reconstruction under the scene's lights and under recovered lights."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Emission = dict[str, tuple[float, float, float]]
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """Scenery, by light, of ``asset`` under each light of the scene, and under recovered lights, if any."""
+    """Sceneries of the package ``asset``, by light: each light of the scene, and recovered lights if any."""
     parts = scene.capture.geometry.parts
     sceneries = {}
     for light, truth in scene.sceneries.items():
@@ -31,10 +31,10 @@ def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
 
 
 def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emission:
-    """Radiance of a reconstruction's emissive slots, by slot, as in the scene.
+    """Radiance (RGB) by emissive slot of the package ``asset`` that restores the scene's lamps.
 
-    Slot ``lamp-N`` (``export.slots``) has the radiance of the N-th emissive part times ``gain``, other slots
-    with emission have 0.
+    Slot ``lamp-N`` (``export.slots``) has the radiance of the N-th emissive part times ``gain``; all other
+    slots have 0.
     """
     emitted = [part.emission for part in parts if part.emission is not None]
     lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(emitted)}
@@ -47,7 +47,7 @@ def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emi
 
 
 def relit_scenery(truth: Scenery, asset: Path) -> Scenery:
-    """Scenery of the reconstruction under the lights of its package alone, with the cameras of ``truth``."""
+    """Scenery of the package ``asset`` under only its own lights, with the cameras of ``truth``."""
     lights = configuration_of(asset, open_package(asset).sha256).lights
     scenery = recovered_scenery(truth, asset, {})
     return Scenery(scenery.configuration.model_copy(update={"lights": lights}), scenery.library)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Renders the views of a scenery to an EXR file each; existing files are kept, so a rerun resumes."""
+"""Rendering of a scenery's views to one EXR file each; existing files are kept, so a rerun resumes."""
 
 from __future__ import annotations
 
@@ -31,11 +31,10 @@ BUFFERS = ("beauty", *MATERIAL_MAPS, "surface_mask", "depth_z_m", "normal_world"
 
 @dataclass(frozen=True)
 class JudgedView:
-    """A view with its maps.
+    """Image of a view with its maps.
 
-    ``color`` (H, W, 3) is linear; ``maps`` (H, W, 3 or 1) are by name; ``surface_mask`` (H, W): pixels at
-    least half covered by reflecting surface; ``emission_mask`` (H, W): pixels of emitting surface without a
-    material.
+    ``color`` (H, W, 3) is linear radiance; ``maps`` (H, W, 3 or 1) are by name; ``surface_mask`` (H, W): at
+    least half of the pixel is reflecting surface; ``emission_mask`` (H, W): emitters without material.
     """
 
     color: NDArray[np.float32]
@@ -45,7 +44,7 @@ class JudgedView:
 
 
 def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
-    """Judged view of stored :data:`BUFFERS`, (H, W, C) by name."""
+    """Convert stored :data:`BUFFERS`, (H, W, C) by name, to a judged view."""
     maps = {name: np.clip(buffers[name].astype(np.float32), 0, 1) for name in MATERIAL_MAPS}
     color, surface = buffers["beauty"].astype(np.float32), surface_pixels(buffers)
     emits = ~surface & (buffers["depth_z_m"][..., 0] > 0) & (color.max(axis=2) > 0)
@@ -53,7 +52,7 @@ def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
 
 
 def stored_view(view: CaptureView) -> JudgedView:
-    """Judged view with the stored buffers of a rendered capture's view."""
+    """Read the stored buffers of a rendered capture's view as a judged view."""
     return judged_view(view.source.read_maps(BUFFERS))
 
 
@@ -61,7 +60,7 @@ def stored_view(view: CaptureView) -> JudgedView:
 class Rendering:
     """A rendering of some ``views`` of a scenery with one seed, stored as ``VIEW.exr`` in ``folder``.
 
-    Existing views are not rendered again, so the folder's name must depend on everything that affects pixels.
+    Existing files are reused, so the folder's name must depend on everything that affects pixels.
     """
 
     seed: int
@@ -80,18 +79,17 @@ class Rendering:
 
 @dataclass(frozen=True)
 class EnoughOf:
-    """Stops the rendering of a view once its noise hardly affects its difference from the truth.
+    """Criterion that stops the rendering of a view once noise hardly affects its difference from the truth.
 
-    A view is finished when its remaining error plus the standard error of this estimate, from quickly
-    denoised halves, is at most ``share`` of its difference from ``truth`` less the remaining error (all
-    relMSE).
+    With e, the estimated remaining error plus its standard error, and d, the difference from ``truth`` (both
+    relMSE), a view is finished when e <= ``share`` (d - remaining error).
     """
 
     truth: Mapping[str, JudgedView]
     share: float
 
     def decides(self, names: Sequence[str]) -> IsEnough:
-        """Stopping criterion for views with these ``names``, an argument of the renderer."""
+        """Stopping criterion, as an argument of the renderer, for the views ``names``, in their order."""
 
         def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
             difference = relative_mse(image, self.truth[names[index]].color, exposed=True)
@@ -109,10 +107,8 @@ def render_scenery(
     enough: EnoughOf | None = None,
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Render the missing views of ``renderings``; ``tell`` receives the number of views done and in total.
-
-    The scene is built once, and irradiance cache and sky guide are estimated from all ``cameras``, whichever
-    views are missing.
+    """Render the missing views of ``renderings``; ``tell`` is called with the numbers of views done and in
+    total. Irradiance cache and sky guide are estimated from all ``cameras``, whichever views are missing.
     """
     missing = [(rendering, names) for rendering in renderings if (names := rendering.missing())]
     if not missing:
@@ -147,7 +143,7 @@ def render_scenery(
 
 
 def _read(path: Path) -> JudgedView | None:
-    """A rendered view; None if it is missing or damaged."""
+    """Read a rendered view; None if the file is missing or damaged."""
     if not path.is_file():
         return None
     try:

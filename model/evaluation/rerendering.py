@@ -24,9 +24,9 @@ def renderings_of(
     scenery: Scenery,
     tell: Callable[[int, int], None],
 ) -> tuple[Rendering, Rendering]:
-    """Renderings of the views under a light, and of some views with a second seed.
+    """Render ``scenery`` from all judged views under ``light``, and from some of them with a second seed.
 
-    Seeds differ from the truth's, so the noise is independent. A :class:`TruthMethod` is never stopped early.
+    Both seeds differ from that of the truth. A :class:`TruthMethod` is never stopped early.
     """
     enough: EnoughOf | None = None
     stopped_by: list[Any] = []
@@ -48,7 +48,8 @@ def spread_of(
     first: dict[str, dict[str, dict[str, float | None]]],
     lpips: Lpips | None,
 ) -> dict[str, float]:
-    """Standard deviation of each figure of a view due to the renderer's noise, from views rendered twice."""
+    """Standard deviation of each figure of a view due to the renderer's noise, from the views in ``again``
+    and their figures in ``first``, by set and view."""
     if not again.views:
         return {}
     second = figures_of(scene, light, again.views, again.read(), lpips)
@@ -63,6 +64,6 @@ def figures_of(
     rendered: dict[str, JudgedView],
     lpips: Lpips | None,
 ) -> dict[str, dict[str, float | None]]:
-    """Figures of rendered ``views``, by view and name; LPIPS is None if ``lpips`` is None."""
+    """Figures of ``rendered`` views named ``views``, by view and name; LPIPS is None without ``lpips``."""
     truth = {name: scene.truth[light][name] for name in views}
     return image_figures(rendered, truth, scene.exposures[light], lpips)

@@ -16,16 +16,16 @@ from datagen.formats.base import (
 from datagen.foundation.errors import InputError
 
 ViewSet = str
-"""``input`` or ``novel``."""
+"""Set of judged views: photographs that methods use (``input``), or others (``novel``)."""
 Stage = str
-"""``per_view``, as predicted, or ``merged``, the atlas in the views."""
+"""Stage of maps: predicted in each view (``per_view``), or the atlas rendered in the views (``merged``)."""
 Figures = dict[str, float | None]
 
 
 class MethodResult(StrictModel):
     """Results of a method on a scene.
 
-    ``skipped``: reason for missing figures, else ''. ``camera``: the faults of its photographs, '' for none.
+    ``skipped``: reason for missing figures, else ''. ``camera``: name of the camera faults, '' for none.
     ``maps_per_view`` and ``maps_merged``: mean squared errors of the predicted maps and of the atlas as seen
     in the views; ``map_figures``, ``by_kind`` and ``calibration`` are as in ``map_measures``; ``map_views``:
     the errors per view. ``images``: figures of re-renderings (``metrics.image_figures``) by light (own,
@@ -74,9 +74,9 @@ class MethodResult(StrictModel):
 class SceneResult(StrictModel):
     """Results of all methods on a scene.
 
-    ``exposures``: exposure by light; ``figure_views``: views in the pictures, input and novel; ``renders``:
-    by light, folders of the true views that are not in the capture; ``path_samples``: mean light paths per
-    pixel of the photographs.
+    ``exposures``: factor by light; ``figure_views``: view in the pictures, by set; ``renders``: folders, by
+    light, of true views that are not in the capture; ``path_samples``: mean number of light paths per pixel
+    of the photographs.
     """
 
     name: Slug
@@ -93,7 +93,7 @@ class SceneResult(StrictModel):
 
 
 class SuiteResult(StrictModel):
-    """Contents of ``evaluation.json``. ``failures``: reasons of missing figures, by scene."""
+    """Contents of ``evaluation.json``; ``failures`` are the reasons for missing figures, by scene."""
 
     suite: Slug
     may_be_known: bool
@@ -103,15 +103,15 @@ class SuiteResult(StrictModel):
 
 
 def read_result(path: Path) -> MethodResult | None:
-    """A stored result; None if it is missing or unreadable."""
+    """Read a stored result; None if it is missing or unreadable."""
     if not path.is_file():
         return None
     try:
         return read_json(MethodResult, path)
     except InputError:
-        return None  # written by another version: measured again
+        return None  # written by another version
 
 
 def write_result(path: Path, result: MethodResult) -> None:
-    """Write a result."""
+    """Write ``result`` as JSON."""
     write_bytes_atomically(path, canonical_json(result))

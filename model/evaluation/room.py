@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Test scenes: a room as published by its author, photographed from plausible positions, with the truth.
+"""Test scenes: rooms rendered from plausible camera positions with their true maps.
 
-A scene is a Mitsuba file, an environment package, or a configuration drawn from a recipe. It is converted to
-the project's BSDF, keeps its own lights and materials, and is rendered like one configuration of a dataset:
-``view-000`` ... are the photographs that a method may use, ``path-000`` ... are on a walk between two of them
-and serve to judge novel views only. A scene is stored in a folder of the cache, named by everything that
-affects its pixels; an interrupted rendering resumes.
+A scene is a Mitsuba file, an environment package, or a configuration drawn from a recipe, with its own lights
+and with materials converted to the project's BSDF. It is rendered like a configuration of a dataset:
+``view-000`` ... are the photographs that a method may use; ``path-000`` ... on a walk between two of them are
+novel views. A scene is stored in a folder of the cache, named by a hash of everything that affects its
+pixels; an interrupted rendering resumes.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ class TestScene(StrictModel):
     ``source``: a Mitsuba file, its folder, an environment package, or a recipe (.yaml), whose configuration
     number ``configuration`` is the scene; ``imports`` are files and folders whose assets the recipe may use.
     There are ``views`` photographs, and ``novel_views`` more views on a walk, of ``resolution`` (width,
-    height); ``render`` and ``cameras`` are as in recipes. ``seed`` chooses cameras and samples. ``unit_m``:
-    metres per unit of a Mitsuba file, for cameras at a person's height; ``annotations`` correct the
-    importer's findings about a room (docs/importing.md). ``may_know_shapes``: checkpoints may have been
-    trained on the rooms and objects of a recipe, but on none of its materials.
+    height); ``render`` and ``cameras`` are as in recipes. ``seed`` draws cameras and light paths. ``unit_m``:
+    metres per unit of a Mitsuba file; ``annotations``: file with corrections of the imported room
+    (docs/importing.md). ``may_know_shapes``: checkpoints may have been trained on the rooms and objects of a
+    recipe, but on none of its materials.
     """
 
     __test__: ClassVar[bool] = False  # keeps pytest from collecting it
@@ -121,7 +121,7 @@ class PlannedScene:
 
 
 def plan_scene(scene: TestScene, cache: Path) -> PlannedScene:
-    """Import a test scene and choose its cameras; results in the cache are reused.
+    """Import a test scene and choose its cameras, unless the folder ``cache`` contains them.
 
     Raises :class:`InputError` if the source cannot be imported, or if there are too few camera positions.
     """
@@ -144,12 +144,12 @@ def plan_scene(scene: TestScene, cache: Path) -> PlannedScene:
 def prepare_scene(
     scene: TestScene, cache: Path, progress: Progress = lambda stage, done, total: None
 ) -> PreparedScene:
-    """Plan a test scene and render it; raises as :func:`plan_scene` and :func:`photograph`."""
+    """Plan and render a test scene; raises :class:`InputError` if either fails."""
     return photograph(plan_scene(scene, cache), progress)
 
 
 def photograph(planned: PlannedScene, progress: Progress = lambda stage, done, total: None) -> PreparedScene:
-    """Render a planned scene unless it is rendered already. Raises :class:`InputError` if rendering fails."""
+    """Render a planned scene unless it is rendered; raises :class:`InputError` if rendering fails."""
     folder = planned.folder
     (unit,) = planned.plan.units
     if not folder.is_done(unit):
@@ -173,8 +173,8 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
     """Raise :class:`InputError` if a checkpoint was trained on a test scene, or lacks a record of its
     training data.
 
-    A scene is identified by the hashes of its packages and of their files, never by an id, since unrelated
-    rooms may have the same name. The files identify a room that was imported with other options.
+    A scene is identified by the hashes of its packages and of their files, since unrelated rooms may have the
+    same id. Hashes of files also identify a room that was imported with other options.
     """
     name = scene.name if isinstance(scene, PreparedScene) else scene.recipe.name
     problems = []
@@ -204,7 +204,7 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
 def _key(scene: TestScene) -> str:
     """Hash of everything that affects pixels, except library versions and files that the source refers to."""
     parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes"})
-    if not scene.is_drawn:  # they do not affect the pixels
+    if not scene.is_drawn:  # imports do not affect the pixels
         del parts["configuration"], parts["imports"]
     else:
         parts["imports"] = [path.name for path in scene.imports]
@@ -219,14 +219,14 @@ def _key(scene: TestScene) -> str:
 
 
 def _file(source: Path) -> Path:
-    """The main file of a source."""
+    """Path of the main file of ``source``, a file or folder."""
     if source.is_dir():
         return source / (_SCENE_FILE if (source / _SCENE_FILE).is_file() else "asset.json")
     return source
 
 
 def _library(scene: TestScene, folder: Path) -> tuple[Path, ...]:
-    """Library folders of the scene: its package, or a folder into which its source is imported, once."""
+    """Library folders of the scene; its source is imported into ``folder`` unless that exists."""
     if scene.is_drawn:
         return recipe_library(scene.source, imported(scene.imports, folder))
     if is_package(scene.source):
@@ -255,7 +255,7 @@ def _room(library: Library) -> Package:
 
 
 def _recipe(scene: TestScene) -> Recipe:
-    """Recipe of a dataset of this one configuration; only its cameras are sampled."""
+    """Recipe of a dataset that contains only the scene's configuration."""
     return Recipe(
         name=scene.name,
         seed=scene.seed,
@@ -268,10 +268,7 @@ def _recipe(scene: TestScene) -> Recipe:
 
 
 def _planned(scene: TestScene, library: Library, root: Path) -> Plan:
-    """The plan of the dataset folder, made if missing.
-
-    Its only configuration is the unchanged room with the chosen cameras.
-    """
+    """Read the plan of the dataset folder ``root``, or make it, of the room with the chosen cameras alone."""
     recipe = _recipe(scene)
     folder = start_folder(recipe, library, root)
     if folder.plan_path.is_file():

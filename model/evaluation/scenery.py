@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The true scene and its reconstructions as configurations with the same lights and cameras but different
-surfaces.
+"""The true scene and its reconstructions as configurations that differ only in their surfaces.
 
-Own light: the scene's lamps and lights unchanged. Modified light: these lights times a gain, and further
-lights.
+Own light: the scene's lamps and lights. Modified light: these times a gain, and further lights.
 """
 
 from __future__ import annotations
@@ -48,13 +46,13 @@ class Scenery:
     library: tuple[Path, ...]
 
     def seen_by(self, cameras: Sequence[str]) -> Scenery:
-        """The scenery with only ``cameras``, in this order."""
+        """Return the scenery with only the named ``cameras``, in this order."""
         by_name = {camera.name: camera for camera in self.configuration.cameras}
         chosen = tuple(by_name[name] for name in cameras)
         return self._with({"cameras": chosen})
 
     def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
-        """The scenery under its own lights times ``modified.own_gain``, and the ``added`` lights."""
+        """Return the scenery under its own lights times ``modified.own_gain``, and the ``added`` lights."""
         own = () if modified.own_gain == 0 else self.configuration.lights
         lights = (*(scaled(light, modified.own_gain) for light in own), *added)
         with Library(self.library) as library:
@@ -65,7 +63,10 @@ class Scenery:
         return self._with({"lights": lights, "environment": placed[0], "objects": tuple(placed[1:])})
 
     def with_object(self, inserted: InsertedObject, position_m: NDArray) -> Scenery:
-        """The scenery with an object at ``position_m`` (3,). Raises :class:`InputError` if it is none."""
+        """Return the scenery with ``inserted`` at ``position_m`` (3,) in metres.
+
+        Raises :class:`InputError` if its package is not that of an object.
+        """
         package = open_package(Path(inserted.package))
         if not isinstance(package.asset, ObjectAsset):
             raise input_error(package.path, "kind", package.asset.kind, "an object package to insert")
@@ -87,7 +88,7 @@ class Scenery:
         )
 
     def with_seed(self, seed: int) -> Scenery:
-        """The scenery with another seed of the renderer's samples."""
+        """Return the scenery with another seed of the renderer."""
         return self._with({"seed": seed})
 
     def _with(self, changes: dict[str, Any]) -> Scenery:
@@ -95,17 +96,17 @@ class Scenery:
 
 
 def true_scenery(prepared: PreparedScene) -> Scenery:
-    """The scene with its true materials, from all cameras of its capture."""
+    """Scenery of the scene with its true materials and all cameras of its capture."""
     return Scenery(ShardReader(prepared.capture).configuration(), prepared.library)
 
 
 def recovered_scenery(
     truth: Scenery, asset: Path, emission: dict[str, tuple[float, float, float]]
 ) -> Scenery:
-    """The scenery with recovered surfaces in place of the scene's.
+    """Return ``truth`` with the surfaces of ``asset``, the package of a reconstruction, in place of its room.
 
-    ``asset`` is the package of a reconstruction, with surface and lamps; ``emission``, radiance by slot,
-    replaces that of the lamps; all other lights and inserted objects are the scene's.
+    ``emission``, RGB radiance by slot, replaces that of the package's lamps; all other lights and inserted
+    objects are those of ``truth``.
     """
     package = open_package(asset)
     configuration = truth.configuration
@@ -119,7 +120,7 @@ def recovered_scenery(
 
 
 def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
-    """A placed asset with the radiance of its lamps times ``gain``."""
+    """Return ``placed`` with the radiance of its lamps times ``gain``."""
     asset = library.package(placed.asset).asset
     assert isinstance(asset, EnvironmentAsset | ObjectAsset)
     emission = {}
@@ -134,7 +135,7 @@ def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
 def added_lights(
     modified: ModifiedLight, geometry: CaptureGeometry, cameras: Sequence[Camera]
 ) -> list[Light]:
-    """The lights that ``modified`` adds; "ceiling" is placed above the camera nearest to their mean."""
+    """Lights that ``modified`` adds; "ceiling" is above the camera nearest to the mean of ``cameras``."""
     if modified.lights != "ceiling":
         return list(modified.lights)
     positions = np.array([camera.position_m for camera in cameras])
@@ -148,7 +149,7 @@ def added_lights(
         AreaLight(
             name="ceiling",
             origin_m=(x - half, y - half, z),
-            edge_u_m=(0.0, CEILING_SIDE_M, 0.0),  # v x u: it emits downwards
+            edge_u_m=(0.0, CEILING_SIDE_M, 0.0),  # the light emits along u x v, downwards
             edge_v_m=(CEILING_SIDE_M, 0.0, 0.0),
             radiance=_CEILING_RADIANCE,
             is_visible=False,
@@ -167,17 +168,17 @@ def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
 
 @dataclass(frozen=True)
 class Place:
-    """Position (3,) of an inserted object in metres, and a cost by its position in the picture, 0 at best."""
+    """Position (3,) in metres of an inserted object, and the cost, >= 0, of its position in the picture."""
 
     position_m: NDArray[np.float64]
     cost: float
 
 
 def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float) -> Place | None:
-    """Level position in front of a camera for an object of ``height_m``; None if there is none.
+    """Find a level position in front of a camera for an object of ``height_m``; None if there is none.
 
-    The object is entirely inside the image, as near as possible to the middle of its lower half and to a
-    third of its height. ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3).
+    The object is entirely inside the image, near the middle of its lower half, with about a third of its
+    height. ``depth_z_m`` is (H, W, 1), ``normal_world`` (H, W, 3).
     """
     from scipy.ndimage import minimum_filter
 

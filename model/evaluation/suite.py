@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Suites: scenes, methods and measurements, in YAML files (``scenes/suites/``); unknown keys are errors.
+"""Suites of scenes, methods and measurements in YAML files (``scenes/suites/``); unknown keys are errors.
 
 Paths in a suite are relative to its file. docs/evaluation.md explains the figures.
 """
@@ -32,8 +32,9 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """Maps of a checkpoint. If the checkpoint is missing, the method is left out of the tables, with a note.
-    ``weights`` (of views in the merge), ``is_leveled`` and ``materials`` are as for ``materials infer``.
+    """Maps of a checkpoint; without its file, the method is omitted from the tables, with a note.
+    ``weights`` (of views in the merge), ``is_leveled`` (albedo scale) and ``materials`` are options of
+    ``materials infer``.
     """
 
     kind: Literal["network"]
@@ -51,7 +52,7 @@ class TextureMethod(_Method):
 
 
 class ConstantMethod(_Method):
-    """The same maps everywhere.
+    """Constant maps.
 
     The defaults are the means over surface pixels of the training views of ``scenes/recipes/learning.yaml``
     (every fifth view of every fourth configuration).
@@ -64,20 +65,20 @@ class ConstantMethod(_Method):
 
 
 class MapsMethod(_Method):
-    """Maps made by another method: ``FOLDER/SCENE/VIEW.exr`` for every input view."""
+    """Maps in files ``FOLDER/SCENE/VIEW.exr`` of every input view, made by another method."""
 
     kind: Literal["maps"]
     folder: Path
 
 
 class OracleMethod(_Method):
-    """The true maps, merged, to measure the loss from merging and from the atlas's resolution."""
+    """The true maps, merged into an atlas, to measure the loss from merging and resolution."""
 
     kind: Literal["oracle"]
 
 
 class TruthMethod(_Method):
-    """The scene itself, rendered again, to measure the effect of noise."""
+    """The true scene, rendered again, to measure the effect of noise."""
 
     kind: Literal["truth"]
 
@@ -117,7 +118,7 @@ class InsertedObject(StrictModel):
     scale: Positive = 1.0
 
     def path(self, folder: Path) -> Path:
-        """Path of the package; relative names are relative to ``folder``."""
+        """Path of the package; a relative ``package`` is resolved against ``folder``."""
         return object_package(self.package, folder)
 
 
@@ -174,7 +175,7 @@ class Suite(StrictModel):
 
 
 def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
-    """The suite in a file, or the bundled suite with that name, with absolute paths.
+    """Read the suite in the file ``path``, or the bundled suite with that name; its paths become absolute.
 
     ``checkpoint`` replaces the bundled checkpoint. Raises :class:`InputError` with every fault of the file
     and every missing file that it names.
@@ -233,7 +234,7 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
 
 
 def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[Problem]:
-    """A problem for each scene without a subfolder in the folder ``maps``."""
+    """Problems of the suite ``path`` at ``field``: one for each scene without a subfolder in ``maps``."""
     if not maps.is_dir():
         return []
     return [
@@ -244,7 +245,7 @@ def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[P
 
 
 def describe_suite(suite: Suite) -> str:
-    """Text of a suite's plan, for ``--dry-run``."""
+    """Describe the planned work of a suite, for ``--dry-run``."""
     lines = [f"suite {suite.name}: {len(suite.scenes)} scenes, {len(suite.methods)} methods"]
     for scene in suite.scenes:
         width, height = scene.resolution

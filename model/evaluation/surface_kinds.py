@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of surface in the judged views: pixels of metal, white walls, small objects etc.
+"""Kinds of surface in the judged views, such as metal, white walls and small objects.
 
 From the true maps: ``metal``, mean S > 0.2; of the rest ``white``, D > 0.7 in every channel, ``glossy``, R <
 0.4, and ``matt``, R >= 0.4. From the true mesh: ``small``, connected pieces less than 0.3 m across, and
-``sunlit``, surface lit directly by the sun. From the views: ``seldom seen``, visible in fewer than 4 views.
-Kinds overlap; kinds that do not occur in a scene are left out. A ``region`` is a part of the scene's
-geometry.
+``sunlit``, lit directly by the sun. ``seldom seen``: visible in fewer than 4 views. Kinds overlap. A
+``region`` is a part of the scene's geometry.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ _LIFT_M = 1e-3  # offset of a shadow ray from its surface, to avoid self-shadowi
 
 @dataclass(frozen=True)
 class ViewSurfaces:
-    """Kinds of surface in a view, masks (H, W) by name, and the region's index (H, W), -1 for none."""
+    """Kinds of surface in a view, as masks (H, W) by name, and the region's index (H, W), -1 for none."""
 
     kinds: dict[str, NDArray[np.bool_]]
     region: NDArray[np.int32]
 
 
 def kinds_of_maps(truth: JudgedView) -> dict[str, NDArray[np.bool_]]:
-    """Masks (H, W) of the kinds that the true maps determine, by name."""
+    """Masks (H, W) by name of the kinds that depend on the true maps: metal, white, glossy and matt."""
     surface = truth.surface_mask
     metal = surface & (truth.maps["specular_albedo"].mean(axis=2) > METAL_S)
     rest = surface & ~metal
@@ -53,7 +52,7 @@ def kinds_of_maps(truth: JudgedView) -> dict[str, NDArray[np.bool_]]:
 
 
 class SurfaceFinder:
-    """Finds the kinds of surface in views of one scene by rays through their pixels."""
+    """Classification of surfaces in views of one scene, by rays through their pixels."""
 
     def __init__(self, geometry: CaptureGeometry, lights: Sequence[Light]):
         self._rays = RayScene(geometry.mesh.positions.astype(np.float64), geometry.mesh.faces)
@@ -63,7 +62,7 @@ class SurfaceFinder:
         self._suns = [sun for light in lights if (sun := _towards_sun(light)) is not None]
 
     def find(self, view: CaptureView, truth: JudgedView) -> ViewSurfaces:
-        """The kinds and regions of a view, whose true maps are ``truth``."""
+        """Find the kinds and regions of surface in a view, whose true maps are ``truth``."""
         directions = view.camera.ray_directions()
         hits = self._rays.cast(view.camera.position_m, directions.reshape(-1, 3))
         shape = truth.surface_mask.shape

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tables of a suite's figures: maps, re-renderings, time and memory. Headers state the convention."""
+"""Tables of a suite's figures: errors of maps and re-renderings, time and memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Cell = str | float | None
 LETTERS = dict(zip(MATERIAL_MAPS, "DSR", strict=True))
 PAPER = "paper: "
 LIGHTS = ("own", "modified", "recovered")
-"""The scene's own lights, these lights modified, and the lights recovered by a method."""
+"""Lights in the order of the tables: the scene's own, these modified, and those recovered by a method."""
 VIEW_SETS = ("input", "novel")
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
 _ALL = {
@@ -34,7 +34,7 @@ _ALL = {
 
 @dataclass(frozen=True)
 class Table:
-    """A table. ``rows`` have a cell per column, None if empty; ``digits`` are decimal places by column."""
+    """A table whose ``rows`` have a cell per column, None if empty; ``digits`` are decimals by column."""
 
     name: str
     title: str
@@ -91,7 +91,7 @@ def _text(cell: Cell, digits: int) -> str:
 
 
 def tables_of(result: SuiteResult) -> list[Table]:
-    """All tables, in the order of the page."""
+    """All tables of a suite's result, in the order of the page."""
     return [_maps_table(result), _summary_table(result), _images_table(result), _cost_table(result)]
 
 
@@ -138,7 +138,7 @@ def _percent(share: float | None) -> float | None:
 
 
 def _summary_table(result: SuiteResult) -> Table:
-    """One row per method: PSNR and DSSIM by light and views."""
+    """Table with one row per method: PSNR and DSSIM by light and set of views."""
     columns = ["scene", "method"]
     digits = [0, 0]
     for light in LIGHTS:
@@ -217,11 +217,7 @@ def _cost_table(result: SuiteResult) -> Table:
             rows.append((scene.name, method.label, *seconds, total, *spent))
         if scene.name in PUBLISHED:
             statistics, predict, texturing = (60.0 * m for m in PUBLISHED[scene.name].minutes)
-            cells: dict[str, Cell] = {
-                "statistics": statistics,
-                "predict": predict,
-                "merge": 3 * texturing,
-            }
+            cells: dict[str, Cell] = {"statistics": statistics, "predict": predict, "merge": 3 * texturing}
             total = statistics + predict + 3 * texturing
             rows.append(
                 (scene.name, f"{PAPER}Ours", *(cells.get(stage) for stage in _STAGES), total, *(None,) * 3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mesh given to methods, with or without errors, unwrapped once for all of them."""
+"""The mesh that all methods use, with or without errors, unwrapped once."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ def geometry_for(
     tell: Callable[[str, int, int], None],
     jobs: int = 2,
 ) -> tuple[CaptureGeometry, float]:
-    """The geometry with ``error`` and with UVs for an atlas, and the seconds that unwrapping took.
+    """Return ``true_geometry`` with ``error`` and with UVs for an atlas, and the seconds of unwrapping.
 
-    The result is stored in the folder ``root``, in a file named by a hash of mesh and error.
+    The result is stored in the folder ``root``, in a file named by a hash of mesh and error; unwrapping runs
+    in ``jobs`` processes.
     """
     path = root / f"{_key(true_geometry, error)}.npz"
     if not path.is_file():

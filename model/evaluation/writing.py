@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Results of a suite as files: Markdown, JSON, a CSV per table, pictures, and a self-contained page."""
+"""Results of a suite as files: Markdown, JSON, one CSV per table, pictures, and a self-contained page."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ KNOWN_WARNING = (
 
 
 def state_of(result: SuiteResult) -> bytes:
-    """Content of ``state.json``, which identifies the results in a folder."""
+    """Content of ``state.json``, which identifies the result that a folder contains."""
     return canonical_json({"revision": _REVISION, "result": sha256_hex(canonical_json(result))})
 
 
 def is_written(result: SuiteResult, out: Path) -> bool:
-    """Whether ``out`` already contains this result."""
+    """Whether the folder ``out`` contains the files of ``result``."""
     path = out / STATE_FILE
     return path.is_file() and path.read_bytes() == state_of(result)
 
 
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
-    """Write the results to ``out``, given each scene's true views under its own light; return the files."""
+    """Write the results to the folder ``out`` and return the paths; ``stored`` contains the true views under
+    the scene's own light, by scene and view."""
     out.mkdir(parents=True, exist_ok=True)
     (out / STATE_FILE).unlink(missing_ok=True)
     maps, *others = tables_of(result)
@@ -60,7 +61,7 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
 
 
 def _notes(result: SuiteResult) -> list[str]:
-    """Notes shown with the tables."""
+    """Notes on a suite's result that accompany the tables."""
     notes = [KNOWN_WARNING] if result.may_be_known else []
     notes += [f"{scene}: no figures, {' '.join(why.split())}." for scene, why in result.failures.items()]
     for scene in result.scenes:

@@ -26,10 +26,8 @@ SG_SHARPNESS_RANGE = (2.0, 200.0)
 
 @dataclass(frozen=True)
 class Geometry:
-    """Geometry of a crop for shading: ``position`` and unit ``normal`` (B, 3, H, W), ``mask`` (B, 1, H, W)
-    bool.
-
-    Where ``mask`` is False there is no surface: normals and shading are zero.
+    """Geometry of crops in camera space: ``position`` in metres and unit ``normal`` (B, 3, H, W), ``mask``
+    (B, 1, H, W) bool. Where ``mask`` is False there is no surface and the normal is zero.
     """
 
     position: Tensor
@@ -39,9 +37,8 @@ class Geometry:
 
 @dataclass(frozen=True)
 class PointCondition:
-    """A view and a point light.
-
-    ``view_dir`` (B, 3, H, W), ``light_position`` (B, 3, 1, 1) in metres, ``intensity`` (B, 1, 1, 1) in W/sr.
+    """A viewing direction per pixel, ``view_dir`` (B, 3, H, W), and a point light per image, at
+    ``light_position`` (B, 3, 1, 1) in metres, of ``intensity`` (B, 1, 1, 1) in W/sr.
     """
 
     view_dir: Tensor
@@ -51,7 +48,7 @@ class PointCondition:
 
 @dataclass(frozen=True)
 class AreaCondition:
-    """A view, ``view_dir`` (B, 3, H, W), and K distant lobes of light."""
+    """A viewing direction per pixel, ``view_dir`` (B, 3, H, W), and distant area lights per image."""
 
     view_dir: Tensor
     lights: SphericalGaussians
@@ -69,7 +66,7 @@ class SampleDraws:
 
     @classmethod
     def for_samples(cls, seed: int, sample_ids: Iterable[int]) -> SampleDraws:
-        """Random streams for the images with these ids, in a run with this seed."""
+        """Create the streams of the images ``sample_ids`` in a run with ``seed``."""
         return cls([generator_for(seed, _CONDITION_PURPOSE, int(i)) for i in sample_ids])
 
     def uniform(self, *shape: int) -> Tensor:
@@ -99,11 +96,10 @@ def generator_for(*key: int) -> torch.Generator:
 
 
 def scene_scale(geometry: Geometry) -> Tensor:
-    """Unit of light distances (B, 1, 1, 1) in metres: half the side of a square with the spread of the
-    points.
+    """Unit of light distances (B, 1, 1, 1) in metres; 1.0 for a crop without a surface.
 
-    Deschaintre et al. give light distances in units of a patch on [-1, 1]^2, whose root-mean-square distance
-    from its centre is sqrt(2/3). 1.0 for an empty crop.
+    Deschaintre et al. give light distances for a patch on [-1, 1]^2, whose root-mean-square distance from its
+    centre is sqrt(2/3); the unit scales this to the root-mean-square distance of the crop's points.
     """
     mask = geometry.mask.to(geometry.position.dtype)
     count = mask.sum(dim=(2, 3), keepdim=True)
@@ -114,10 +110,10 @@ def scene_scale(geometry: Geometry) -> Tensor:
 
 
 def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
-    """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
+    """Draw a viewing direction per pixel (B, 3, H, W), cosine-weighted about the original directions.
 
-    The draw is a point of a disc in a frame that rotates with each pixel's original view direction and keeps
-    the camera's x axis, so the new directions vary smoothly over the image, as from one camera.
+    One point of a disc is drawn per image and applied in each pixel's frame, given by the original direction
+    and the camera's x axis, so the directions vary smoothly over the image, as from one camera.
     """
     original = normalize(-geometry.position)
     uv = draws.uniform(2).to(original)
@@ -133,7 +129,7 @@ def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
 
 
 def _anchor_pixels(geometry: Geometry, draws: SampleDraws) -> Tensor:
-    """Flat index (B,) of a random surface pixel of each image; pixel 0 for an image without any."""
+    """Flat index (B,) of a random pixel with a surface in each image; the last pixel if there is none."""
     weights = geometry.mask.flatten(1).to("cpu", torch.float32)
     u = draws.uniform(1)
     cumulative = weights.cumsum(dim=1)
@@ -150,10 +146,10 @@ def _pick(image: Tensor, index: Tensor) -> Tensor:
 
 
 def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondition:
-    """A view, and a point light in the mirror direction of that view at a random anchor pixel.
+    """Draw viewing directions, and a point light in the mirror direction at a random pixel, the anchor.
 
-    The light is exp N(0.5, 0.75) scene scales away from the anchor. Its intensity gives radiance 1 to a white
-    Lambertian surface at the anchor that faces the light, so exposure does not depend on the distance.
+    The light's distance from the anchor is exp(N(0.5, 0.75)) times :func:`scene_scale`. Its intensity gives
+    radiance 1 to a white Lambertian surface at the anchor that faces the light, at any distance.
     """
     view_dir = sample_views(geometry, draws)
     anchor = _anchor_pixels(geometry, draws)
@@ -169,11 +165,10 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
 
 
 def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaCondition:
-    """A view, and 5 spherical Gaussians uniformly distributed on the hemisphere behind the camera.
+    """Draw viewing directions, and 5 spherical Gaussians uniformly distributed behind the camera (z <= 0).
 
-    Visible surfaces face the camera, so light must come from its side (z <= 0). Sharpness is log-uniform
-    between 2 and 200, and colours are uniform; the lobes' integrals are scaled to sum, averaged over
-    channels, to pi.
+    Visible surfaces face the camera, so light must come from its side. Sharpness is log-uniform between 2 and
+    200, and colours are uniform; the sum of the lobes' integrals, averaged over channels, is pi.
     """
     view_dir = sample_views(geometry, draws)
     dtype, device = view_dir.dtype, view_dir.device

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Loss of the confidence networks: the filtered maps are compared with the truth."""
+"""Loss of the confidence networks: the error of the maps that they filter."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def confidence_loss(
 ) -> LossTerms:
     """Mean squared error of the filtered maps over surface pixels; gradients reach only the confidence nets.
 
-    ``nets`` is a :class:`model.confidence.ConfidenceNets`, wrapped for several ranks or not. ``image`` (B, 3,
-    H, W) encoded to [-1, 1]; ``predicted`` all three maps of the frozen tracks; ``mask`` (B, 1, H, W) bool.
-    The parts also contain the error before filtering, which shows the gain.
+    ``nets`` is a :class:`model.confidence.ConfidenceNets`, possibly wrapped for several ranks. ``image`` (B,
+    3, H, W) is encoded to [-1, 1]; ``predicted`` and ``truth`` contain all three maps (B, 3 or 1, H, W);
+    ``mask`` (B, 1, H, W) is True on surfaces. The parts also contain the error before filtering.
     """
     frozen = {name: value.detach().float() for name, value in predicted.items()}
     with torch.autocast(image.device.type, enabled=False):

@@ -31,7 +31,7 @@ PHASE_TRACKS: dict[PhaseName, tuple[TrackName, ...]] = {
 
 
 class PhaseConfig(StrictModel):
-    """One phase of the schedule: ``epochs`` passes over the data, or exactly ``steps`` optimiser steps."""
+    """A phase of the schedule: ``epochs`` passes over the data, or ``steps`` optimiser steps."""
 
     name: PhaseName
     epochs: int | None = Field(default=None, ge=1)
@@ -70,17 +70,17 @@ class DataConfig(StrictModel):
     """Each crop's exposure is multiplied by 2^u, with u uniform between minus and plus this value."""
     spread_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's minimum over views is divided, and its maximum multiplied, by 2^u with independent u
-    uniform from 0 to this value: noise, and errors of cameras and of geometry, only ever widen this range."""
+    uniform from 0 to this value, since noise and errors of cameras and geometry only widen this range."""
     light_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's reflectance and mirror images are multiplied by one 2^u, with u uniform between minus and
-    plus this value: errors of geometry and exposure scale the recorded light."""
+    plus this value, since errors of geometry and exposure scale the recorded light."""
     noise: float = Field(default=0.0, ge=0, le=1)
-    """Maximum relative deviation of a crop's Gaussian noise in ``beauty`` at an exposed radiance of 1; it
-    grows with the square root of radiance, as photon noise does."""
+    """Maximum standard deviation of a crop's Gaussian noise in ``beauty``, at an exposed radiance of 1; it is
+    proportional to the square root of radiance, like photon noise."""
     light_color_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel,
-    with u uniform between minus and plus this value: channels of light do not mix, so the result is a room
-    with other colours. 0: neither."""
+    with u uniform between minus and plus this value: colour channels of light transport are independent, so
+    the result is consistent. 0: neither."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
     """
@@ -146,9 +146,9 @@ class TrainingConfig(StrictModel):
 
 
 def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Merge ``over`` into ``base``.
+    """Return the settings of ``base``, overridden by those of ``over``.
 
-    A custom network in ``over`` replaces all network settings of ``base``; the phases ``diffuse`` and
+    A custom network in ``over`` replaces all network settings of ``base``, and its phases ``diffuse`` and
     ``specular`` become a phase ``joint`` with the settings of the first phase.
     """
     network = over.get("network")
@@ -195,7 +195,8 @@ def _read_mapping(path: Path) -> dict[str, Any]:
 def resolve_config(
     preset: str | None = None, file: Path | None = None, overrides: dict[str, Any] | None = None
 ) -> TrainingConfig:
-    """Configuration of a preset (default ``paper``), changed by a YAML file, then by nested ``overrides``.
+    """Resolve the configuration of a preset (default ``paper``), a YAML file and nested ``overrides``; later
+    ones take precedence.
 
     Raises :class:`InputError` for unknown keys and invalid values.
     """
@@ -217,7 +218,10 @@ def resolve_config(
 
 
 def parse_overrides(items: list[str]) -> dict[str, Any]:
-    """Nested keys from items such as ``["batch_size=4", "data.workers=2"]``; values are YAML."""
+    """Parse items such as ``["batch_size=4", "data.workers=2"]``, with YAML values, to nested dictionaries.
+
+    Raises :class:`InputError` for an item of another form.
+    """
     result: dict[str, Any] = {}
     for item in items:
         key, separator, text = item.partition("=")

@@ -27,7 +27,7 @@ _INIT_PURPOSE = 0x11
 
 
 class Ranks:
-    """The ranks of ``torchrun``, and this process's own; a single rank without ``torchrun``."""
+    """Number of ranks and this process's rank under ``torchrun``; a single rank without it."""
 
     def __init__(self) -> None:
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -43,7 +43,7 @@ class Ranks:
         return self.index == 0
 
     def mean(self, values: dict[str, Tensor]) -> dict[str, float]:
-        """Means of scalars over the ranks, by name."""
+        """Mean of each scalar of ``values`` over the ranks."""
         stacked = torch.stack([v.detach().float() for v in values.values()])
         if self.count > 1:
             dist.all_reduce(stacked)
@@ -67,7 +67,7 @@ class Models(nn.Module):
 
 @dataclass(frozen=True)
 class TrainingContext:
-    """Objects shared by all phases of a run. ``inherited`` records the data of ``initial_checkpoint``."""
+    """Objects shared by all phases of a run; ``inherited`` are the datasets of ``initial_checkpoint``."""
 
     config: TrainingConfig
     data: TrainingData
@@ -79,7 +79,7 @@ class TrainingContext:
     stopwatch: Stopwatch
 
     def order(self, index: int) -> tuple[CropOrder, int]:
-        """The order of crops of phase ``index``, and the phase's seed."""
+        """Return the order of crops of phase ``index``, and the phase's seed."""
         data, seed = self.config.data, self.config.seed * 16 + index
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
@@ -106,7 +106,10 @@ def make_context(
     device: torch.device | None = None,
     stopwatch: Stopwatch | None = None,
 ) -> TrainingContext:
-    """Construct the models, with initial weights, and the loss on ``device``, by default a GPU if any."""
+    """Construct the initial models and the loss on ``device`` (default: a GPU if available).
+
+    Raises :class:`InputError` for an unsuitable ``initial_checkpoint``, network or file of VGG16's weights.
+    """
     ranks = Ranks()
     device = device or default_device(ranks.local_index)
     perceptual = None
@@ -125,7 +128,7 @@ def make_context(
 
 
 def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:
-    """Models with random weights or those of ``initial_checkpoint``, and the records of its data."""
+    """Return models with random weights or those of ``initial_checkpoint``, and records of its datasets."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)
@@ -152,12 +155,12 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
 
 
 def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tensor]:
-    """Weights of ``wider``, replaced by the weights of ``network`` where both have them.
+    """Initial weights of ``wider``, which has more inputs and outputs than the trained ``network``.
 
     Weights of new inputs are 0, so the outputs of ``network`` are unchanged before training. New outputs keep
-    the random weights of ``wider``, and do not affect the others.
+    the random weights of ``wider`` and do not affect the others.
     """
-    weights, own = dict(network.state_dict()), wider.state_dict()
+    weights, random = dict(network.state_dict()), wider.state_dict()
     for track in TRACK_OUTPUTS:
         given = set(track_inputs(track, network.config))
         is_given = torch.cat(
@@ -170,7 +173,7 @@ def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tens
             weights[name] = wide
         for layer in ("conv1", "conv2", "link.add"):
             name = f"tracks.{track}.dec1.{layer}.weight"
-            narrow, wide = weights[name], own[name].clone()
+            narrow, wide = weights[name], random[name].clone()
             wide[: len(narrow)] = 0
             wide[: len(narrow), : narrow.shape[1]] = narrow
             weights[name] = wide

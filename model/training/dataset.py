@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From shards to batches: order of crops, decoding, checks, cropping and augmentation.
+"""Training batches from shards: order of crops, decoding, checks, cropping and augmentation.
 
 The order is a pure function of the seed: an epoch shuffles all views, divides them into blocks of
 ``block_views``, and shuffles the crops within each block. A view's crops are thus close together, and a
@@ -60,28 +60,31 @@ class DecodedView:
     depth_max_m: float
 
 
+def read_record(place: ViewPlace, remedy: str) -> ViewRecord:
+    """Read a view's record; raises :class:`InputError` with ``remedy`` if it is not valid JSON."""
+    where = f"{place.shard}:{place.name}"
+    try:
+        text = json.loads(read_member(place, place.record))
+    except (ValueError, RecursionError) as error:
+        raise input_error(where, "", str(error), "valid JSON", remedy) from None
+    return parse_model(ViewRecord, text, where)
+
+
 def load_view(
     place: ViewPlace, names: Sequence[str], min_side_px: int = 1, size_px: tuple[int, int] | None = None
 ) -> DecodedView:
     """Decode and check the buffers ``names`` of one view.
 
-    Raises :class:`InputError` that names shard, view and all faults, such as a side below ``min_side_px``.
-
-    ``size_px`` (width, height) is the size of the training set's views; None accepts any.
+    Raises :class:`InputError` with all faults, such as a side below ``min_side_px`` or a size other than
+    ``size_px`` (width, height).
     """
-    where = f"{place.shard}:{place.name}"
-    try:
-        text = json.loads(read_member(place, place.record))
-    except (ValueError, RecursionError) as error:
-        raise input_error(where, "", str(error), "valid JSON", _REMEDY) from None
-    record = parse_model(ViewRecord, text, where)
+    where, record = f"{place.shard}:{place.name}", read_record(place, _REMEDY)
     try:
         buffers = decode_view(read_member(place, place.exr), names, num_threads=1)
     except InputError as error:
         renamed = [Problem(where, p.field, p.got, p.expected, _REMEDY) for p in error.problems]
         raise InputError(*renamed) from None
-    problems = _problems_of(where, record, buffers, min_side_px, size_px)
-    raise_problems(problems)
+    raise_problems(_problems_of(where, record, buffers, min_side_px, size_px))
     return DecodedView(record, buffers, float(buffers["depth_z_m"].max(initial=0.0)))
 
 
@@ -92,7 +95,7 @@ def _problems_of(
     min_side_px: int,
     size_px: tuple[int, int] | None,
 ) -> list[Problem]:
-    """All faults of a decoded view: sizes, NaN, ranges, invalid normals."""
+    """All faults of a decoded view: size, NaN, values out of range, normals not of unit length, no depth."""
     problems = []
 
     def complain(field: str, got: str, expected: str) -> None:
@@ -160,12 +163,11 @@ class CropOrder:
 
 
 class BatchPlan(Sampler[list[int]]):
-    """Micro-batches of one rank, from optimiser step ``start`` to ``stop``, as lists of sample ids.
+    """Micro-batches of one rank, from optimiser step ``start`` to ``stop``, as lists of sample ids, which are
+    epoch * epoch_length + crop id.
 
-    A sample id is epoch * epoch_length + crop id.
-
-    A step uses ``batch_size * accumulation * num_ranks`` crops of the order; an incomplete step at the end of
-    an epoch is dropped. Raises :class:`InputError` if an epoch has no step.
+    A step uses ``batch_size * accumulation * num_ranks`` crops; an incomplete step at the end of an epoch is
+    dropped. Raises :class:`InputError` if an epoch has fewer crops than a step.
     """
 
     def __init__(
@@ -216,7 +218,7 @@ class BatchPlan(Sampler[list[int]]):
 
 
 class CropDataset(Dataset[dict[str, Tensor]]):
-    """Crops by sample id (see :class:`BatchPlan`). Keeps the last block of decoded views."""
+    """Crops by sample id (see :class:`BatchPlan`), with a cache of the last ``block_views`` decoded views."""
 
     def __init__(
         self,
@@ -277,7 +279,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         return sample
 
     def _augment(self, sample: dict[str, Tensor], generator: torch.Generator) -> None:
-        """Change colours, and add errors of recorded light and photon noise, in place, by the config."""
+        """Apply ``light_color_stops``, ``light_jitter_stops`` and ``noise`` to a sample in place."""
         config = self.config
         if config.light_color_stops > 0:
             order = torch.randperm(3, generator=generator)
@@ -303,7 +305,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
 def view_sample(
     view: DecodedView, sample_id: int, window: tuple[int, int, int, int] | None = None
 ) -> dict[str, Tensor]:
-    """Sample of a view or of its ``window`` (top, left, height, width), with geometry in camera space."""
+    """Sample of a view, or of its ``window`` (top, left, height, width) in pixels; see the module."""
     camera = view.record.camera
     top, left, height, width = window or (0, 0, camera.height_px, camera.width_px)
     rows, columns = slice(top, top + height), slice(left, left + width)
@@ -331,8 +333,8 @@ def view_sample(
 
 def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) -> dict[str, Tensor]:
     """Mirror the scene: flip pixels, and change the sign of x (horizontal) or y of normals and positions."""
-    for axis, component, wanted in ((-1, 0, horizontal), (-2, 1, vertical)):
-        if wanted:
+    for axis, component, is_flipped in ((-1, 0, horizontal), (-2, 1, vertical)):
+        if is_flipped:
             sample = {n: v.flip(axis) if v.dim() == 3 else v for n, v in sample.items()}
             for name in ("normal_camera", "position"):
                 sample[name][component].neg_()
@@ -340,7 +342,7 @@ def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) 
 
 
 def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, Tensor]:
-    """Replacement of a crop of an invalid view, whose empty mask excludes it from every loss."""
+    """Substitute for a crop of an invalid view; its empty mask excludes it from every loss."""
     renamed = [n for n in names if n not in ("normal_world", "surface_mask")] + ["normal_camera", "position"]
     channels = {"roughness": 1, "depth_z_m": 1}
     sample = {n: torch.zeros(channels.get(n, input_channels(n)), size, size) for n in renamed}
@@ -355,7 +357,7 @@ def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, 
 def make_loader(
     dataset: CropDataset, plan: BatchPlan, *, workers: int, pin_memory: bool = False
 ) -> DataLoader[dict[str, Tensor]]:
-    """Loader of a plan's batches, decoded in advance by ``workers`` processes (0: in this process)."""
+    """Data loader of a plan's batches, decoded in advance by ``workers`` processes (0: in this process)."""
     return DataLoader(
         dataset,
         batch_sampler=plan,

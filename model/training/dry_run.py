@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Dry run: resolved configuration, sizes, memory and time, measured on one synthetic step per phase."""
+"""Dry run: resolved configuration, sizes, memory and time, estimated from synthetic steps of each phase."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from model.training.stopwatch import Stopwatch
 
 
 def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) -> dict[str, Tensor]:
-    """``batch`` crops, ``size`` pixels wide, with all tensors that training reads: a plane 2 m away."""
+    """Batch of ``batch`` square crops of ``size`` pixels a side, of a plane at a distance of 2 m."""
     generator = torch.Generator().manual_seed(seed)
 
     def smooth(channels: int) -> Tensor:
@@ -47,7 +47,7 @@ def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) 
 
 
 def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatch) -> float:
-    """Seconds of one optimiser step of a phase on ``batch``; ``key`` seeds its random numbers."""
+    """Run one optimiser step of a phase on ``batch``, with random numbers seeded by ``key``: its seconds."""
     start = time.perf_counter()
     phase.optimizer.zero_grad(set_to_none=True)
     terms = phase.terms(batch, generator_for(key))
@@ -63,7 +63,7 @@ def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatc
 def predicted_step(
     phase: Phase, config: TrainingConfig, device: torch.device, budget_s: float = 3.0
 ) -> tuple[float, int]:
-    """Predicted seconds of a step with a whole batch, and the number of crops of the measurement.
+    """Predict the seconds of a step with a whole batch; also returns the largest number of crops timed.
 
     One crop is timed, then as many as fit ``budget_s`` (at most the batch); the difference separates the cost
     per crop from the fixed cost of a step.
@@ -71,7 +71,6 @@ def predicted_step(
 
     def fastest(crops: int) -> float:
         batch = synthetic_batch(crops, config.data.crop_px, device)
-        # the least disturbed measurement
         return min(timed_step(phase, batch, key, Stopwatch()) for key in (1, 2))
 
     timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch())  # warm-up
@@ -84,21 +83,21 @@ def predicted_step(
 
 
 def saved_bytes(run: Callable[[], Any]) -> int:
-    """Bytes that autograd keeps for the backward pass of ``run``, counting each storage once."""
-    seen: dict[int, int] = {}
+    """Call ``run`` and return the bytes that autograd saves for its backward pass, each storage once."""
+    sizes: dict[int, int] = {}
 
     def pack(tensor: Tensor) -> Tensor:
         storage = tensor.untyped_storage()
-        seen[storage.data_ptr()] = storage.nbytes()
+        sizes[storage.data_ptr()] = storage.nbytes()
         return tensor
 
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda tensor: tensor):
         run()
-    return sum(seen.values())
+    return sum(sizes.values())
 
 
 def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
-    """Text for ``--dry-run``. One step with few crops is timed per phase and scaled to the whole run."""
+    """Text for ``--dry-run``: the configuration, and the data, memory and hours of the run."""
     data = open_data(folders, config.network, config.data.crop_px)
     context = make_context(config, data, device)
     device = context.device

@@ -3,9 +3,10 @@
 
     L = L_E(I) + L_1(I) + sum over the predicted maps M of (L_E(M) + lambda L_1(M)),  lambda = 0.1
 
-I are images of predicted and of true materials under the same random views and lights. Maps are dictionaries
-of (B, C, H, W) by name: ``diffuse_albedo`` D, ``specular_albedo`` S, ``roughness`` R, in [0, 1]. Maps that a
-track does not predict are replaced by true maps. Pixels without a surface are made equal on both sides.
+L_E is the perceptual and L_1 the L1 distance between prediction and truth. I are images of the materials
+under random views and lights. Maps are (B, C, H, W) in [0, 1] by name: ``diffuse_albedo``,
+``specular_albedo`` and ``roughness``. The true map replaces a map that is not predicted, and predictions at
+pixels without a surface.
 """
 
 from __future__ import annotations
@@ -42,14 +43,14 @@ class LossConfig(StrictModel):
     map_l1_weight: float = Field(default=0.1, ge=0)
     map_l2_weight: float = Field(default=0.0, ge=0)
     """Weight of the maps' mean squared errors. L1 alone gives medians: where metal is rare, the median of
-    specular albedo is a dielectric's (decision 0015)."""
+    specular albedo is that of a dielectric (decision 0015)."""
     perceptual_weight: float = Field(default=1.0, ge=0)
     """Weight of every perceptual term; 0 omits them."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)
-    """Number of re-renderings, the first of a random order, that also enter the perceptual term; None: all.
-    Fewer cost less and leave the expectation unchanged."""
+    """Number of re-renderings, chosen at random, for which the perceptual distance is computed; None: all.
+    Fewer take less time; the expectation is the same."""
     log_maps: bool = False
-    """Compare ln(0.1 + M) instead of M for D and S, which is commented out in the paper's code."""
+    """Compare ln(0.1 + M) instead of M for both albedos, as in a comment of the paper's code."""
 
 
 def encode_log(image: Tensor) -> Tensor:
@@ -67,7 +68,7 @@ Condition = PointCondition | AreaCondition
 
 
 def render(maps: Mapping[str, Tensor], geometry: Geometry, condition: Condition) -> Tensor:
-    """Radiance (B, 3, H, W) of the maps under one condition, always computed in float32."""
+    """Radiance (B, 3, H, W) that surfaces with ``maps`` reflect under one condition, computed in float32."""
     diffuse, specular, roughness = (maps[name].float() for name in MATERIAL_MAPS)
     normal, view = geometry.normal, condition.view_dir
     if isinstance(condition, PointCondition):
@@ -87,7 +88,7 @@ class LossTerms:
 
 
 class MaterialLoss(nn.Module):
-    """Loss of one batch. ``perceptual`` is a distance of :mod:`model.training.perceptual`, or None."""
+    """Training loss. ``perceptual`` is a distance of :mod:`model.training.perceptual`, or None."""
 
     def __init__(self, config: LossConfig, perceptual: nn.Module | None):
         super().__init__()
@@ -111,8 +112,9 @@ class MaterialLoss(nn.Module):
     ) -> LossTerms:
         """Loss of a batch of crops; maps that are missing in ``predicted`` have no terms.
 
-        ``draws`` provides each image's views and lights, the CPU ``generator`` the perceptual metric's
-        transforms. ``stopwatch`` measures ``render`` and ``perceptual``.
+        ``predicted`` and ``truth`` are (B, 3 or 1, H, W) by name. ``draws`` draws each image's views and
+        lights, the CPU ``generator`` the transforms of E-LPIPS. ``stopwatch`` measures the sections
+        ``render`` and ``perceptual``.
         """
         watch = stopwatch or Stopwatch()
         mask = geometry.mask
@@ -160,16 +162,15 @@ class MaterialLoss(nn.Module):
         geometry: Geometry,
         draws: SampleDraws,
     ) -> list[tuple[Tensor, Tensor]]:
-        conditions: list[Condition] = []
-        for _ in range(self.config.num_point_lights):
-            conditions.append(sample_point_condition(geometry, draws))
-        for _ in range(self.config.num_area_lights):
-            conditions.append(sample_area_condition(geometry, draws))
+        conditions: list[Condition] = [
+            *(sample_point_condition(geometry, draws) for _ in range(self.config.num_point_lights)),
+            *(sample_area_condition(geometry, draws) for _ in range(self.config.num_area_lights)),
+        ]
         pairs = []
         for condition in conditions:
             with torch.no_grad():
-                aim = render(truth, geometry, condition)
-            pairs.append((render(materials, geometry, condition), aim))
+                target = render(truth, geometry, condition)
+            pairs.append((render(materials, geometry, condition), target))
         return pairs
 
     def _distance(self, pairs: list[tuple[Tensor, ...]], generator: torch.Generator) -> Tensor:

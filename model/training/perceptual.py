@@ -38,10 +38,9 @@ _PERMUTATIONS = tuple(permutations(range(3)))
 
 @dataclass(frozen=True)
 class Transform:
-    """A random transform: box downscaling after an offset, then shifts, flips, channel orders and gains.
-
-    ``scale``, ``scale_offset`` and ``transpose`` are shared by the batch; the rest is per image, ``gains``
-    (B, 3).
+    """A transform of B images. Shared: box downscaling by ``scale`` after padding by ``scale_offset`` (top,
+    left) in pixels, and ``transpose``. Per image: ``offsets`` (down, right) in pixels, ``flips`` (bit 0:
+    horizontal, bit 1: vertical), ``channel_orders`` and ``gains`` (B, 3).
     """
 
     scale: int
@@ -54,7 +53,7 @@ class Transform:
 
 
 def sample_transform(batch: int, height: int, width: int, generator: torch.Generator) -> Transform:
-    """Draw a transform for images of this size; the scale k has a probability proportional to 1/k^2."""
+    """Draw a transform for ``batch`` images; the scale k has a probability proportional to 1/k^2."""
 
     def integer(high: int) -> int:
         return int(torch.randint(0, high, (1,), generator=generator))
@@ -79,7 +78,7 @@ def sample_transform(batch: int, height: int, width: int, generator: torch.Gener
 
 
 def apply_transform(images: Tensor, transform: Transform) -> Tensor:
-    """Transform images (B, 3, H, W); both sides of a comparison have the same transform."""
+    """Apply a transform to images (B, 3, H, W)."""
     k = transform.scale
     if k > 1:
         height, width = images.shape[-2:]
@@ -103,7 +102,7 @@ def apply_transform(images: Tensor, transform: Transform) -> Tensor:
 
 
 class VggFeatures(nn.Module):
-    """VGG16's convolutions, frozen, which return the input and the output of each ReLU, 14 maps."""
+    """VGG16's 13 convolutions, frozen; the features are the normalised input and the output of each ReLU."""
 
     def __init__(self, layers: list[Convolution], *, average_pooling: bool):
         super().__init__()
@@ -115,7 +114,8 @@ class VggFeatures(nn.Module):
         self.register_buffer("scale", torch.tensor(_SCALE).reshape(1, 3, 1, 1), persistent=False)
 
     def forward(self, images: Tensor, masks: list[Tensor] | None = None) -> list[Tensor]:
-        """14 feature maps of images (B, 3, H, W) in [-1, 1]; ``masks`` multiply the convolutions' inputs."""
+        """14 feature maps (B, C, h, w) of images (B, 3, H, W) in [-1, 1]; the 13 ``masks`` multiply the
+        inputs of the convolutions."""
         x = (images - self.get_buffer("shift")) / self.get_buffer("scale")
         features = [x]
         pool = F.avg_pool2d if self.average_pooling else F.max_pool2d
@@ -130,10 +130,9 @@ class VggFeatures(nn.Module):
         return features
 
     def dropout_masks(self, images: Tensor, generator: torch.Generator) -> list[Tensor]:
-        """Dropout masks of 1 % for the input of each convolution, one tensor per convolution.
+        """Masks that drop 1 % of the input of each of 13 convolutions, for images (B, 3, H, W).
 
-        They have as many elements as VGG has activations and are therefore drawn on the images' device, by a
-        generator that is seeded by ``generator`` on the CPU.
+        For speed they are drawn on the images' device, by a generator that the CPU ``generator`` seeds.
         """
         seed = int(torch.randint(0, 2**62, (1,), generator=generator))
         on_device = torch.Generator(device=images.device).manual_seed(seed)
@@ -154,7 +153,8 @@ def _unit_features(features: Tensor) -> Tensor:
 
 
 def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor:
-    """Sum over layers of the spatial mean of the weighted squared difference of unit features, (B,)."""
+    """LPIPS distance (B,) of two lists of 14 feature maps: the sum over layers of the spatial mean of the
+    weighted squared difference of features normalised per pixel."""
     if heads.name == "lpips5":
         a, b = ([maps[1 + k] for k in _BLOCK_ENDS] for maps in (a, b))
     total = torch.zeros(a[0].shape[0], device=a[0].device)
@@ -165,7 +165,8 @@ def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor
 
 
 class Elpips(nn.Module):
-    """E-LPIPS (B,) on VGG16, with its 14 heads and average pooling or LPIPS' 5 heads and max pooling."""
+    """E-LPIPS distance (B,) of images (B, 3, H, W) in [0, 1] by VGG16, with its 14 heads and average pooling
+    or with LPIPS' 5 heads and max pooling."""
 
     def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):
         """``precision`` is the number format of VGG's activations; distances are summed in float32."""
@@ -181,16 +182,13 @@ class Elpips(nn.Module):
         masks = self.features.dropout_masks(transformed, generator)
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
             with torch.no_grad():
-                aim = self.features(2.0 * apply_transform(reference, transform) - 1.0, masks)
+                target = self.features(2.0 * apply_transform(reference, transform) - 1.0, masks)
             features = self.features(transformed, masks)
-        return _weighted_distance(features, aim, self.heads)
+        return _weighted_distance(features, target, self.heads)
 
 
 class LpipsVgg:
-    """Plain LPIPS-VGG with the heads of the ``lpips`` package.
-
-    Features and distance are separate because one image is often compared with many.
-    """
+    """Plain LPIPS-VGG with the heads of the ``lpips`` package; features of an image can be reused."""
 
     def __init__(self, layers: list[Convolution]):
         self._network, self._heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()
@@ -200,18 +198,18 @@ class LpipsVgg:
         return self._network(image)
 
     def distance(self, image: list[Tensor], reference: list[Tensor]) -> Tensor:
-        """LPIPS (B,) of two results of :meth:`features`."""
+        """LPIPS distance (B,) of two results of :meth:`features`."""
         return _weighted_distance(image, reference, self._heads)
 
 
 def lpips_vgg(layers: list[Convolution], image: Tensor, reference: Tensor) -> Tensor:
-    """Plain LPIPS-VGG (B,) of images in [-1, 1]."""
+    """Plain LPIPS-VGG distance (B,) of images (B, 3, H, W) in [-1, 1]."""
     lpips = LpipsVgg(layers)
     return lpips.distance(lpips.features(image), lpips.features(reference))
 
 
 def lpips_check_value(layers: list[Convolution]) -> float:
-    """LPIPS-VGG of two fixed random batches, for comparison with :data:`LPIPS_CHECK_VALUE`."""
+    """Mean LPIPS-VGG distance of two fixed random batches; must be :data:`LPIPS_CHECK_VALUE`."""
     random = np.random.RandomState(123)
     first, second = (torch.from_numpy(random.rand(10, 3, 100, 100).astype(np.float32)) for _ in range(2))
     with torch.no_grad():
@@ -222,10 +220,10 @@ def lpips_check_value(layers: list[Convolution]) -> float:
 
 
 class GradientSsim(nn.Module):
-    """Alternative for machines without VGG weights: multi-scale gradients and structural similarity.
+    """Distance (B,) of images (B, C, H, W) in [0, 1] without learned weights: gradients and SSIM.
 
-    At scales 1, 1/2 and 1/4: the mean absolute difference of the finite differences along x and y, plus half
-    of 1 - SSIM (Gaussian window 11, sigma 1.5, data range 1). The scales are averaged.
+    The mean over the scales 1, 1/2 and 1/4 of the mean absolute difference of the finite differences along x
+    and y, plus half of 1 - SSIM (Gaussian window of 11 pixels, sigma 1.5, data range 1).
     """
 
     name = "gradient-ssim-3"
@@ -245,7 +243,7 @@ class GradientSsim(nn.Module):
         return images
 
     def ssim(self, a: Tensor, b: Tensor) -> Tensor:
-        """Mean SSIM (B,) of images (B, C, H, W) in [0, 1]; Gaussian window of 11 x 11."""
+        """Mean SSIM (B,) of images (B, C, H, W) in [0, 1] with a Gaussian window of 11 x 11 pixels."""
         num = a.shape[1]
         moments = self._blur(torch.cat([a, b, a * a, b * b, a * b], dim=1)).split(num, dim=1)
         mean_a, mean_b, square_a, square_b, product = moments
@@ -274,9 +272,10 @@ class GradientSsim(nn.Module):
 def make_perceptual(
     kind: str, vgg: Path | None = None, heads: Path | None = None, precision: str = "float32"
 ) -> nn.Module:
-    """Construct the distance ``kind``, ``elpips`` or ``gradient_ssim``; other arguments are for E-LPIPS.
+    """Construct the distance ``kind``, ``elpips`` or ``gradient_ssim``; the other arguments, as in
+    :class:`~model.training.config.PerceptualConfig`, are for E-LPIPS.
 
-    Raises :class:`InputError` if VGG16's weights are missing: there is no silent fallback.
+    Raises :class:`InputError` if E-LPIPS lacks VGG16's weights.
     """
     if kind == "gradient_ssim":
         return GradientSsim()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One training phase, ready to run: its networks, optimiser, data and loss."""
+"""A training phase: its networks, optimiser, data and loss."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class TrackModule(nn.Module):
 
 
 class Phase:
-    """One phase ready to run: its networks, optimiser, data and loss."""
+    """Phase ``index`` of a run: its networks, optimiser, data and loss."""
 
     def __init__(self, context: TrainingContext, index: int, num_steps: int | None = None):
         """``num_steps`` replaces the number in the configuration, for measurements without data."""
@@ -73,7 +73,7 @@ class Phase:
         )
 
     def learning_rate(self, step: int) -> float:
-        """Learning rate of step ``step`` from 0: constant, or along half a cosine to the final rate."""
+        """Learning rate of step ``step`` (from 0): constant, or along half a cosine to the final rate."""
         first = self.config.learning_rate or self.context.config.learning_rate
         last = self.config.final_learning_rate or self.context.config.final_learning_rate
         if last is None:
@@ -86,7 +86,10 @@ class Phase:
         return self.context.plan(self.index, 0).steps_per_epoch
 
     def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
-        """Batches from step ``start`` to the phase's end; errors of loaders are raised without traceback."""
+        """Yield micro-batches from step ``start`` to the phase's end.
+
+        Raises :class:`InputError` for an invalid view, also if a loader process found it.
+        """
         plan = self.context.plan(self.index, start, self.num_steps)
         workers, pin = self.context.config.data.workers, self.context.device.type == "cuda"
         try:
@@ -99,11 +102,11 @@ class Phase:
             raise InputError(Problem(where, got=rest)) from None
 
     def averaged_weights(self) -> AbstractContextManager[None]:
-        """Context in which the networks have the averaged weights, if configured."""
+        """Context in which the networks have the averaged weights, if averaging is configured."""
         return self.average.applied() if self.average else nullcontext()
 
     def gradient_sync(self, is_last: bool) -> AbstractContextManager[Any]:
-        """Context in which ranks exchange gradients only in the last micro-batch of a step."""
+        """Context of one micro-batch, in which ranks exchange gradients only if it is the step's last."""
         if isinstance(self.module, DistributedDataParallel) and not is_last:
             return self.module.no_sync()
         return nullcontext()
@@ -115,10 +118,9 @@ class Phase:
         watch = context.stopwatch
         if not self.tracks:
             network = context.models.network
+            predictor = network_predictor(network, ("diffuse", "specular"), context.config.precision)
             with torch.no_grad():
-                predicted = network_predictor(network, ("diffuse", "specular"), context.config.precision)(
-                    batch
-                )
+                predicted = predictor(batch)
             image = encode_color(batch["beauty"], batch["exposure"].reshape(-1, 1, 1, 1))
             return confidence_loss(self.module, image, predicted, truth, batch["mask"], context.config.solver)
         with watch.section("forward"):

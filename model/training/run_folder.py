@@ -33,7 +33,7 @@ class RunFolder:
     """A run's folder: ``run.json`` (inputs of the run), ``state.safetensors`` (its progress),
     ``best-<phase>.safetensors`` and ``final.safetensors``.
 
-    All ranks call each method; the first rank writes.
+    All ranks call each method unless it states otherwise; the first rank writes.
     """
 
     path: Path
@@ -45,10 +45,10 @@ class RunFolder:
         return self.path / FINAL_FILE
 
     def open(self, data: Sequence[Path]) -> tuple[RunProgress, dict[str, Tensor]]:
-        """Start a new run's folder, or resume this run; raises :class:`InputError` for another run's folder.
+        """Create the folder of a new run on the dataset folders ``data``, or resume the run in it.
 
-        Returns the progress and the tensors of the state (empty at the start); the weights among them are
-        restored.
+        Returns the progress and the tensors of the saved state (none for a new run), whose weights are
+        already restored. Raises :class:`InputError` if the folder contains anything other than this run.
         """
         context = self.context
         record = RunRecord(
@@ -75,7 +75,7 @@ class RunFolder:
         return state
 
     def save(self, progress: RunProgress, phase: Phase | None = None) -> None:
-        """Write the state; between phases, ``phase`` is None."""
+        """Write the state of the run in ``phase``, or between phases (None)."""
         if self.context.ranks.is_first:
             optimizer, average = (phase.optimizer, phase.average) if phase else (None, None)
             averages = average.tensors() if average else {}
@@ -83,11 +83,11 @@ class RunFolder:
         self.context.ranks.barrier()
 
     def save_best(self, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:
-        """Write the best weights of a phase so far; on the first rank only."""
+        """Write the best weights of a phase so far. Only the first rank calls it."""
         self._save_checkpoint(f"best-{phase}.safetensors", phase, step, metrics)
 
     def save_final(self, step: int, metrics: dict[str, float]) -> None:
-        """Write the final weights; on the first rank only."""
+        """Write the final weights. Only the first rank calls it."""
         self._save_checkpoint(FINAL_FILE, self.context.config.phases[-1].name, step, metrics)
 
     def _save_checkpoint(self, file: str, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:
@@ -109,7 +109,7 @@ class RunFolder:
         save_checkpoint(self.path / file, card, context.models.network, confidence)
 
     def load_best(self, phase: PhaseName) -> None:
-        """Set the models to the best weights of a phase."""
+        """Load the best weights of a phase into the models."""
         models = self.context.models
         best = load_checkpoint(self.path / f"best-{phase}.safetensors", self.context.device)
         models.network.load_state_dict(best.network.state_dict())

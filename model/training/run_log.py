@@ -20,7 +20,7 @@ _COLUMNS = ("step", "phase", "epoch", "kind", "name", "value")
 
 
 class RunLog:
-    """Long-form CSV (one figure per row) and TensorBoard, both truncated to ``step`` when a run resumes.
+    """Log of a run as CSV (one figure per row) and for TensorBoard; later rows than ``step`` are removed.
 
     ``listeners`` receive the same figures and panels.
     """
@@ -61,7 +61,7 @@ class RunLog:
                 self._board.add_scalar(f"{kind}/{phase}/{name}", value, step)
 
     def panel(self, step: int, name: str, image: Tensor) -> None:
-        """Record an ``image`` (3, H, W) in [0, 1] as ``name``."""
+        """Record an ``image`` (3, H, W) in [0, 1] under ``name``."""
         if self.listeners:
             pixels = (255.0 * image.clamp(0, 1) + 0.5).byte().permute(1, 2, 0).cpu().numpy()
             self.listeners.tell(Event("train", "image", self.folder, name, step, image=pixels))
@@ -83,7 +83,7 @@ class RunLog:
 
 
 def read_log(folder: Path, kind: str, name: str, phase: str | None = None) -> list[tuple[int, float]]:
-    """Rows (step, value) of the figure ``name`` in a run's CSV, of all phases or of ``phase``."""
+    """Pairs (step, value) of the figure ``name`` in a run's CSV, of all phases or of ``phase``."""
     with (folder / CSV_FILE).open(newline="", encoding="utf-8") as file:
         return [
             (int(row["step"]), float(row["value"]))
@@ -93,9 +93,10 @@ def read_log(folder: Path, kind: str, name: str, phase: str | None = None) -> li
 
 
 def view_panel(batch: Mapping[str, Tensor], predicted: Mapping[str, Tensor]) -> Tensor:
-    """Panel (3, rows, columns) of one view: the input on top, then prediction, truth and error of each map.
+    """Panel (3, height, width) in [0, 1] of a batch's first view: a row with the input, then a row with
+    prediction, truth and error of each map.
 
-    Colours are shown with gamma 2.2, roughness linearly, absolute errors times 2.
+    Albedos are shown with gamma 2.2, roughness linearly, absolute errors times 2.
     """
     image = 0.5 * (encode_color(batch["beauty"], batch["exposure"].reshape(-1, 1, 1, 1))[0] + 1.0)
     rows = [torch.cat([image, torch.zeros_like(image), torch.zeros_like(image)], dim=2)]

@@ -44,7 +44,7 @@ class RunRecord(StrictModel):
 
 
 def check_same_run(path: Path, record: RunRecord) -> None:
-    """Raise :class:`InputError` with every field in which the run of ``run.json`` differs from ``record``."""
+    """Raise :class:`InputError` with every field in which ``record`` differs from the file ``path``."""
     earlier = read_json(RunRecord, path)
     if earlier == record:
         return
@@ -55,13 +55,13 @@ def check_same_run(path: Path, record: RunRecord) -> None:
             for field, then, now in differences(
                 earlier.model_dump(mode="json"), record.model_dump(mode="json")
             )
-            if ".assets" not in field  # the hash of the index covers them
+            if ".assets" not in field  # the index, whose hash is compared, lists them
         )
     )
 
 
 class RunProgress(StrictModel):
-    """Progress of a run: ``phase`` is an index, ``step`` counts within it, ``total_step`` over all phases."""
+    """Progress of a run: index of the current phase, its completed steps, and those of all phases."""
 
     phase: int = Field(default=0, ge=0)
     step: int = Field(default=0, ge=0)
@@ -71,7 +71,7 @@ class RunProgress(StrictModel):
     is_finished: bool = False
 
     def after_step(self, num_skipped: int) -> RunProgress:
-        """The progress after one more step, with ``num_skipped`` crops of bad views in it."""
+        """Return the progress after one more step, which skipped ``num_skipped`` crops of bad views."""
         return self.model_copy(
             update={
                 "step": self.step + 1,
@@ -81,12 +81,12 @@ class RunProgress(StrictModel):
         )
 
     def after_phase(self) -> RunProgress:
-        """The progress at the first step of the next phase."""
+        """Return the progress at the first step of the next phase."""
         return self.model_copy(update={"phase": self.phase + 1, "step": 0, "best_score": None})
 
 
 class NonFiniteError(RuntimeError):
-    """A loss or a gradient is NaN or Inf; the batch was saved."""
+    """A loss or a gradient is NaN or Inf; the message states the file of the batch."""
 
 
 def save_state(
@@ -110,7 +110,10 @@ def save_state(
 
 
 def load_state(folder: Path) -> tuple[RunProgress, dict[str, Tensor]] | None:
-    """Progress and tensors by name of a run, or None if none are saved yet. Raises :class:`InputError`."""
+    """Read the progress and the tensors by name of a run, or None if no state is saved.
+
+    Raises :class:`InputError` for a damaged file.
+    """
     from safetensors import SafetensorError, safe_open
     from safetensors.torch import load_file
 
@@ -129,9 +132,9 @@ def load_state(folder: Path) -> tuple[RunProgress, dict[str, Tensor]] | None:
 
 def restore_module(module: nn.Module, tensors: Mapping[str, Tensor], where: Path) -> None:
     """Set a module's weights from a state's tensors; raises :class:`InputError` if they do not fit."""
-    own = {n.removeprefix("module."): v for n, v in tensors.items() if n.startswith("module.")}
+    weights = {n.removeprefix("module."): v for n, v in tensors.items() if n.startswith("module.")}
     try:
-        module.load_state_dict(own)
+        module.load_state_dict(weights)
     except RuntimeError as error:
         raise input_error(where, "", str(error).splitlines()[0], "this run's weights", _REMEDY) from None
 
@@ -149,7 +152,7 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Te
 def save_bad_batch(
     folder: Path, batch: Mapping[str, Tensor], parts: Mapping[str, float], step: int, rank: int
 ) -> Path:
-    """Save a batch with a non-finite loss or gradient, and the loss's terms ``parts``; returns the file."""
+    """Save a batch with a non-finite loss or gradient, and the loss's terms ``parts``; returns the path."""
     from safetensors.torch import save_file
 
     path = folder / f"bad_batch_step{step}_rank{rank}.safetensors"

@@ -3,26 +3,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.formats.base import parse_model, sha256_file
+from datagen.formats.base import sha256_file
 from datagen.formats.configuration import Split
 from datagen.formats.shard import INDEX_FILE
 from datagen.formats.shard import Dataset as DatasetFolder
-from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, index_shard, read_member
+from datagen.formats.view_places import ViewPlace, index_shard
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.checkpoint import DataRecord
 from model.networks import NetworkConfig
-from model.training.dataset import buffer_names
+from model.training.dataset import buffer_names, read_record
 
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Views of both splits, their common size (width, height) in pixels, and records of the datasets."""
+    """Views for training and validation, their (width, height) in pixels, and records of the datasets."""
 
     train: tuple[ViewPlace, ...]
     validation: tuple[ViewPlace, ...]
@@ -31,7 +29,7 @@ class TrainingData:
 
 
 def validation_note(data: TrainingData, num_views: int) -> str:
-    """Warning if ``num_views`` > 0 validation views are configured but there are none; "" otherwise."""
+    """Warning for a user if ``num_views`` > 0 but the data has no validation views; otherwise ""."""
     if data.validation or not num_views:
         return ""
     return (
@@ -42,11 +40,10 @@ def validation_note(data: TrainingData, num_views: int) -> str:
 
 
 def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> TrainingData:
-    """Open the views of dataset folders, divided by the splits in their indices.
+    """List the training and validation views of dataset folders, without decoding them.
 
-    Only tar headers and one JSON file are read. Raises :class:`InputError` if an index lacks a buffer that
-    the network needs, a shard is missing or damaged, views are smaller than a crop, or no training views
-    remain.
+    Raises :class:`InputError` if an index lacks a buffer that the network needs, a shard is missing or
+    damaged, views are smaller than ``crop_px`` per side, or there are no training views.
     """
     needed = buffer_names(network)
     places: dict[Split, list[ViewPlace]] = {"train": [], "validation": [], "test": []}
@@ -82,28 +79,20 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
         )
     size = view_size(places["train"][0])
     if min(size) < crop_px:
-        first = places["train"][0]
-        got = f"{size[0]} x {size[1]}"
-        remedy = "reduce data.crop_px"
-        raise input_error(
-            f"{first.shard}:{first.name}", "size", got, f"at least {crop_px} px per side", remedy
-        )
+        view = f"{places['train'][0].shard}:{places['train'][0].name}"
+        expected = f"at least {crop_px} px per side"
+        raise input_error(view, "size", f"{size[0]} x {size[1]}", expected, "reduce data.crop_px")
     return TrainingData(tuple(places["train"]), tuple(places["validation"]), size, tuple(records))
 
 
 def view_size(place: ViewPlace) -> tuple[int, int]:
-    """Width and height of a view in pixels, read from its record; raises :class:`InputError`."""
-    where = f"{place.shard}:{place.name}"
-    try:
-        text = json.loads(read_member(place, place.record))
-    except (ValueError, RecursionError) as error:
-        raise input_error(where, "", str(error), "valid JSON", "make the shard again") from None
-    camera = parse_model(ViewRecord, text, where).camera
+    """Width and height of a view in pixels. Raises :class:`InputError` for an invalid record."""
+    camera = read_record(place, "make the shard again").camera
     return camera.width_px, camera.height_px
 
 
 def spread(places: Sequence[ViewPlace], count: int) -> list[ViewPlace]:
-    """At most ``count`` of the views, evenly spaced."""
+    """Select at most ``count`` views, evenly spaced in ``places``."""
     if count >= len(places):
         return list(places)
     return [places[k * len(places) // count] for k in range(count)]

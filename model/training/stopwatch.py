@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time of a training step by part."""
+"""Measurement of the time of each part of a training step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 
 
 class Stopwatch:
-    """Seconds by name. On a GPU every section waits for the device, so use it for measurements only."""
+    """Seconds by section. With a CUDA ``device``, each section waits for the GPU, which slows training."""
 
     def __init__(self, device: torch.device | None = None):
         self.seconds: dict[str, float] = {}
@@ -19,7 +19,7 @@ class Stopwatch:
 
     @contextmanager
     def section(self, name: str) -> Iterator[None]:
-        """Context whose duration is added to ``name``."""
+        """Context whose duration is added to the seconds of ``name``."""
         start = self._now()
         try:
             yield
@@ -27,7 +27,7 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + self._now() - start
 
     def take(self) -> dict[str, float]:
-        """The seconds by name since the previous call."""
+        """Return the seconds by section since the previous call."""
         taken, self.seconds = self.seconds, {}
         return taken
 

@@ -32,7 +32,7 @@ _STEP_PURPOSE = 0x57
 
 
 class Trainer:
-    """Trains a run, in a new folder or that of an interrupted run, up to ``final.safetensors``."""
+    """Training of a run on dataset ``folders``; ``out`` is a new folder or that of an interrupted run."""
 
     def __init__(
         self,
@@ -84,26 +84,23 @@ class Trainer:
                         phase.average.restore(restored)
                 batches = phase.batches(self.progress.step)
                 while self.progress.step < phase.num_steps:
-                    # One step of the optimiser.
                     with context.stopwatch.section("step"):
                         values = self.step(phase, batches)
                     self.progress = self.progress.after_step(round(values.pop("num_skipped")))
                     step, total_step = self.progress.step, self.progress.total_step
                     epoch, is_last = (step - 1) // phase.steps_per_epoch, step == phase.num_steps
 
-                    # Figures: next to the progress bar after every step, in the log at intervals.
+                    # the progress bar shows every step, the log steps at intervals
                     speed = self._speed()
                     bars.tell("training", total_step, total, self._note(phase, values, speed))
                     if log is not None and (step % config.log_every_steps == 0 or is_last):
                         log.scalars(total_step, phase.config.name, epoch, "train", values)
                         log.scalars(total_step, phase.config.name, epoch, "speed", speed)
 
-                    # Errors on the validation views; the best weights are kept.
                     every = config.validation.every_steps or phase.num_steps
                     if is_last or step % phase.steps_per_epoch == 0 or step % every == 0:
                         self._validate(phase, epoch, log)
 
-                    # The state from which the run resumes, also saved when it is stopped.
                     stops = self._stops()
                     if step % config.checkpoint_every_steps == 0 or stops:
                         if log is not None:
@@ -112,7 +109,7 @@ class Trainer:
                     if stops:
                         raise KeyboardInterrupt
 
-                # The next phase starts from the best weights of this one.
+                # the next phase starts from the best weights of this one
                 folder.load_best(phase.config.name)
                 self.progress = self.progress.after_phase()
                 folder.save(self.progress)
@@ -126,7 +123,10 @@ class Trainer:
         return folder.final
 
     def step(self, phase: Phase, batches: Iterator[dict[str, Tensor]]) -> dict[str, float]:
-        """One optimiser step; returns the loss's terms, averaged over micro-batches and ranks."""
+        """Run one optimiser step; returns the loss's terms, averaged over micro-batches and ranks.
+
+        Raises :class:`NonFiniteError` if the loss or a gradient is NaN or Inf.
+        """
         config, context, watch = self.config, self.context, self.context.stopwatch
         sums: dict[str, Any] = {}
         batch: dict[str, Tensor] = {}
@@ -134,7 +134,6 @@ class Trainer:
             group["lr"] = phase.learning_rate(self.progress.step)
         phase.optimizer.zero_grad(set_to_none=True)
 
-        # Gradients, summed over micro-batches.
         for micro in range(config.accumulation):
             with watch.section("data"):
                 batch = next(batches)
@@ -151,7 +150,6 @@ class Trainer:
                 sums[name] = sums.get(name, 0.0) + value.detach().float() / config.accumulation
             sums["num_skipped"] = sums.get("num_skipped", 0.0) + batch["is_skipped"].sum() * self.ranks.count
 
-        # The step itself, unless a figure is NaN or Inf.
         with watch.section("optimizer"):
             norm = torch.nn.utils.get_total_norm([p.grad for p in phase.parameters if p.grad is not None])
             values = self.ranks.mean({**sums, "gradient_norm": norm})
@@ -167,17 +165,14 @@ class Trainer:
     def _stop_on_non_finite(self, phase: Phase, batch: dict[str, Tensor], values: dict[str, float]) -> None:
         step = self.progress.total_step
         path = save_bad_batch(self.folder.path, batch, values, step, self.ranks.index)
-        what = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
-        raise NonFiniteError(f"{phase.config.name}, step {step}: {what}; the batch is in {path}")
+        terms = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
+        raise NonFiniteError(f"{phase.config.name}, step {step}: {terms}; the batch is in {path}")
 
     def _speed(self) -> dict[str, float]:
         """Crops per second in the last step, and the share of its time spent waiting for data."""
         seconds = self.context.stopwatch.take()
         crops = self.config.batch_size * self.config.accumulation * self.ranks.count
-        return {
-            "crops_per_s": crops / seconds["step"],
-            "data_wait_share": seconds["data"] / seconds["step"],
-        }
+        return {"crops_per_s": crops / seconds["step"], "data_wait_share": seconds["data"] / seconds["step"]}
 
     def _note(self, phase: Phase, values: dict[str, float], speed: dict[str, float]) -> str:
         text = f"{phase.config.name} loss {values['total']:.4f}, {speed['crops_per_s']:.1f} crops/s"
@@ -185,7 +180,7 @@ class Trainer:
         return f"{text}, {skipped} crops of bad views skipped" if skipped else text
 
     def _validate(self, phase: Phase, epoch: int, log: RunLog | None) -> None:
-        """Validate, and keep the weights if they are the phase's best so far."""
+        """Validate on the first rank, and save the weights if they are the phase's best so far."""
         if log is not None:
             name, step = phase.config.name, self.progress.total_step
             best = self.progress.best_score
@@ -202,7 +197,7 @@ class Trainer:
         self.ranks.barrier()
 
     def request_stop(self) -> None:
-        """Stop after the current step, with the state saved."""
+        """Request :meth:`run` to save the state and stop after the current step."""
         self.stop_requested = True
 
     def _stops(self) -> bool:

@@ -28,14 +28,14 @@ Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 
 @dataclass
 class MapErrors:
-    """Sums, by map, of squared and absolute errors over surface pixels and channels, and their numbers."""
+    """Sums by map of squared and absolute errors over surface pixels and channels, and numbers of terms."""
 
     squared: dict[str, float] = field(default_factory=dict)
     absolute: dict[str, float] = field(default_factory=dict)
     counts: dict[str, float] = field(default_factory=dict)
 
     def add(self, predicted: Mapping[str, Tensor], batch: Mapping[str, Tensor]) -> None:
-        """Add a batch; maps missing from ``predicted`` are left out."""
+        """Add the errors of the ``predicted`` maps (B, 3 or 1, H, W) of a batch."""
         for name in MATERIAL_MAPS:
             if name not in predicted:
                 continue
@@ -46,7 +46,7 @@ class MapErrors:
             self.counts[name] = self.counts.get(name, 0.0) + pixels
 
     def metrics(self) -> dict[str, float]:
-        """``<map>_mse`` and ``<map>_l1`` of every map that was added."""
+        """Mean squared and absolute error of every map, as ``<map>_mse`` and ``<map>_l1``."""
         result = {}
         for name, count in self.counts.items():
             result[f"{name}_mse"] = self.squared[name] / max(count, 1.0)
@@ -55,7 +55,7 @@ class MapErrors:
 
 
 def score_of(metrics: Mapping[str, float]) -> float:
-    """Mean of the maps' mean squared errors: the criterion of the best checkpoint."""
+    """Mean of the maps' mean squared errors; the best checkpoint has the lowest."""
     values = [value for name, value in metrics.items() if name.endswith("_mse")]
     return sum(values) / len(values)
 
@@ -63,7 +63,7 @@ def score_of(metrics: Mapping[str, float]) -> float:
 def whole_views(
     places: Iterable[ViewPlace], names: Sequence[str], device: torch.device
 ) -> Iterable[dict[str, Tensor]]:
-    """Yield a batch of one whole view for each place, with the buffers ``names``."""
+    """Yield one batch per view of ``places``, which contains the whole view's buffers ``names``."""
     for index, place in enumerate(places):
         sample = view_sample(load_view(place, names), index)
         yield {name: value.unsqueeze(0).to(device) for name, value in sample.items()}
@@ -71,7 +71,7 @@ def whole_views(
 
 @torch.no_grad()
 def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dict[str, float]:
-    """Metrics (:meth:`MapErrors.metrics`) of a predictor over batches."""
+    """Mean squared and absolute errors of a predictor over batches, as :meth:`MapErrors.metrics`."""
     errors = MapErrors()
     for batch in batches:
         errors.add(predict(batch), batch)
@@ -81,7 +81,7 @@ def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dic
 def network_predictor(
     network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str = "float32"
 ) -> Predictor:
-    """A predictor that runs the tracks of ``network`` in eval mode."""
+    """Return a predictor that runs ``tracks`` of ``network`` in eval mode."""
 
     def predict(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         modes = [(module, module.training) for module in network.modules()]
@@ -89,7 +89,7 @@ def network_predictor(
         device = batch["beauty"].device.type
         with torch.autocast(device, torch.bfloat16, enabled=precision == "bfloat16"):
             maps = network(batch, batch["exposure"], batch["depth_max_m"], tracks)
-        for module, was_training in modes:  # each, since a phase may train a single track
+        for module, was_training in modes:  # per module, since a phase may train a single track
             module.training = was_training
         return maps
 
@@ -97,7 +97,7 @@ def network_predictor(
 
 
 def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverConfig) -> Predictor:
-    """A predictor that returns S and R of ``predict``, filtered by the bilateral solver."""
+    """Return a predictor of the S and R of ``predict``, filtered by the bilateral solver."""
 
     def filtered(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         maps = predict(batch)
@@ -111,7 +111,7 @@ def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverC
 def phase_metrics(
     context: TrainingContext, phase: PhaseName, views: Sequence[ViewPlace], log: RunLog, step: int
 ) -> dict[str, float]:
-    """Errors of the maps that a phase trains, with panels of some views in the log; empty without views."""
+    """Errors of the maps that a phase trains on ``views``, by name; panels of some views are logged."""
     if not views:
         return {}
     config, models = context.config, context.models
@@ -128,7 +128,7 @@ def phase_metrics(
 
 
 def final_metrics(context: TrainingContext, views: Sequence[ViewPlace]) -> dict[str, float]:
-    """Errors of all maps, also after the filter if confidence was the last phase; empty without views."""
+    """Errors of all maps on ``views``, by name; of filtered maps too if the last phase is confidence."""
     if not views:
         return {}
     config, models = context.config, context.models
@@ -143,7 +143,7 @@ def final_metrics(context: TrainingContext, views: Sequence[ViewPlace]) -> dict[
 
 
 def mean_maps(batches: Iterable[Mapping[str, Tensor]]) -> dict[str, Tensor]:
-    """Mean (C, 1, 1) of every true map over surface pixels."""
+    """Mean (C, 1, 1) of every true map over the surface pixels of ``batches``."""
     sums: dict[str, Tensor] = {}
     count = 0.0
     for batch in batches:
@@ -155,16 +155,16 @@ def mean_maps(batches: Iterable[Mapping[str, Tensor]]) -> dict[str, Tensor]:
 
 
 def constant_predictor(means: Mapping[str, Tensor]) -> Predictor:
-    """Baseline: the ``means`` (C, 1, 1) of the training set everywhere."""
+    """Return a predictor of constant maps: the ``means`` (C, 1, 1) of the training set."""
     return lambda batch: {name: value.expand_as(batch[name]) for name, value in means.items()}
 
 
 def median_predictor(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Baseline: the exposed median image, clipped to [0, 1], as the diffuse albedo."""
+    """Predict the diffuse albedo by the exposed ``color_median``, clipped to [0, 1]: a baseline."""
     exposed = batch["color_median"] * batch["exposure"].reshape(-1, 1, 1, 1)
     return {"diffuse_albedo": exposed.clamp(0.0, 1.0)}
 
 
 def reflectance_predictor(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Baseline: the recorded reflectance, clipped to [0, 1], as the diffuse albedo."""
+    """Predict the diffuse albedo by the recorded reflectance, clipped to [0, 1]: a baseline."""
     return {"diffuse_albedo": batch["reflectance"].clamp(0.0, 1.0)}

