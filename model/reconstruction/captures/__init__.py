@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Readers of all supported capture formats; ``read.py`` recognises the format and calls its module."""
+"""Readers of all supported capture formats; ``read.py`` recognises a format and calls its reader."""
 
 from __future__ import annotations
 
