@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps of a capture's views from a checkpoint, stored by view so that an interrupted run resumes."""
+"""Predicts the maps of a capture's views and stores them by view, so that an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ USUAL_PIXELS = 640 * 384
 
 
 def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> list[Maps]:
-    """Maps of all views: stored maps are read, missing maps are predicted and stored."""
+    """The maps of all views: stored ones are read, missing ones are predicted and stored."""
     capture, views, options, report = traced.capture, traced.statistics, run.options, run.report
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
@@ -78,9 +78,9 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
 
 
 def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Batches of consecutive views of one size, at most ``size`` views, fewer for large ones.
+    """Indices of consecutive views of one size in batches of at most ``size``, or fewer for large views.
 
-    They do not depend on stored maps, since convolutions round differently for other batch sizes.
+    Batches do not depend on stored maps, since convolutions round differently for other batch sizes.
     """
     batches: list[list[int]] = []
     for index, camera in enumerate(capture.cameras):
