@@ -35,7 +35,7 @@ from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 
 SKY_ID = "relight-sky"
-_DARK = 1e-3  # mean radiance of a view, relative to the sky's, below which the sky does not light it
+_DARK = 1e-3  # mean luminance of a view, relative to the sky's, below which it counts as unlit
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Insertion:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A point light: ``intensity`` in W/sr per channel."""
+    """A point light with an ``intensity`` in W/sr per channel."""
 
     position_m: tuple[float, float, float]
     intensity: tuple[float, float, float] = (5.0, 5.0, 5.0)
@@ -57,11 +57,11 @@ class Lamp:
 
 @dataclass(frozen=True)
 class RelightOptions:
-    """Options of rendering an asset.
+    """Options for rendering an asset.
 
     ``sky``, an environment map (EXR) or a constant radiance, and ``lamps`` replace the asset's lights.
-    ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace the asset's, with the names
-    ``frame-000``, .... ``compensation`` is a factor of the exposure of PNG images and animations.
+    ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace the asset's cameras and are
+    named ``frame-000``, .... ``compensation`` is a factor of the exposure of PNG images and animations.
     """
 
     sky: Path | tuple[float, float, float] | None = None
@@ -85,9 +85,9 @@ class RenderedImage:
 
 
 def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[RenderedImage]:
-    """Rendered views of an environment package.
+    """Render the views of an environment package one by one.
 
-    Raises :class:`InputError` for unknown views, missing lights and bad packages.
+    Raises :class:`InputError` for unknown views, missing lights and invalid packages.
     """
     options = options or RelightOptions()
     package = open_package(path)
@@ -200,10 +200,10 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
 def lit_images(
     path: Path, options: RelightOptions, warn: Callable[[str], None] | None = None
 ) -> Iterator[RenderedImage]:
-    """The images of :func:`render_asset`, with a fallback for dark rooms.
+    """The images of :func:`render_asset`, with other lights if the room would be dark.
 
-    If no light from the sky reaches the first view, the asset's own lights are used. If there are none, a
-    lamp in the middle of its cameras is used. ``warn`` is then called with an explanation.
+    If no light from the sky reaches the first view, the asset's lights replace the sky. An asset without
+    lights gets a lamp in the middle of its cameras. ``warn`` is called with an explanation in either case.
     """
     with open_package(path) as package:
         asset = package.asset
@@ -243,7 +243,7 @@ def _say(warn: Callable[[str], None] | None, text: str) -> None:
 
 
 def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
-    """Whether the only light is a sky and a view of radiance ``color`` is practically black."""
+    """Whether the only light is a sky and a view with the radiance ``color`` (H, W, 3) is almost black."""
     if options.sky is None or options.lamps:
         return False
     return float(luminance(color).mean()) < _DARK * _sky_luminance(options.sky)
@@ -263,12 +263,11 @@ def write_renders(
     warn: Callable[[str], None] | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Path]:
-    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all with the first view's exposure).
-
-    ``warn`` is called if the light differs from the requested one (:func:`lit_images`).
+    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all with the first view's exposure) in
+    the folder ``out``; returns the paths. ``warn`` is called if lights are replaced (:func:`lit_images`).
     """
     options = options or RelightOptions()
-    with open_package(path) as package:  # an unreadable file leaves no folder behind
+    with open_package(path) as package:  # before the folder is made, in case the file is unreadable
         total = len(options.views or getattr(package.asset, "cameras", ()))
     out.mkdir(parents=True, exist_ok=True)
     written = []
@@ -288,5 +287,5 @@ def write_renders(
 
 
 def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
-    """A linear image (H, W, 3) times ``exposure`` as 8-bit sRGB."""
+    """Encode a linear image (H, W, 3) times ``exposure`` as 8-bit sRGB."""
     return (np.clip(srgb_from_linear(color * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)

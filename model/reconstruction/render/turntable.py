@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Animation of an asset: frames from cameras on a path through it, as a GIF or a video.
+"""Renders an animation of an asset from cameras on a path through it, as a GIF or a video.
 
 The path ``orbit`` is an ellipse about the middle of the asset's cameras, at their mean height; its cameras
 look across the room if most of the asset's do, else outwards. The path ``cameras`` passes through the asset's
@@ -32,7 +32,7 @@ _GIF_COLORS = 255
 
 @dataclass(frozen=True)
 class TurntableOptions(FilmOptions):
-    """Options of an animation; views and cameras of ``render`` are not used."""
+    """Options of an animation; ``views`` and ``cameras`` of ``render`` are ignored."""
 
     render: RelightOptions = field(default_factory=RelightOptions)
 
@@ -44,10 +44,10 @@ def write_turntable(
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> list[Camera]:
-    """Render an environment package along a path into ``out``; returns the cameras.
+    """Render an environment package along a path to the file ``out`` (.gif or .mp4); returns the cameras.
 
-    ``.mp4`` contains VP9, which browsers and common players support. All frames have the first frame's
-    exposure. Raises :class:`InputError` for other suffixes, bad packages and missing lights.
+    MP4 files contain VP9, which browsers and common players support. All frames have the first frame's
+    exposure. Raises :class:`InputError` for other suffixes, invalid packages and missing lights.
     """
     options = options or TurntableOptions()
     if out.suffix.lower() not in SUFFIXES:
@@ -77,9 +77,9 @@ def write_turntable(
 
 
 def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:
-    """The frames' cameras on the path ``options.way``, with the median focal length of ``cameras``.
+    """Cameras of the frames on the path ``options.way``, with the median field of view of ``cameras``.
 
-    The width and height are even, as video requires, in the first camera's aspect ratio.
+    Width and height are even, as video requires, and have about the first camera's aspect ratio.
     """
     lens = cameras[0]
     scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
