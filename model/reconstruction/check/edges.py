@@ -109,7 +109,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Relative distance of a neighbour's depth ``other`` from a pixel's tangent plane along its ray, or Inf."""
+    """Relative distance of a neighbour's depth ``other`` from a pixel's tangent plane along its ray."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across

@@ -15,7 +15,7 @@ from model.reconstruction.stages import Maps, ViewPicture
 
 NUM_VIEWS, WIDTH_PX = 6, 320
 NO_SURFACE = 128
-"""Grey of pixels without a confidence."""
+"""Grey value of pixels without a surface."""
 
 
 def view_pictures(views: Sequence[TracedView], maps: Sequence[Maps], exposure: float) -> list[ViewPicture]:
