@@ -27,8 +27,7 @@ CaptureArgument = Annotated[
 ]
 OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work is resumed.")]
 CheckpointOption = Annotated[
-    Path | None,
-    typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones."),
+    Path | None, typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones.")
 ]
 
 

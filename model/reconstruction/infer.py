@@ -31,12 +31,7 @@ from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomica
 from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
-from datagen.geometry.traced import (
-    TracedGeometry,
-    face_normals,
-    seen_sides,
-    smooth_regions,
-)
+from datagen.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
 from datagen.geometry.views import TracedCapture, trace_capture, visible_faces
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant

@@ -12,11 +12,4 @@ from model.reconstruction.captures.read import (
     write_capture,
 )
 
-__all__ = [
-    "CaptureOptions",
-    "capture_file",
-    "open_capture",
-    "read_capture",
-    "shrunk_camera",
-    "write_capture",
-]
+__all__ = ["CaptureOptions", "capture_file", "open_capture", "read_capture", "shrunk_camera", "write_capture"]

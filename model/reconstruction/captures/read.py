@@ -36,11 +36,7 @@ from datagen.foundation.errors import InputError, Problem, input_error, raise_pr
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
-from model.reconstruction.capture_options import (
-    DEFAULT_MAX_WIDTH_PX,
-    CaptureOptions,
-    Exposure,
-)
+from model.reconstruction.capture_options import DEFAULT_MAX_WIDTH_PX, CaptureOptions, Exposure
 from model.reconstruction.captures import (
     bundler,
     colmap,

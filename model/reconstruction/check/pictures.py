@@ -25,10 +25,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def write_contact_sheets(
-    out: Path,
-    report: CheckReport,
-    colors: Sequence[NDArray[np.float32]],
-    edges: Sequence[NDArray[np.bool_]],
+    out: Path, report: CheckReport, colors: Sequence[NDArray[np.float32]], edges: Sequence[NDArray[np.bool_]]
 ) -> list[Path]:
     """Write ``sheet-01.png`` etc. with all views, from linear ``colors`` (H, W, 3); returns the paths.
 

@@ -14,11 +14,7 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.export.gltf_lights import PUNCTUAL, emissive, punctual_lights
-from model.reconstruction.export.metallic_textures import (
-    DIELECTRIC_F0,
-    MAX_DIELECTRIC_F0,
-    ConversionError,
-)
+from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0, ConversionError
 from model.reconstruction.export.slots import Reconstruction, export_slots, patch_meshes
 
 _FLOAT, _UINT = 5126, 5125
@@ -83,10 +79,7 @@ def _material(name: str, textures: list[int]) -> dict[str, Any]:
         "pbrMetallicRoughness": {"baseColorTexture": base, "metallicRoughnessTexture": packed},
         "occlusionTexture": packed,
         "extensions": {
-            "KHR_materials_specular": {
-                "specularColorTexture": tint,
-                "specularColorFactor": [factor] * 3,
-            }
+            "KHR_materials_specular": {"specularColorTexture": tint, "specularColorFactor": [factor] * 3}
         },
     }
 

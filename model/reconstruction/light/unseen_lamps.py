@@ -21,14 +21,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import smooth_regions
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import Lit
-from model.reconstruction.radiometry.recovered import (
-    RAYS,
-    Gathered,
-    Prior,
-    SourceField,
-    doubt_of,
-    recovered,
-)
+from model.reconstruction.radiometry.recovered import RAYS, Gathered, Prior, SourceField, doubt_of, recovered
 from model.reconstruction.radiometry.sources import Sources
 
 MAX_POINTS = 2500
@@ -104,10 +97,7 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
     log_albedo = np.log(np.maximum(predicted[chosen].astype(np.float64), _MIN_ALBEDO))
     albedo = np.stack([np.bincount(group, column) for column in log_albedo.T], axis=1)
     prior = Prior(
-        albedo / np.bincount(group)[:, None],
-        np.full(len(lamps), _EXPECTED),
-        ALBEDO_SPREAD,
-        _EXPECTED_SPREAD,
+        albedo / np.bincount(group)[:, None], np.full(len(lamps), _EXPECTED), ALBEDO_SPREAD, _EXPECTED_SPREAD
     )
     gathered = Gathered(surfels.radiance[chosen].astype(np.float64), light, form, group)
     found = recovered(gathered, replace(lamps, bound=bound), prior)

@@ -51,11 +51,7 @@ class SolvedSurfels:
 
 
 def view_materials(
-    surfels: Surfels,
-    solved: SolvedSurfels,
-    index: int,
-    view: TracedView,
-    predicted: dict[str, NDArray],
+    surfels: Surfels, solved: SolvedSurfels, index: int, view: TracedView, predicted: dict[str, NDArray]
 ) -> dict[str, NDArray[np.float16]]:
     """Compute the maps D, S, R and ``confidence`` (H, W, 3) of the view ``index`` by name.
 

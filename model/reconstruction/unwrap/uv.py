@@ -133,11 +133,7 @@ def padding_texels(mesh: Mesh) -> int | None:
 
 
 def _report(
-    mesh: Mesh,
-    source: Literal["mesh", "xatlas"],
-    rejected: str,
-    num_fallback: int = 0,
-    num_blender: int = 0,
+    mesh: Mesh, source: Literal["mesh", "xatlas"], rejected: str, num_fallback: int = 0, num_blender: int = 0
 ) -> UvReport:
     areas, uv_areas = mesh.areas(), _uv_areas(mesh)
     usable = (areas > 0) & (uv_areas > 0)
