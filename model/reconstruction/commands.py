@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -122,10 +123,7 @@ def photos(
     reading, inference = CaptureOptions(**asdict(frame)), InferOptions(**asdict(options))
     wanted = PhotosOptions(colmap, reading, inference, frames, samples)
     source = CheckpointMaps(checkpoint or bundled_checkpoint())
-
-    def say(text: str) -> None:
-        typer.echo(text, err=True)
-
+    say = partial(typer.echo, err=True)
     try:
         with Bars(is_quiet=quiet) as bars:
             made = make_asset(folder, out, source, wanted, bars.tell, say)

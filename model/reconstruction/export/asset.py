@@ -59,7 +59,9 @@ def write_asset(
         provenance=Provenance(license=license_id, source=f"materials infer, {len(capture.views)} views"),
         materials=materials,
         parts=tuple(parts),
-        lights=_known_lights(capture.lights) if found is None else _found_lights(found),
+        lights=_found_lights(found)
+        if found is not None
+        else tuple(light for light in capture.lights if getattr(light, "image", None) is None),
         camera_regions=(_camera_region(capture.cameras),),
         cameras=tuple(
             AssetCamera(
@@ -71,10 +73,6 @@ def write_asset(
         ),
     )
     return write_package(path, asset, files, overwrite=True)
-
-
-def _known_lights(lights: tuple[Light, ...]) -> tuple[Light, ...]:
-    return tuple(light for light in lights if getattr(light, "image", None) is None)
 
 
 def _found_lights(found: FoundLights) -> tuple[Light, ...]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +158,6 @@ class _Glb:
         text = json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         binary = bytes(self.data) + bytes(-len(self.data) % 4)
-        head = [len(text).to_bytes(4, "little"), b"JSON", text, len(binary).to_bytes(4, "little"), b"BIN\0"]
-        body = b"".join(head) + binary
-        return b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body
+        chunks = ((b"JSON", text), (b"BIN\0", binary))
+        body = b"".join(struct.pack("<I4s", len(chunk), kind) + chunk for kind, chunk in chunks)
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body

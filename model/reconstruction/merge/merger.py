@@ -131,11 +131,6 @@ class MergeOptions:
         )
 
     @property
-    def by_borders(self) -> bool:
-        """Whether pixels near the borders of a view have less weight."""
-        return self.weights in ("borders", "all")
-
-    @property
     def by_confidence(self) -> bool:
         """Whether pixels are weighted by their confidence."""
         return self.weights in ("confidence", "all")
@@ -282,7 +277,7 @@ def _view_arrays(
             packets[span, first] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
         if options.by_confidence and view.confidence is not None:
             weight[span] = np.maximum(view.confidence.reshape(num, 3), MIN_WEIGHT)
-        if options.by_borders:
+        if options.weights in ("borders", "all"):
             image = view.depth_z_m.reshape(camera.height_px, camera.width_px)
             borders = border_weights(image, see.depth_tolerance + see.slope_limit)
             weight[span] *= borders.reshape(num, 1)

@@ -114,11 +114,6 @@ class Predictor:
         """Whether the bilateral solver runs."""
         return self.options.is_filtered and self._confidence is not None
 
-    @property
-    def has_confidence(self) -> bool:
-        """Whether predictions include confidence."""
-        return self.options.has_confidence
-
     @torch.no_grad()
     def predict(self, batch: Sequence[dict[str, Tensor]]) -> list[dict[str, NDArray[np.float32]]]:
         """Predict maps (H, W, 3 or 1) in [0, 1] of views of one size from their :func:`view_tensors`; with
@@ -132,12 +127,12 @@ class Predictor:
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             maps = self._network(tensors, exposure, depth_max)
         maps = {name: value.float().contiguous() for name, value in maps.items()}
-        if self._confidence is not None and (self.is_filtered or self.has_confidence):
+        if self._confidence is not None and (self.is_filtered or self.options.has_confidence):
             image = encode_color(tensors["beauty"], self.exposure)
             confidences = self._confidence(image, maps)
             if self.is_filtered:
                 maps = filter_maps(maps, confidences, self._solver)
-            if self.has_confidence:
+            if self.options.has_confidence:
                 of_specular, of_roughness = (confidences[name] for name in FILTERED_MAPS)
                 of_diffuse = torch.ones_like(of_specular)
                 maps["confidence"] = torch.cat([of_diffuse, of_specular, of_roughness], dim=1)

@@ -44,7 +44,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
     report.is_filtered = predictor.is_filtered
     if options.is_filtered and not predictor.is_filtered:
         report.notes.append("the checkpoint has no confidence networks: maps are not filtered")
-    wants_confidence = predictor.has_confidence
+    wants_confidence = predict_options.has_confidence
     maps: list[Maps | None] = [_stored(run.out, view, wants_confidence) for view in capture.views]
     batches = _batches(capture, options.batch)
     pending = [batch for batch in batches if any(maps[index] is None for index in batch)]

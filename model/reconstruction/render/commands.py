@@ -13,12 +13,10 @@ import typer
 from datagen.foundation.bundled import object_package
 from datagen.foundation.command_line import QuietOption, with_options
 from datagen.foundation.progress import Bars
-from model.reconstruction.render.options import FilmOptions
+from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
 
 if TYPE_CHECKING:
     from model.reconstruction.render.relight import RelightOptions
-
-FILM_SUFFIXES = (".gif", ".mp4")
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.progress import Progress
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
+from model.reconstruction.export.atlas_images import quantized_bytes
 
 SKY_ID = "relight-sky"
 _DARK = 1e-3  # mean luminance of a view, relative to the sky's, below which it counts as unlit
@@ -143,7 +144,10 @@ def _configuration(
         if not isinstance(inserted.asset, ObjectAsset):
             raise input_error(insertion.package, "kind", inserted.asset.kind, "an object package")
         assets[inserted.id] = inserted.sha256
-        matrix = _placed_at(insertion)
+        matrix = np.eye(4)
+        c, s = np.cos(insertion.yaw_rad), np.sin(insertion.yaw_rad)
+        matrix[:2, :2] = [[c, -s], [s, c]]
+        matrix[:3, 3] = insertion.position_m
         objects.append(
             PlacedAsset(name=f"inserted-{number}", asset=inserted.id, world_from_asset=matrix4(matrix))
         )
@@ -158,14 +162,6 @@ def _configuration(
         "cameras": cameras,
     }
     return base.model_copy(update=changes), names
-
-
-def _placed_at(insertion: Insertion) -> NDArray[np.float64]:
-    matrix = np.eye(4)
-    c, s = np.cos(insertion.yaw_rad), np.sin(insertion.yaw_rad)
-    matrix[:2, :2] = [[c, -s], [s, c]]
-    matrix[:3, 3] = insertion.position_m
-    return matrix
 
 
 def _sky_light(sky: Path | tuple[float, float, float]) -> Light:
@@ -198,7 +194,7 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
 
 
 def lit_images(
-    path: Path, options: RelightOptions, warn: Callable[[str], None] | None = None
+    path: Path, options: RelightOptions, warn: Callable[[str], None] = lambda text: None
 ) -> Iterator[RenderedImage]:
     """The images of :func:`render_asset`, with other lights if the room would be dark.
 
@@ -211,7 +207,7 @@ def lit_images(
     has_lights = bool(asset.lights) or any(any(m.emission or ()) for m in asset.materials.values())
     if options.sky is None and not options.lamps and not has_lights:
         options = _with_own_lamp(options, asset, path)
-        _say(warn, f"the asset has no light: {_OWN_LAMP}")
+        warn(f"the asset has no light: {_OWN_LAMP}")
     images = render_asset(path, options)
     first = next(images, None)
     if first is None:
@@ -219,7 +215,7 @@ def lit_images(
     if _is_unlit(first.color, options):
         options = replace(options, sky=None) if has_lights else _with_own_lamp(options, asset, path)
         instead = "its own lights are used" if has_lights else _OWN_LAMP
-        _say(warn, f"no light of the sky reaches {first.name}: the room is closed; {instead}")
+        warn(f"no light of the sky reaches {first.name}: the room is closed; {instead}")
         images = render_asset(path, options)
         first = next(images)
     yield first
@@ -235,11 +231,6 @@ def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path)
         raise input_error(path, "lights", "none", "a light", "give one with --lamp or --sky")
     x, y, z = (float(v) for v in np.mean([c.camera().position_m for c in asset.cameras], axis=0))
     return replace(options, lamps=(Lamp((x, y, z)),))
-
-
-def _say(warn: Callable[[str], None] | None, text: str) -> None:
-    if warn is not None:
-        warn(text)
 
 
 def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
@@ -260,7 +251,7 @@ def write_renders(
     path: Path,
     out: Path,
     options: RelightOptions | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] = lambda text: None,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Path]:
     """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all with the first view's exposure) in
@@ -288,4 +279,4 @@ def write_renders(
 
 def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
     """Encode a linear image (H, W, 3) times ``exposure`` as 8-bit sRGB."""
-    return (np.clip(srgb_from_linear(color * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
+    return quantized_bytes(srgb_from_linear(color * exposure))

@@ -22,10 +22,9 @@ from datagen.foundation.color import photographic_exposure
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Progress
-from model.reconstruction.render.options import FilmOptions
+from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
 from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
 
-SUFFIXES = (".gif", ".mp4")
 MIN_RADIUS_M = 0.15  # radius of a small circle for a capture from one position
 _GIF_COLORS = 255
 
@@ -42,7 +41,7 @@ def write_turntable(
     out: Path,
     options: TurntableOptions | None = None,
     progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> list[Camera]:
     """Render an environment package along a path to the file ``out`` (.gif or .mp4); returns the cameras.
 
@@ -50,7 +49,7 @@ def write_turntable(
     exposure. Raises :class:`InputError` for other suffixes, invalid packages and missing lights.
     """
     options = options or TurntableOptions()
-    if out.suffix.lower() not in SUFFIXES:
+    if out.suffix.lower() not in FILM_SUFFIXES:
         raise input_error(out, "", out.suffix or "no suffix", "a file .gif or .mp4", "rename it")
     with open_package(path) as package:
         asset = package.asset
