@@ -70,6 +70,11 @@ def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
     return pixels.astype(np.float32)
 
 
+def quantized_bytes(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """Quantise values, clipped to [0, 1], to 8 bits."""
+    return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
 def encode_png(pixels: NDArray[Any]) -> bytes:
     """Deterministic PNG bytes of uint8 or uint16 pixels, (H, W) or (H, W, 1), (H, W, 3) or (H, W, 4)."""
     import cv2

@@ -82,7 +82,7 @@ class TexelSurface:
 
 @compiled
 def corner(uv: Any, vertex: Any, size: Any) -> Any:
-    """Position (x, y) of a vertex on the atlas, in texels from the upper left corner."""
+    """Position (x, y) of a vertex on an atlas of ``size`` texels, in texels from the upper left corner."""
     return np.float64(uv[vertex, 0]) * size, (1.0 - np.float64(uv[vertex, 1])) * size
 
 

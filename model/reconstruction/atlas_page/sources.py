@@ -49,7 +49,7 @@ class Source:
         return Source(middle, self.vector_m2 + other.vector_m2, area, flux / area)
 
     def described(self) -> dict[str, Any]:
-        """The source as JSON data for the page."""
+        """Convert the source to JSON data for the page."""
         return {
             "position": self.position_m.tolist(),
             "vector": self.vector_m2.tolist(),

@@ -20,8 +20,8 @@ from datagen.formats.package import Package
 from datagen.formats.textures import texture_values
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png, read_image
-from model.reconstruction.export.atlas_images import SEEN, quantized_bytes
+from datagen.foundation.images import encode_png, quantized_bytes, read_image
+from model.reconstruction.export.atlas_images import SEEN
 
 KINDS = ("diffuse", "specular", "rough")
 

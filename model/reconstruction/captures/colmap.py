@@ -82,7 +82,7 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
     """
     if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
         lenses = _read_binary_cameras(folder / "cameras.bin", budget)
-        poses = _read_binary_images(folder / "images.bin", budget)
+        poses = {name: values[1:] for name, values in _binary_images(folder / "images.bin", budget)}
         where, cameras = folder / "images.bin", folder / "cameras.bin"
     else:
         lenses = _read_text_cameras(folder / "cameras.txt", budget)
@@ -235,12 +235,6 @@ class _Cursor:
         self.offset = end + 1
         return value
 
-    def skip(self, num_bytes: int) -> None:
-        """Skip ``num_bytes`` bytes."""
-        self.offset += num_bytes
-        if self.offset > len(self.data):
-            raise self.short()
-
     def short(self) -> InputError:
         """Make the error for a truncated file."""
         return input_error(self.path, "", "the file ends early", "a whole file", _REMEDY)
@@ -259,10 +253,6 @@ def _read_binary_cameras(path: Path, budget: Budget) -> dict[int, _Lens]:
     return lenses
 
 
-def _read_binary_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDArray, NDArray]]:
-    return {name: values[1:] for name, values in _binary_images(path, budget)}
-
-
 def _binary_images(path: Path, budget: Budget) -> Iterator[tuple[str, tuple[int, int, NDArray, NDArray]]]:
     """Yield the name and (image id, camera id, quaternion, translation) of each image."""
     cursor = _Cursor(path)
@@ -270,7 +260,7 @@ def _binary_images(path: Path, budget: Budget) -> Iterator[tuple[str, tuple[int,
         budget.spend("frames", 1, "images")
         values = cursor.take("i7di")
         name = cursor.text()
-        cursor.skip(cursor.take("Q")[0] * 24)  # x, y as doubles and a point id per feature
+        cursor.take(f"{cursor.take('Q')[0] * 24}x")  # x, y as doubles and a point id per feature
         yield name, (values[0], values[8], np.array(values[1:5]), np.array(values[5:8]))
 
 

@@ -163,7 +163,7 @@ def _check_local(chunk: ElementTree.Element, path: Path) -> None:
 
 
 def _similarity(element: ElementTree.Element | None, path: Path) -> NDArray[np.float64]:
-    """world_from_chunk (4, 4), including scale; the identity if ``element`` is None."""
+    """Parse world_from_chunk (4, 4), including scale; the identity if ``element`` is None."""
     matrix = np.eye(4)
     if element is None:
         return matrix

@@ -98,7 +98,7 @@ def _payload(entry: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Lens:
-    """An intrinsic: a camera at the origin, and its distortion."""
+    """Intrinsics, as those of a camera at the origin, and distortion."""
 
     camera: Camera
     distortion: Distortion | None

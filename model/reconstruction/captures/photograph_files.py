@@ -136,7 +136,7 @@ def _check(path: Path) -> None:
 
 
 def _read_heic(path: Path) -> NDArray[np.uint8]:
-    """Pixels (H, W, 3), upright. Raises :class:`InputError`."""
+    """Read upright pixels (H, W, 3). Raises :class:`InputError`."""
     from PIL import Image
 
     width, height = photograph_size(path)

@@ -62,7 +62,7 @@ class PhotographSource:
 
 
 def exif_orientation(path: Path) -> int:
-    """EXIF orientation 1 ... 8; 1 if the file has none. Raises :class:`InputError` for an unreadable file."""
+    """EXIF orientation, 1 to 8; 1 if there is none. Raises :class:`InputError` for an unreadable file."""
     if path.suffix.lower() == ".exr" or is_raw(path):
         return 1
     from PIL import Image

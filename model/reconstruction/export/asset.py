@@ -76,7 +76,7 @@ def write_asset(
 
 
 def _found_lights(found: FoundLights) -> tuple[Light, ...]:
-    """Rectangles of panels and windows, and the sky."""
+    """Area lights for the rectangles of panels and windows, and an environment light for the sky."""
     areas = (
         AreaLight(
             name=f"{patch.slot}-{number}",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.durable import publish
-from datagen.foundation.images import encode_png
+from datagen.foundation.images import encode_png, quantized_bytes
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
@@ -29,11 +29,6 @@ MAX_TEXTURE = 4096
 CONFIDENCE = "confidence"
 SEEN, FILLED, EMPTY = 255, 128, 0
 """Values of the mask: observed surface, filled-in surface, no surface."""
-
-
-def quantized_bytes(values: NDArray) -> NDArray[np.uint8]:
-    """Quantise values, clipped to [0, 1], to 8 bits."""
-    return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
 def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
-from datagen.foundation.images import encode_png
+from datagen.foundation.images import encode_png, quantized_bytes
 from model.reconstruction.atlas.atlas import Atlas
-from model.reconstruction.export.atlas_images import averaged, quantized_bytes, texture_shrink
+from model.reconstruction.export.atlas_images import averaged, texture_shrink
 
 DIELECTRIC_F0 = 0.04
 MAX_DIELECTRIC_F0 = 0.16

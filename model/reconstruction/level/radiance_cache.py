@@ -46,7 +46,10 @@ class SeenPixels:
 
 
 class RadianceCache:
-    """Radiance of cubes and background. Raises :class:`ValueError` if the views show no extended surface."""
+    """Radiance of the surfaces and background in ``views``.
+
+    Raises :class:`ValueError` if these show no extended surface.
+    """
 
     def __init__(self, views: Sequence[TracedView]):
         total = sum(view.valid_mask.size for view in views)
@@ -86,11 +89,11 @@ class RadianceCache:
         num_views: int,
     ) -> None:
         order = np.argsort(cube * num_views + view, kind="stable")
-        starts, keys = _runs((cube * num_views + view)[order])
+        keys, starts = np.unique((cube * num_views + view)[order], return_index=True)
         num = np.diff(np.append(starts, len(order)))
         of_view = np.add.reduceat(color[order], starts) / num[:, None]  # mean of a view in a cube
         cube_of_run = keys // num_views
-        first, self._keys = _runs(cube_of_run)
+        self._keys, first = np.unique(cube_of_run, return_index=True)
         count = np.diff(np.append(first, len(cube_of_run)))
         self._radiance = np.empty((len(first), 3))
         for channel in range(3):
@@ -172,9 +175,3 @@ def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
         view.geometry.normal_world.reshape(-1, 3)[pixel].astype(np.float64),
         view.color.reshape(-1, 3)[pixel].astype(np.float64),
     )
-
-
-def _runs(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Start index (K,) and key (K,) of each run of equal values in the sorted ``keys``."""
-    starts = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
-    return starts, keys[starts]

@@ -121,7 +121,7 @@ def impossible_shares(
 
 
 def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> NDArray[np.float64]:
-    """``part`` / ``total``, shrunk to ``otherwise`` with the weight of :data:`MIN_OBSERVATIONS`."""
+    """Share ``part`` / ``total`` (K,), shrunk to ``otherwise`` by the weight :data:`MIN_OBSERVATIONS`."""
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.color_maps import cividis
+from datagen.foundation.images import quantized_bytes
 from datagen.geometry.views import TracedView
-from model.reconstruction.export.atlas_images import quantized_bytes
 from model.reconstruction.stages import Maps, ViewPicture
 
 NUM_VIEWS, WIDTH_PX = 6, 320

@@ -9,6 +9,8 @@ in front of the surface, since the triangles of a ceiling extend beyond its lamp
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -63,10 +65,7 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
             patch = _patch(cells[which], int(sides[which][0]), which, lit)
             found.append((share, patch))
     found.sort(key=lambda item: -item[0])
-    return tuple(
-        FoundPatch(f"panel-{number}", patch.rectangles, patch.place_m, patch.area_m2, patch.radiance)
-        for number, (_, patch) in enumerate(found)
-    )
+    return tuple(replace(patch, slot=f"panel-{number}") for number, (_, patch) in enumerate(found))
 
 
 def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[np.int64]:

@@ -37,7 +37,7 @@ class SolvedSurfels:
 
     ``diffuse`` (N, 3): Ld; ``specular`` (M, 3): S Ls0 + Ls1 of each observation; ``specular_albedo`` (N, 3),
     ``roughness`` (N,), ``is_metal`` (N,); ``confidence`` (N, 3) of D, S and R in [0, 1]; ``replaced`` (N,):
-    share of the network's D that is replaced; ``prior_scale`` (N, 3): factor of the network's D in the rest.
+    share of the network's D that is replaced; ``prior_scale`` (N, 3): factor of the remainder.
     """
 
     diffuse: NDArray[np.float32]

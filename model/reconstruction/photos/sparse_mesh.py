@@ -127,7 +127,7 @@ def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray)
 def _boundary(
     vertices: NDArray, simplices: NDArray, neighbors: NDArray, is_free: NDArray[np.bool_], num_points: int
 ) -> Mesh:
-    """The facets between free and solid tetrahedra, without those at the corners of the box."""
+    """Mesh of the facets between free and solid tetrahedra, without those at the corners of the box."""
     tetrahedron, facet = np.nonzero(is_free[:, None] & (neighbors >= 0) & ~is_free[neighbors])
     faces = simplices[tetrahedron[:, None], _FACETS[facet]]
     a, b, c = np.moveaxis(vertices[faces], 1, 0)

@@ -62,7 +62,7 @@ class GivenMaps:
         """Do nothing: given maps need no preparation."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """The given maps."""
+        """Read the given maps."""
         with run.stage("read maps"):
             return self.read(traced)
 

@@ -71,7 +71,8 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
         with report.stage("write maps"):
             for index, view_maps in zip(batch, predicted, strict=True):
                 if maps[index] is None:
-                    maps[index] = _halves(view_maps)
+                    # rounded as stored, so that a resumed run equals an uninterrupted one
+                    maps[index] = {name: values.astype(np.float16) for name, values in view_maps.items()}
                     _store(run.out, capture.views[index], view_maps)
         run.tell("predict", sum(m is not None for m in maps), len(maps))
     return [view_maps for view_maps in maps if view_maps is not None]
@@ -94,29 +95,22 @@ def _batches(capture: Capture, size: int) -> list[list[int]]:
     return batches
 
 
-def _halves(maps: Maps) -> Maps:
-    """Maps rounded as stored, so that a resumed run equals an uninterrupted one."""
-    return {name: values.astype(np.float16) for name, values in maps.items()}
-
-
-def _map_path(out: Path, view: CaptureView) -> Path:
-    return out / "views" / f"{view.name}.exr"
-
-
-def _confidence_path(out: Path, view: CaptureView) -> Path:
-    return out / "views" / f"{view.name}.confidence.npy"
+def _paths(out: Path, view: CaptureView) -> tuple[Path, Path]:
+    """Files of a view's maps and of their confidence."""
+    return out / "views" / f"{view.name}.exr", out / "views" / f"{view.name}.confidence.npy"
 
 
 def _store(out: Path, view: CaptureView, maps: Maps) -> None:
+    path, confidence_path = _paths(out, view)
     if "confidence" in maps:
         stream = io.BytesIO()
         np.save(stream, maps["confidence"].astype(np.float16))
-        write_bytes_atomically(_confidence_path(out, view), stream.getvalue())
-    write_bytes_atomically(_map_path(out, view), encode_view({name: maps[name] for name in MATERIAL_MAPS}))
+        write_bytes_atomically(confidence_path, stream.getvalue())
+    write_bytes_atomically(path, encode_view({name: maps[name] for name in MATERIAL_MAPS}))
 
 
 def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> Maps | None:
-    path, confidence_path = _map_path(out, view), _confidence_path(out, view)
+    path, confidence_path = _paths(out, view)
     if not path.is_file() or (wants_confidence and not confidence_path.is_file()):
         return None
     try:

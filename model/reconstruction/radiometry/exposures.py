@@ -81,7 +81,7 @@ def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
 
 
 def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """The inverse of :func:`shown`."""
+    """Inverse of :func:`shown`: linear values from recorded ones, relative to the clipping limit."""
     encoded = np.linspace(0, 1, 4096)
     bent = encoded - curve * np.sin(2 * np.pi * encoded)
     of_value = np.asarray(srgb_from_linear(np.clip(value, 0, 1)), np.float64)

@@ -131,9 +131,7 @@ def _mask_of(view: TracedView) -> NDArray[np.bool_]:
 
 def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
-    label = np.full(len(share), -1, np.int64)
-    label[clipped] = np.minimum(np.arange(int(clipped.sum())), MAX_SOURCES - 1)
-    return label, share
+    return np.where(clipped, np.minimum(np.cumsum(clipped) - 1, MAX_SOURCES - 1), -1), share
 
 
 def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:

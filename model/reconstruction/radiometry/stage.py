@@ -62,7 +62,7 @@ def described(found: Completed) -> dict[str, Any]:
 
 
 def notes_of(found: Completed) -> list[str]:
-    """Messages about the calibration for the user."""
+    """Messages for the user about equalised exposures and clipped pixels."""
     notes = []
     stops = np.log2(found.radiometry.gain).mean(axis=1)
     if found.radiometry.changes:

@@ -27,13 +27,12 @@ from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance, photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.images import encode_png, quantized_bytes, read_image
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.progress import Progress
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
-from model.reconstruction.export.atlas_images import quantized_bytes
 
 SKY_ID = "relight-sky"
 _DARK = 1e-3  # mean luminance of a view, relative to the sky's, below which it counts as unlit
@@ -132,7 +131,12 @@ def _configuration(
             for k, lamp in enumerate(options.lamps)
         )
         if options.sky is not None:
-            lights = (_sky_light(options.sky), *lights)
+            lights = (
+                EnvironmentLight(name="sky", image="sky.exr", asset=SKY_ID)
+                if isinstance(options.sky, Path)
+                else EnvironmentLight(name="sky", radiance=options.sky),
+                *lights,
+            )
         lamps = [slot for slot, m in package.asset.materials.items() if m.emission is not None]
         emission = {slot: (0.0, 0.0, 0.0) for slot in lamps}
     elif not lights and not any(m.emission for m in package.asset.materials.values()):
@@ -162,12 +166,6 @@ def _configuration(
         "cameras": cameras,
     }
     return base.model_copy(update=changes), names
-
-
-def _sky_light(sky: Path | tuple[float, float, float]) -> Light:
-    if isinstance(sky, Path):
-        return EnvironmentLight(name="sky", image="sky.exr", asset=SKY_ID)
-    return EnvironmentLight(name="sky", radiance=sky)
 
 
 @contextmanager
@@ -226,7 +224,7 @@ _OWN_LAMP = "a lamp in the middle of its cameras is used (--lamp X,Y,Z sets othe
 
 
 def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path) -> RelightOptions:
-    """The options with a lamp in the middle of the asset's cameras."""
+    """The options with a lamp in the middle of the cameras. Raises :class:`InputError` without cameras."""
     if not asset.cameras:
         raise input_error(path, "lights", "none", "a light", "give one with --lamp or --sky")
     x, y, z = (float(v) for v in np.mean([c.camera().position_m for c in asset.cameras], axis=0))

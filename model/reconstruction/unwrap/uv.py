@@ -62,7 +62,7 @@ class UvReport:
 
     @property
     def notes(self) -> list[str]:
-        """Messages for the user."""
+        """Messages for the user about faults of the unwrap."""
         notes = [f"the mesh's own UVs are not used: {self.rejected}"] if self.rejected else []
         if self.num_blender_faces:
             notes.append(f"xatlas failed on {self.num_blender_faces} triangles; Blender unwrapped them")
