@@ -134,7 +134,7 @@ def _look(view: TracedView, number: int) -> _Look:
 
 
 def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:
-    """Points (N, 3) in the camera's frame, and their pixels' x (N,) and y (N,) in OpenCV's coordinates."""
+    """Points (N, 3) in the camera's frame, and their pixel coordinates x and y (N,), integers at centres."""
     local = points @ pose[:3, :3].T + pose[:3, 3]
     z = np.maximum(local[:, 2], 1e-6)
     x = lens.fx_px * local[:, 0] / z + lens.cx_px - 0.5

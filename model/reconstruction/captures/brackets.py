@@ -35,7 +35,7 @@ class BracketSource:
     photographs: tuple[PhotographSource, ...]
 
     def read(self, camera: Camera) -> ColorImage:
-        """Resample the photographs to ``camera`` and merge them; ``limit`` is of the shortest exposure."""
+        """Resample the photographs to ``camera`` and merge them, with the limit of the shortest exposure."""
         ordered = sorted(self.photographs, key=lambda p: (p.exposure_scale, str(p.path)))
         return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
 
@@ -114,5 +114,5 @@ def _are_one_camera(one: CaptureView, other: CaptureView) -> bool:
         return False
     # for a small angle between the orientations, |R_a - R_b| = sqrt(2) angle
     turn = np.linalg.norm(a.world_from_camera[:3, :3] - b.world_from_camera[:3, :3]) / np.sqrt(2)
-    apart = np.subtract((a.fx_px, a.fy_px, a.cx_px, a.cy_px), (b.fx_px, b.fy_px, b.cx_px, b.cy_px))
-    return bool(turn <= MAX_TURN_RAD and np.abs(apart).max() <= MAX_INTRINSICS_SHARE * a.width_px)
+    difference = np.subtract((a.fx_px, a.fy_px, a.cx_px, a.cy_px), (b.fx_px, b.fy_px, b.cx_px, b.cy_px))
+    return bool(turn <= MAX_TURN_RAD and np.abs(difference).max() <= MAX_INTRINSICS_SHARE * a.width_px)

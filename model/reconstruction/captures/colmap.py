@@ -70,8 +70,8 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
     ``images`` defaults to the folder ``images`` in ``path``, its parent or its grandparent.
     """
-    beside = (path / "images", path.parent / "images", path.parent.parent / "images")
-    folder = images or next((f for f in beside if f.is_dir()), beside[0])
+    candidates = (path / "images", path.parent / "images", path.parent.parent / "images")
+    folder = images or next((f for f in candidates if f.is_dir()), candidates[0])
     return Calibration(tuple(read_colmap(path, budget)), folder)
 
 

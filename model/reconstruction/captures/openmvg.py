@@ -80,10 +80,10 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     raise_problems(problems)
     # root_path may be of another computer: only its last part is used, for a folder next to the file
     name = Path(str(data.get("root_path", ""))).name
-    beside = [
+    candidates = [
         path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..") and len(f) < 100
     ]
-    folder = images or next((f for f in beside if f.is_dir()), path.parent)
+    folder = images or next((f for f in candidates if f.is_dir()), path.parent)
     notes = (f"{unposed} views have no pose or lens and were left out",) if unposed else ()
     return Calibration(tuple(found), folder, notes)
 

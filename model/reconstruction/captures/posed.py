@@ -71,8 +71,8 @@ class ImageFinder:
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
-        """Path of the image ``name`` in the folder, else of the only image below the folder with its last
-        part, else None.
+        """Path of the image ``name`` in the folder, else of the only image below it with that file name, else
+        None.
         """
         name = name.replace("\\", "/")
         if not name.isprintable():  # the system raises for paths with a zero byte
@@ -118,7 +118,7 @@ class ImageFinder:
         return real if real is not None and real.is_file() else None
 
     def _named(self, name: str) -> list[Path]:
-        """Images below the folder with the last part of ``name``, in any known format."""
+        """Images below the folder with the file name of ``name``, in any known format."""
         return self._index().get(Path(name).name.lower(), []) if name.isprintable() else []
 
     def _index(self) -> dict[str, list[Path]]:

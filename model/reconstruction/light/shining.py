@@ -50,16 +50,16 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
         return ()
     keys = np.flatnonzero(grid.surfel >= 0)
     cells, sides = cell_indices(keys, grid.shape)
-    apart = apart_by_side(cells, sides)
+    separated = apart_by_side(cells, sides)
     others = np.setdiff1d(np.arange(len(keys)), shining)
-    around = cKDTree(apart[others])
+    around = cKDTree(separated[others])
     found = []
     for cluster in adjacent_cells(cells[shining], sides[shining]):
         which = shining[cluster]
         share = sent[which].sum() / sent.sum()
         if len(which) < MIN_CELLS or share < MIN_SHARE:
             continue
-        near, far = (_within(around, apart[which], reach) for reach in RING_CELLS)
+        near, far = (_within(around, separated[which], reach) for reach in RING_CELLS)
         ring = others[np.setdiff1d(far, near)]
         if not len(ring) or np.median(sent[which]) >= MIN_EDGE * np.median(sent[ring]):
             patch = _patch(cells[which], int(sides[which][0]), which, lit)

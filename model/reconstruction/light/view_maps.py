@@ -146,14 +146,14 @@ def _pixels(
         r, is_metal, total_like = np.float32(0), np.float32(0), np.float32(0)
         for k in range(num):
             i = near[k]
-            apart = np.float32(0)
+            distance2 = np.float32(0)
             for c in range(3):
                 d = np.log(
                     (color[index, c] / ld[c] + np.float32(0.02))
                     / (radiance[i, c] / max(diffuse[i, c], floor) + np.float32(0.02))
                 )
-                apart += d * d
-            w = share[k] * (np.exp(np.float32(-0.5 / SIMILAR**2) * apart / 3) + np.float32(1e-4))
+                distance2 += d * d
+            w = share[k] * (np.exp(np.float32(-0.5 / SIMILAR**2) * distance2 / 3) + np.float32(1e-4))
             total_like += w
             r += w * rough[i]
             is_metal += w * metal[i]

@@ -100,10 +100,10 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
     poses = []
     for k in range(num):
         angle = 2 * np.pi * k / num
-        way = np.array([np.cos(angle), np.sin(angle)])
+        outward = np.array([np.cos(angle), np.sin(angle)])
         eye = center.copy()
-        eye[:2] += radii * way
-        ahead = np.append(-way if is_across else way, np.clip(slope, -1.0, 0.5))
+        eye[:2] += radii * outward
+        ahead = np.append(-outward if is_across else outward, np.clip(slope, -1.0, 0.5))
         poses.append(look_at(eye, eye + ahead))
     return poses
 
@@ -115,13 +115,13 @@ def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
     keys = np.array([np.concatenate([c.position_m, c.forward]) for c in cameras])
     closed = np.concatenate([keys, keys[:1]])
     at = np.linspace(0, len(keys), num, endpoint=False)
-    way = CubicSpline(np.arange(len(closed)), closed, bc_type="periodic") if len(keys) > 2 else None
+    spline = CubicSpline(np.arange(len(closed)), closed, bc_type="periodic") if len(keys) > 2 else None
     poses = []
     for t in at:
         before = int(t) % len(keys)
         share = t - int(t)
         straight = (1 - share) * closed[before] + share * closed[before + 1]
-        found = straight if way is None else way(t)
+        found = straight if spline is None else spline(t)
         forward = found[3:] if np.linalg.norm(found[3:]) > 1e-3 else keys[before, 3:]
         poses.append(look_at(found[:3], found[:3] + forward))
     return poses
