@@ -68,6 +68,11 @@ def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
     return pixels.astype(np.float32)
 
 
+def quantized_bytes(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """Quantise values, clipped to [0, 1], to 8 bits."""
+    return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
 def encode_png(pixels: NDArray[Any]) -> bytes:
     """Encode uint8 or uint16 pixels, (H, W) or (H, W, C) with C of 1, 3 or 4, as PNG; deterministic."""
     import cv2

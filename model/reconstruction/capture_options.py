@@ -14,7 +14,7 @@ from datagen.foundation.encodings import Encoding
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Exposure = Literal["auto", "common", "exif"]
-"""Exposures of photographs: equal (common), as recorded in EXIF, or (auto) as recorded if all are."""
+"""Relative exposures of photographs: equal (common), from EXIF (exif), or from EXIF if all have it (auto)."""
 DEFAULT_MAX_WIDTH_PX = 640
 
 
@@ -27,11 +27,11 @@ def _metres(text: str) -> float | None:
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """The mesh, and the frames of mesh and cameras.
+    """Options for the mesh and the coordinate frame of a capture.
 
     ``up`` is the up axis of the cameras' world, ``unit_m`` its unit in metres; "auto" and None estimate them
-    (``captures.frames``), and "cameras" estimates any up direction. Views longer than ``max_width_px`` on a
-    side are scaled down, since the networks are trained on views of 640 pixels.
+    (``captures.frames``); "cameras" estimates an up direction that need not be an axis. Views whose longer
+    side exceeds ``max_width_px`` are scaled down, since the networks are trained on views of 640 pixels.
     """
 
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
@@ -57,9 +57,9 @@ class FrameOptions:
 class CaptureOptions(FrameOptions):
     """Options for reading a capture.
 
-    ``library``: folders of the asset packages of a rendered capture, by default those of its dataset, else
-    the bundled library. ``mesh_up`` is the mesh's up axis if it differs from the cameras'. ``limits`` are by
-    default from the environment variables.
+    ``library``: folders of the asset packages of a rendered capture; the default is the library of its
+    dataset, else the bundled one. ``mesh_up``: up axis of the mesh, or "same" as the cameras'. ``limits``:
+    limits on the input's size; by default from environment variables.
     """
 
     images: Annotated[Path | None, typer.Option(help="Folder of the photographs.")] = None

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,8 +28,7 @@ CaptureArgument = Annotated[
 ]
 OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work is resumed.")]
 CheckpointOption = Annotated[
-    Path | None,
-    typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones."),
+    Path | None, typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones.")
 ]
 
 
@@ -123,10 +123,7 @@ def photos(
     reading, inference = CaptureOptions(**asdict(frame)), InferOptions(**asdict(options))
     wanted = PhotosOptions(colmap, reading, inference, frames, samples)
     source = CheckpointMaps(checkpoint or bundled_checkpoint())
-
-    def say(text: str) -> None:
-        typer.echo(text, err=True)
-
+    say = partial(typer.echo, err=True)
     try:
         with Bars(is_quiet=quiet) as bars:
             made = make_asset(folder, out, source, wanted, bars.tell, say)

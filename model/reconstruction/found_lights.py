@@ -24,8 +24,8 @@ SKY = "sky"
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A rectangle, ``origin_m + s edge_u_m + t edge_v_m``, s and t in [0, 1], that emits along edge_u x
-    edge_v.
+    """A rectangle with the points ``origin_m + s edge_u_m + t edge_v_m``, s and t in [0, 1], that emits on
+    the side of the normal cross(edge_u_m, edge_v_m).
     """
 
     origin_m: Color
@@ -46,10 +46,10 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class FoundLamp:
-    """A lamp of the emissive triangles ``faces`` (K,), with their centroid ``place_m``.
+    """A lamp: emissive triangles with indices ``faces`` (K,) and centroid ``place_m``.
 
-    ``side``: 1 if the triangles emit from the front of their winding, -1 if from the back. ``radiance`` is 0
-    if it is unknown. ``is_named``: whether the capture's geometry names the triangles as a lamp.
+    ``side``: 1 if the triangles emit from their front (counter-clockwise winding), -1 if from their back.
+    ``radiance`` is 0 if unknown. ``is_named``: whether the capture's geometry declares them as a lamp.
     """
 
     slot: str
@@ -62,13 +62,15 @@ class FoundLamp:
 
     @property
     def is_lit(self) -> bool:
-        """Whether any light of the lamp was recovered."""
+        """Whether the recovered radiance is above 0 in a channel."""
         return max(self.radiance) > 0
 
 
 @dataclass(frozen=True)
 class FoundPatch:
-    """A window or panel covered by ``rectangles``, with its centre ``place_m`` and mean ``radiance``."""
+    """A window or panel, covered by emissive ``rectangles``; ``place_m`` is its centre, ``radiance`` its
+    mean.
+    """
 
     slot: str
     rectangles: tuple[Rectangle, ...]
@@ -77,15 +79,15 @@ class FoundPatch:
     radiance: Color
 
     def times(self, gain: Color | None) -> FoundPatch:
-        """The patch with its radiance times ``gain``, unchanged without one."""
+        """The patch with its radiance multiplied by ``gain`` (R, G, B), or unchanged if that is None."""
         rectangles = tuple(replace(r, radiance=_product(r.radiance, gain)) for r in self.rectangles)
         return replace(self, rectangles=rectangles, radiance=_product(self.radiance, gain))
 
 
 @dataclass(frozen=True)
 class RadianceSamples:
-    """Photographed radiance (N, 3) along rays from ``origin_m`` (N, 3), the camera, in unit ``direction``
-    (N, 3).
+    """Photographed ``radiance`` (N, 3) of N pixels, with the camera's position ``origin_m`` (N, 3) and the
+    unit ``direction`` (N, 3) from the camera to the surface.
     """
 
     origin_m: NDArray[np.float32]
@@ -100,8 +102,8 @@ class RadianceSamples:
 class FoundLights:
     """All recovered lights.
 
-    ``environment`` (H, W, 3): the sky if light from outside is far, in the convention of
-    :class:`~datagen.formats.lights.EnvironmentLight`; None if the windows' rectangles emit it.
+    ``environment`` (H, W, 3): image of the sky if light from outside is distant, in the convention of
+    :class:`~datagen.formats.lights.EnvironmentLight`; None if the windows' rectangles emit this light.
     """
 
     lamps: tuple[FoundLamp, ...] = ()
@@ -115,7 +117,7 @@ class FoundLights:
         return not (self.windows or self.panels or any(lamp.is_lit for lamp in self.lamps))
 
     def with_gains(self, gains: Mapping[str, Color]) -> FoundLights:
-        """The lights with their radiance times the gains by slot; lights without one are unchanged."""
+        """The lights with their radiance multiplied by ``gains``, RGB factors by slot (1 if missing)."""
         sky = self.environment
         if sky is not None and SKY in gains:
             sky = sky * np.array(gains[SKY], np.float32)
@@ -136,8 +138,8 @@ class FoundLights:
     def described(self) -> list[dict[str, Any]]:
         """The lights as rows of a report.
 
-        A row has ``kind`` (lamp, window, sky), ``slot`` in exports and ``radiance``; lamps and windows also
-        have ``place_m``, ``area_m2``, and ``power`` = pi area radiance, the diffusely emitted power.
+        A row has ``kind`` (lamp, window, sky), the ``slot`` in exports and ``radiance``; lamps and windows
+        also have ``place_m``, ``area_m2`` and the diffusely emitted ``power`` = pi area radiance.
         """
         rows = [
             _row("lamp", lamp.slot, lamp.place_m, lamp.area_m2, lamp.radiance)
@@ -154,7 +156,7 @@ class FoundLights:
 
 
 def as_color(values: NDArray) -> Color:
-    """An array (3,) as a colour."""
+    """Convert an array (3,) of R, G and B to a tuple of floats."""
     red, green, blue = (float(value) for value in values)
     return red, green, blue
 
@@ -183,7 +185,7 @@ def _rounded(values: Any, digits: int) -> list[float]:
 
 
 def lights_text(rows: list[dict[str, Any]]) -> str:
-    """The rows of :meth:`FoundLights.described`, with ``gain`` if balanced, as lines of a table."""
+    """Format the rows of :meth:`FoundLights.described` and their optional ``gain`` as a text table."""
     if not rows:
         return "no light was found"
     lines = [

@@ -2,7 +2,7 @@
 """The pipeline from a capture to an asset: traced → checked → completed → predicted → leveled → merged →
 filled → balanced → exported.
 
-OUT/state.json      identity of the work: a hash over checkpoint, cameras, geometry and options
+OUT/state.json      identity of the work: a hash of checkpoint, cameras, geometry and options
 OUT/views/          predicted maps, one EXR per view, which a resumed run reads
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface)
 OUT/asset/          the asset package; also exported as OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz
@@ -31,12 +31,7 @@ from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomica
 from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
-from datagen.geometry.traced import (
-    TracedGeometry,
-    face_normals,
-    seen_sides,
-    smooth_regions,
-)
+from datagen.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
 from datagen.geometry.views import TracedCapture, trace_capture, visible_faces
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
@@ -50,7 +45,7 @@ from model.reconstruction.export.balance import balanced
 from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
-from model.reconstruction.export.usd import write_usdz
+from model.reconstruction.export.usd import require_usd, write_usdz
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
@@ -65,16 +60,16 @@ from model.reconstruction.unwrap.uv import unwrapped
 
 __all__ = ["InferOptions", "InferReport", "infer"]
 MEMORY_ATLAS = 4096
-"""Maximum side in texels of an atlas in memory; larger ones are in temporary files beside the result."""
+"""Maximum side in texels of an atlas in memory; larger ones are in temporary files in the output folder."""
 
 
 @dataclass(frozen=True)
 class FinalViews:
     """The views with their final maps.
 
-    ``sides`` (M,): the outer side of each triangle, 1 or -1. ``footprint_m``: side of a fine pixel's
-    footprint on the surface, None if no surface is visible. ``can_be_seen`` (M,): mask of the triangles
-    visible in a view or from a surface visible in a view.
+    ``sides`` (M,): the outer side of each triangle, 1 for the front, -1 for the back. ``footprint_m``: side
+    of a fine pixel's footprint on the surface, None if no surface is visible. ``can_be_seen`` (M,): mask of
+    the triangles visible in a view or from a surface visible in a view.
     """
 
     views: list[MapView]
@@ -88,8 +83,8 @@ class FinalViews:
 class PackedMaps:
     """The views' maps in the merger's arrays, and the unwrapped ``mesh``.
 
-    ``normals`` (M, 3) are the triangles' unit normals, ``size`` is the side of the atlas in texels,
-    ``can_be_seen`` as in :class:`FinalViews`.
+    ``normals`` (M, 3) are the triangles' unit normals; ``size`` is the side of the atlas in texels;
+    ``can_be_seen`` is as in :class:`FinalViews`.
     """
 
     merger: MapMerger
@@ -99,14 +94,6 @@ class PackedMaps:
     can_be_seen: NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class MergedAtlas:
-    """An atlas and the mesh that it belongs to."""
-
-    atlas: Atlas
-    mesh: Mesh
-
-
 def infer(
     capture: Capture,
     out: Path,
@@ -114,27 +101,25 @@ def infer(
     options: InferOptions | None = None,
     progress: Progress | None = None,
 ) -> InferReport:
-    """Make an asset of ``capture`` in ``out`` from the maps of ``source`` (``predict.sources``).
+    """Make an asset of ``capture`` in the folder ``out`` from the maps of ``source`` (``predict.sources``).
 
-    The source is a checkpoint, the capture's ground truth, or given maps. Raises :class:`InputError` if the
-    input is bad, no view shows the mesh, or ``out`` contains other work.
+    Raises :class:`InputError` if the input is invalid, no view shows the mesh, or ``out`` contains other
+    work.
     """
     report = InferReport(capture.name, len(capture.views), len(capture.geometry.mesh.faces))
     run = Run(out, options or InferOptions(), report, progress or (lambda stage, done, total: None))
     try:
         if run.options.has_usd:
-            from model.reconstruction.export.usd import require_usd
-
             require_usd()
-        source.prepare(run.options)  # fails before hours of work, and before OUT is assigned to it
+        source.prepare(run.options)  # raises before hours of work, and before OUT is assigned
         select_variant()
         report.notes += capture.notes
         _claim(capture, source, run)
         with ExitStack() as files:
-            merged = _merged(_packed(_final_views(capture, source, run), run), run, files)
+            atlas, mesh = _merged(_packed(_final_views(capture, source, run), run), run, files)
             with run.stage("fill"):
-                fill_unseen(merged.atlas, merged.mesh)
-            _export(capture, merged, run)
+                fill_unseen(atlas, mesh)
+            _export(capture, atlas, mesh, run)
         write_bytes_atomically(out / "report.html", report_html(report, run.found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
@@ -234,18 +219,18 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
         return PackedMaps(merger, mesh, face_normals(mesh, final.sides), size, final.can_be_seen)
 
 
-def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
-    """Merge the maps into an atlas, in memory or in files that exist until ``files`` is closed."""
+def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> tuple[Atlas, Mesh]:
+    """The merged atlas, in memory or in files that exist until ``files`` is closed, and its mesh."""
     confidence_at = run.found.confidence_at
-    has_confidence = confidence_at is not None
-    atlas = files.enter_context(_atlas_memory(packed.size, run.out, has_confidence=has_confidence))
+    memory = _atlas_memory(packed.size, run.out, has_confidence=confidence_at is not None)
+    atlas = files.enter_context(memory)
     with run.stage("merge") as advance:
         surface = TexelSurface(packed.mesh, packed.normals, packed.size)
         packed.merger.merge(surface, atlas, advance)
         if confidence_at is not None:
             put_confidence(atlas, surface, confidence_at)
         run.report.seen_share, run.report.seen_of_visible = _seen_share(atlas, packed.can_be_seen)
-    return MergedAtlas(atlas, packed.mesh)
+    return atlas, packed.mesh
 
 
 @contextmanager
@@ -259,7 +244,7 @@ def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atl
 
 
 def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, float]:
-    """Observed shares of the surface's texels, and of those on visible triangles."""
+    """Observed share of the texels on the surface, and of those on visible triangles."""
     covered = visible = seen = 0
     for top in range(0, atlas.size, 1024):
         face = atlas.face[top : top + 1024]
@@ -271,7 +256,7 @@ def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, fl
 
 
 def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
-    """The reconstruction with the gains of its lights, which the report lists."""
+    """The reconstruction with balanced lights, whose gains are added to the report."""
     if run.found.samples is None:
         return reconstruction
     with run.stage("lights"):
@@ -284,11 +269,10 @@ def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
     return replace(reconstruction, lights=balance.lights)
 
 
-def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
-    geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
-    capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
-    out, atlas = run.out, merged.atlas
-    reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
+def _export(capture: Capture, atlas: Atlas, mesh: Mesh, run: Run) -> None:
+    out = run.out
+    capture = replace(capture, geometry=CaptureGeometry(mesh, capture.geometry.parts))
+    reconstruction = Reconstruction(capture, mesh, atlas, out / "atlas", run.found.lights)
     with run.stage("images"):
         write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr)
     reconstruction = _balanced(reconstruction, run)

@@ -32,9 +32,9 @@ def _atlas_side(text: str) -> int | Literal["auto"]:
 class AssetOptions:
     """Options of the asset.
 
-    ``atlas`` is the side in texels, or "auto" for about the density of the views' pixels on the surface.
+    ``atlas`` is the side in texels; "auto" gives texels about as fine on the surface as the views' pixels.
     ``is_checked``: whether the mesh is compared with the photographs first. ``has_usd``: whether a USDZ is
-    written beside the GLB.
+    also written.
     """
 
     atlas: Annotated[
@@ -56,10 +56,11 @@ class AssetOptions:
 class InferOptions(AssetOptions):
     """Options of ``materials infer``.
 
-    ``weights``: weights of the views in the merge (see :class:`MergeOptions`). ``is_leveled``: whether the
-    albedo scale of predictions is corrected by interreflection (``albedo_level``). ``materials``: whether
+    ``weights``: weights of the views in the merge (see :class:`MergeOptions`). ``materials``: whether
     materials are inferred from the network alone, from the recorded light alone, or from both, with the
-    network as the prior (``light``). ``has_punctual``: whether the GLB also contains small lamps as point
+    network as the prior (``light``). ``batch``: number of views predicted at a time. ``jobs``: number of
+    processes that unwrap. ``is_leveled``: whether the albedo scale of predictions is corrected by
+    interreflection (``albedo_level``). ``has_punctual``: whether the GLB also contains small lamps as point
     lights. ``is_evened``: whether exposures, vignetting and response are estimated from overlapping
     photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are corrected.
     """
@@ -101,12 +102,13 @@ class InferOptions(AssetOptions):
 class InferReport:
     """Report of a run.
 
-    ``seen_share``, ``seen_of_visible``: share of texels with an observation, among all texels and among those
-    on triangles visible in some view; ``seconds``: time by stage; ``memory_mb``: peak of the process's
-    resident memory up to the end of each stage. Empty unless requested: ``light``, a
-    :class:`~model.reconstruction.light.options.LightReport` as a dictionary, with the recovered lights;
-    ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`; ``poses``, the corrections of
-    poses; ``albedo_level``, a :class:`~model.reconstruction.level.albedo_level.LevelReport` as a dictionary.
+    ``atlas_size`` is in texels a side; ``seen_share`` and ``seen_of_visible``: observed share of the texels
+    on the surface, and of those on visible triangles; ``exposure``: factor of the networks' input;
+    ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty unless
+    requested: ``light``, a :class:`~model.reconstruction.light.options.LightReport` as a dictionary, with the
+    recovered lights; ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`; ``poses``, the
+    corrections of poses; ``albedo_level``, a
+    :class:`~model.reconstruction.level.albedo_level.LevelReport` as a dictionary.
     """
 
     name: str = ""
@@ -131,7 +133,7 @@ class InferReport:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Context manager that adds its duration to ``seconds[name]``, and records the peak memory."""
+        """Context manager that adds its duration to ``seconds[name]`` and records ``memory_mb[name]``."""
         start = time.perf_counter()
         try:
             yield
@@ -140,7 +142,7 @@ class InferReport:
             self.memory_mb[name] = round(peak_mb(), 1)
 
     def table(self) -> str:
-        """Text table of the stages' costs (:meth:`costs`) and the recovered lights."""
+        """Format the stages' costs (:meth:`costs`) and the recovered lights as a text table."""
         from model.reconstruction.found_lights import lights_text
 
         lines = []

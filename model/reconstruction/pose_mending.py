@@ -25,13 +25,13 @@ MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
 """Points per view; maximum and minimum number of views in which they are looked up; and minimum number of
 points for a correction of a view."""
 SPREAD_M, SPREAD_DEG = 0.01, 0.3
-"""Prior standard deviations of the translation and rotation of a pose, per axis."""
+"""Prior standard deviations per axis of a pose's translation in metres and rotation in degrees."""
 EDGE = 0.03
-"""Relative range of depth within three pixels above which a pixel counts as an edge."""
+"""Range of depth within three pixels, relative to the depth, above which a pixel counts as an edge."""
 SAME_DEPTH = 0.02
 """Largest relative difference of depth at which two views show the same point."""
 MIN_GAIN = 0.1
-"""Minimum relative reduction of the residual for the corrections to be used; otherwise correct poses would
+"""Minimum relative reduction of the residual for the corrections to be used; without it, correct poses would
 move by half a pixel."""
 _STEP = 0.8  # damps Gauss-Newton, since all views move at once
 _CORRELATED = 25.0  # number of neighbouring points with correlated errors
@@ -39,11 +39,11 @@ _CORRELATED = 25.0  # number of neighbouring points with correlated errors
 
 @dataclass(frozen=True)
 class MendedPoses:
-    """Result of :func:`mended_poses`.
+    """Cameras with corrected poses.
 
     ``cameras`` are in the views' order, unchanged if the residual decreases by less than :data:`MIN_GAIN`;
-    ``moved_mm`` and ``turned_deg`` (V,) are the corrections; ``residual`` is the median of |ln luminance - ln
-    median of other views| before and after.
+    ``moved_mm`` and ``turned_deg`` (V,) are the lengths of the corrections in mm and degrees; ``residual`` is
+    the median of |ln luminance - median over the other views| before and after the correction.
     """
 
     cameras: tuple[Camera, ...]
@@ -53,13 +53,15 @@ class MendedPoses:
 
     @property
     def is_moved(self) -> bool:
-        """True if the pose of at least one camera changed."""
+        """Whether any pose was corrected."""
         return bool(self.moved_mm.any())
 
 
 @dataclass(frozen=True)
 class _Look:
-    """A view's log luminance (H, W), its derivatives by x and y, depth in metres, and points (N, 3)."""
+    """A view's ln luminance (H, W), its derivatives by x and y per pixel, its depth in metres (H, W), and
+    points (N, 3) on the surfaces that it shows.
+    """
 
     image: NDArray[np.float32]
     gradient: tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -68,7 +70,7 @@ class _Look:
 
 
 def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
-    """Corrected poses of ``views``, whose colours must share one exposure."""
+    """Correct the camera poses of ``views``, whose colours must have one exposure."""
     looks = [_look(view, number) for number, view in enumerate(views)]
     given = [view.camera.camera_from_world for view in views]
     poses = [pose.copy() for pose in given]
@@ -79,7 +81,7 @@ def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
         after = float(np.median([rest for _, rest in steps]))
         before = before if number else after
         if number < ROUNDS:
-            poses = [_moved(step) @ pose for (step, _), pose in zip(steps, poses, strict=True)]
+            poses = [_transform(step) @ pose for (step, _), pose in zip(steps, poses, strict=True)]
     if after >= (1 - MIN_GAIN) * before:
         nothing = np.zeros(len(views))
         return MendedPoses(tuple(lenses), nothing, nothing, (before, after))
@@ -98,12 +100,12 @@ def _center(camera_from_world: NDArray) -> NDArray[np.float64]:
     return np.asarray(-camera_from_world[:3, :3].T @ camera_from_world[:3, 3])
 
 
-def _moved(step: NDArray) -> NDArray[np.float64]:
-    """Transform (4, 4) in the camera's frame of ``step`` (6,), a rotation vector and a translation."""
-    found = np.eye(4)
-    found[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
-    found[:3, 3] = step[3:]
-    return found
+def _transform(step: NDArray) -> NDArray[np.float64]:
+    """Rigid transform (4, 4) of ``step`` (6,), a rotation vector in radians and a translation in metres."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
+    matrix[:3, 3] = step[3:]
+    return matrix
 
 
 def _look(view: TracedView, number: int) -> _Look:
@@ -132,7 +134,7 @@ def _look(view: TracedView, number: int) -> _Look:
 
 
 def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:
-    """Points (N, 3) in the camera's frame, and their pixels (N,) in OpenCV's coordinates."""
+    """Points (N, 3) in the camera's frame, and their pixel coordinates x and y (N,), integers at centres."""
     local = points @ pose[:3, :3].T + pose[:3, 3]
     z = np.maximum(local[:, 2], 1e-6)
     x = lens.fx_px * local[:, 0] / z + lens.cx_px - 0.5
@@ -140,7 +142,7 @@ def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np
 
 
 def _sampled(image: NDArray, x: NDArray, y: NDArray) -> NDArray[np.float64]:
-    """Bilinearly interpolated values (N,) of an image (H, W) at (x, y)."""
+    """Bilinearly interpolated values (N,) of an image (H, W) at pixels ``x`` and ``y`` (N,)."""
     left = np.clip(np.floor(x).astype(np.int64), 0, image.shape[1] - 2)
     top = np.clip(np.floor(y).astype(np.int64), 0, image.shape[0] - 2)
     u, v = np.clip(x - left, 0, 1), np.clip(y - top, 0, 1)
@@ -156,7 +158,9 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 def _expected(
     looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
-    """Median log luminance (N,) of a view's points in the other views; NaN if too few show a point."""
+    """Median ln luminance (N,) of a view's points in the other views; NaN where fewer than ``MIN_OTHERS``
+    views show a point.
+    """
     points, found = looks[index].points, []
     for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
         if other == index:
@@ -185,7 +189,9 @@ def _step(
     given: Sequence[NDArray],
     index: int,
 ) -> tuple[NDArray[np.float64], float]:
-    """Update of a view's pose, rotation vector and translation (6,), and the median absolute residual."""
+    """Gauss-Newton step (6,) of a view's pose, a rotation vector and a translation, and the median absolute
+    residual.
+    """
     look, lens = looks[index], lenses[index]
     local, x, y = _projected(lens, poses[index], look.points)
     rest = _sampled(look.image, x, y) - _expected(looks, lenses, poses, index)

@@ -13,7 +13,7 @@ from model.reconstruction.stages import Run
 
 
 def mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with corrected poses, or unchanged if these do not explain the views better."""
+    """The capture with corrected poses, traced again, or unchanged if its views would not agree better."""
     with run.stage("poses"):
         found = mended_poses(traced.views)
         before, after = found.residual

@@ -36,7 +36,7 @@ th:first-child, td:first-child { text-align: left; }
 
 
 def report_html(report: InferReport, pictures: Sequence[ViewPicture]) -> str:
-    """The report as an HTML page, with ``pictures`` of views."""
+    """Format the report and ``pictures`` of views as an HTML page."""
     title = html.escape(f"{report.name}: materials")
     done = (
         f"{report.num_views} views, {report.num_triangles} triangles, an atlas of {report.atlas_size} x "
@@ -80,7 +80,7 @@ def _lights(light: dict[str, Any]) -> str:
     return (
         "<h2>Lights</h2><p>Lamps and windows with their recovered radiance, in the photographs' unit; power "
         "is pi times area and radiance, in W if radiance is in W/(m2 sr). The exports contain these lights "
-        f"times the gain, by which the asset is as bright as the photographs.</p>{found}"
+        f"times the gain, which makes the asset as bright as the photographs.</p>{found}"
     )
 
 

@@ -32,12 +32,12 @@ class ViewPicture:
 
 @dataclass
 class Found:
-    """Results of stages in addition to maps; None or empty if no stage provides them.
+    """Results of the stages in addition to maps, None or empty if no stage provides them.
 
-    ``samples``: photographed radiance, by which ``lights`` are balanced; ``confidence_at``: function from
+    ``samples``: photographed radiance, to which ``lights`` are balanced; ``confidence_at``: function from
     surface points and normals (both (..., 3)) to the confidence (..., 3) of D, S and R, 255 for 1;
-    ``doubt_at``: function from points and normals (both (N, 3)) to the luminance (N,) of diffuse shading that
-    is uncertain because photographs clip its source.
+    ``doubt_at``: function from points and normals (both (N, 3)) to the luminance (N,) of the diffuse shading
+    that is uncertain because photographs clip its source.
     """
 
     lights: FoundLights | None = None

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from datagen.geometry.views import TracedView
-from datagen.light.surfels import camera_row
 from model.reconstruction.light import stage
 from model.reconstruction.light.shading_correction import SCALE_SUPPORT, network_scale
 from model.reconstruction.light.view_maps import WHITE_PAINT, view_materials
@@ -90,6 +89,6 @@ def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, expected: flo
     nothing = np.zeros_like(room().solved.replaced)
     twice = np.full((len(surfels), 3), 2, np.float32)
     unknown = replace(room().solved, replaced=nothing, prior_scale=twice)
-    maps = view_materials(surfels, unknown, 0, view, camera_row(view), predicted((view,), diffuse)[0])
+    maps = view_materials(surfels, unknown, 0, view, predicted((view,), diffuse)[0])
     on_surface = surfels.pixel_surfel[0].reshape(view.color.shape[:2]) >= 0
     np.testing.assert_allclose(maps["diffuse_albedo"][on_surface].astype(float), expected, atol=2e-3)

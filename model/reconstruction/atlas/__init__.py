@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The merged atlas, its texels, and loops over them."""
+"""The merged atlas and its texels."""

@@ -22,10 +22,10 @@ ATLAS_DTYPE = np.float16
 class Atlas:
     """A merged atlas; row 0 is at v = 1.
 
-    ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name. ``count`` (N, N): number of views in each texel's
-    medians. ``face`` (N, N): the texel's triangle, or -1. Texels of count 0 are 0 until they are filled.
-    ``confidence`` (N, N, 3): confidence of D, S and R in bytes, if known: 255 from light alone, 0 from a
-    network alone.
+    ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name, 0 where ``count`` is 0 until they are filled. ``count``
+    (N, N): number of views in each texel's medians. ``face`` (N, N): index of the texel's triangle, or -1.
+    ``confidence`` (N, N, 3): confidence of D, S and R, 255 if from light alone, 0 if from a network alone;
+    None if unknown.
     """
 
     maps: dict[str, NDArray]
@@ -40,18 +40,18 @@ class Atlas:
 
     @property
     def unseen_mask(self) -> NDArray[np.bool_]:
-        """Mask (N, N) of texels whose surface no view shows."""
+        """Mask (N, N) of texels on the surface without an observation."""
         return np.asarray((self.face >= 0) & (self.count == 0))
 
     def release(self) -> None:
-        """Release memory-mapped pages, which would fill the memory; the next access reads them again."""
+        """Release the memory of memory-mapped arrays; the next access reads them from disk again."""
         for array in (*self.maps.values(), self.count, self.face, self.confidence):
             if array is not None:
                 let_go(array)
 
 
 def let_go(array: NDArray) -> None:
-    """Release an array's pages from memory if it is backed by a file."""
+    """Release the memory of an array if it is memory-mapped."""
     if isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         array.base.madvise(mmap.MADV_DONTNEED)
 

@@ -52,10 +52,10 @@ class TexelSurface:
         *,
         is_highest: bool = True,
     ) -> NDArray[np.int32]:
-        """Index of the triangle at each texel of a rectangle (height, width), or -1, sampled at ``offset``
-        (x, y) within the texel.
+        """Index (height, width) of the triangle at each texel of a rectangle, or -1, sampled at ``offset``
+        (x, y) in [0, 1] within the texel.
 
-        Where triangles overlap, the highest index is used or, without ``is_highest``, the lowest.
+        Where triangles overlap, the index is the highest or, without ``is_highest``, the lowest.
         """
         face = np.full((height, width), -1, np.int32)
         around = (left, top, *offset, is_highest)
@@ -63,8 +63,8 @@ class TexelSurface:
         return face
 
     def points(self, face: NDArray[np.int32], left: int, top: int) -> tuple[NDArray, NDArray]:
-        """World positions and normals (H, W, 3) at the texel centres of a rectangle, given its triangles
-        ``face`` (H, W); 0 where ``face`` is -1.
+        """World positions and normals (H, W, 3) at the texel centres of a rectangle with the corner ``left``,
+        ``top`` and the triangles ``face`` (H, W); 0 where ``face`` is -1.
         """
         points = np.zeros((*face.shape, 3), np.float32)
         _surface_points(face, left, top, self.size, self.uv, self.vertices, self.positions, points)
@@ -72,7 +72,7 @@ class TexelSurface:
         return points, normals
 
     def overlap_mask(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
-        """Masks (size, size) of texels covered by a triangle, and by several, sampled at ``offset``."""
+        """Masks (size, size) of texels covered by any triangle, and by several, sampled at ``offset``."""
         highest, lowest = (
             self.faces(0, 0, self.size, self.size, offset, is_highest=is_highest)
             for is_highest in (True, False)
@@ -82,13 +82,13 @@ class TexelSurface:
 
 @compiled
 def corner(uv: Any, vertex: Any, size: Any) -> Any:
-    """Position (x, y) of a vertex on the atlas, in texels from the upper left corner."""
+    """Position (x, y) of a vertex on an atlas of ``size`` texels, in texels from the upper left corner."""
     return np.float64(uv[vertex, 0]) * size, (1.0 - np.float64(uv[vertex, 1])) * size
 
 
 @compiled
 def _span(a: Any, b: Any, c: Any, num_bins: Any) -> Any:
-    """First and last of the bins that the range of three coordinates, in texels, overlaps along an axis."""
+    """First and last bin along an axis that overlap the range of three coordinates in texels."""
     low, high = min(a, b, c), max(a, b, c)
     last = np.float64(num_bins - 1)
     return int(min(max(np.floor(low / BIN), 0.0), last)), int(min(max(np.floor(high / BIN), 0.0), last))

@@ -3,8 +3,8 @@
 
 A source of radiance L, area A and vector area V (the sum of its triangles' areas times their normals) has the
 intensity L (max(V.w, 0) + (A - |V|) / 4) in direction w: exact for a rectangle, and for a closed convex
-surface on average over directions. Its point is the centroid of its area. Of more sources, the two nearest
-are merged repeatedly, which preserves A L. Environments, spots and suns are not included.
+surface on average over directions. It is at the centroid of its area. While there are too many sources, the
+two nearest are merged, which preserves A L. Environments, spots and suns are left out.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from datagen.formats.lights import AreaLight, Light, PointLight, SphereLight
 from datagen.foundation.meshes.mesh import Mesh
 
 MAX_SOURCES = 8
-"""Maximum number of sources; ``page/shadows.js`` has the same value."""
-_POINT_RADIUS_M = 0.01  # points have no area; a sphere of the same intensity replaces them
+"""Maximum number of sources; equals the value in ``page/shadows.js``."""
+_POINT_RADIUS_M = 0.01  # of the sphere of equal intensity that replaces a point light, which has no area
 
 
 @dataclass(frozen=True)
 class Source:
-    """A source at a point (3,), with vector area V (3,), area A and radiance L (3,)."""
+    """A light source at a point, with vector area V, area A and radiance L by channel."""
 
     position_m: NDArray[np.float64]
     vector_m2: NDArray[np.float64]
@@ -37,11 +37,11 @@ class Source:
 
     @property
     def rest_m2(self) -> float:
-        """Projected area (A - |V|) / 4 in every direction, in addition to the projection of V."""
+        """Part (A - |V|) / 4 of the projected area that is equal in all directions, in m^2."""
         return max(self.area_m2 - float(np.linalg.norm(self.vector_m2)), 0.0) / 4
 
     def merged(self, other: Source) -> Source:
-        """One source with the summed A, V and A L of both, at their centroid weighted by A L."""
+        """Merge two sources to one with the sums of A, V and A L, at the mean position weighted by A L."""
         powers = [float(s.area_m2 * s.radiance.mean()) for s in (self, other)]
         area = self.area_m2 + other.area_m2
         flux = self.area_m2 * self.radiance + other.area_m2 * other.radiance
@@ -49,7 +49,7 @@ class Source:
         return Source(middle, self.vector_m2 + other.vector_m2, area, flux / area)
 
     def described(self) -> dict[str, Any]:
-        """The source as JSON data for the page."""
+        """Convert the source to JSON data for the page."""
         return {
             "position": self.position_m.tolist(),
             "vector": self.vector_m2.tolist(),
@@ -61,8 +61,8 @@ class Source:
 def page_sources(
     asset: EnvironmentAsset | ObjectAsset, slots: Mapping[str, Mesh]
 ) -> tuple[list[Source], int, list[str]]:
-    """Sources of the asset's lights and emissive ``slots``, the number of lights before merging, and notes on
-    omitted lights.
+    """Sources of the asset's lights and emissive materials, the number of lights before merging, and notes on
+    omitted lights; ``slots`` are the meshes by material.
     """
     sources, notes = [], []
     for light in asset.lights:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Material channels as images for the page: PNG, 8 bits, at most ``max_side`` texels a side.
+"""Converts material channels to 8-bit images for the page, with at most ``max_side`` texels a side.
 
-Three images per material. D and S are sRGB-encoded. The third has R in red; in green, the state of the atlas
-(255 observed, 128 filled in; 255 if unknown); in blue, the confidence, the minimum of D, S and R (0 if
+A material has three images. D and S are sRGB-encoded. The third contains R in red, the state of the atlas in
+green (255 observed, 128 filled in; 255 if unknown), and the minimum confidence of D, S and R in blue (0 if
 unknown). Row 0 is at v = 1. Larger images are averaged down.
 """
 
@@ -20,27 +20,29 @@ from datagen.formats.package import Package
 from datagen.formats.textures import texture_values
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png, read_image
-from model.reconstruction.export.atlas_images import SEEN, quantized_bytes
+from datagen.foundation.images import encode_png, quantized_bytes, read_image
+from model.reconstruction.export.atlas_images import SEEN
 
 KINDS = ("diffuse", "specular", "rough")
 
 
 @dataclass(frozen=True)
 class PageImage:
-    """An image (H, W, C) of a kind in :data:`KINDS`, and the longer side of its source in texels."""
+    """An image (H, W, C) of a ``kind`` in :data:`KINDS`; ``original_side`` is the longer side in texels
+    before it was reduced.
+    """
 
     kind: str
     pixels: NDArray[np.uint8]
     original_side: int
 
     def png(self, max_side: int | None = None) -> bytes:
-        """The image as PNG, averaged down to ``max_side`` if given."""
+        """Encode the image as PNG, averaged down to sides of at most ``max_side`` if given."""
         return encode_png(self.pixels if max_side is None else shrunk(self.pixels, max_side))
 
 
 def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
-    """The image (H, W, C), averaged down to sides of at most ``max_side``."""
+    """Average an image (H, W, C) down to sides of at most ``max_side`` pixels."""
     longest = max(pixels.shape[:2])
     if longest <= max_side:
         return pixels
@@ -53,8 +55,8 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class AtlasState:
-    """Further images (N, N) of an atlas, None if unknown: the state of its texels (``mask.png``), and the
-    minimum of the confidence of D, S and R.
+    """State of an atlas's texels: ``mask`` (N, N) as in ``mask.png``, and ``confidence`` (N, N), the minimum
+    of D, S and R; None if unknown.
     """
 
     mask: NDArray[np.uint8] | None = None
@@ -64,9 +66,9 @@ class AtlasState:
 def material_images(
     package: Package, material: Material, state: AtlasState, max_side: int
 ) -> Iterator[PageImage]:
-    """The three images of a material; ``state`` describes the texels of its roughness texture.
+    """Make the three images of a material; ``state`` describes the texels of its roughness texture.
 
-    Raises :class:`InputError` if an image cannot be read or differs from the state's in size.
+    Raises :class:`InputError` if an image cannot be read, or if the sizes of roughness and state differ.
     """
     for kind, channel in (("diffuse", material.diffuse_albedo), ("specular", material.specular_albedo)):
         pixels, side = _color_bytes(package, channel, max_side)
@@ -108,7 +110,10 @@ def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], 
 
 
 def read_state(folder: Path) -> AtlasState:
-    """The images in the folder of an atlas written by `materials infer`. Raises :class:`InputError`."""
+    """Read the state of an atlas from the folder ``atlas`` of ``materials infer``, if present.
+
+    Raises :class:`InputError` if an image does not have 8 bits.
+    """
     mask, confidence = (_bytes_of(folder / name) for name in ("mask.png", "confidence.png"))
     return AtlasState(
         None if mask is None else mask[..., 0], None if confidence is None else confidence.min(axis=2)

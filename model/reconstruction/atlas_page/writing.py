@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Writes the folder of the 3D page of an asset.
 
-index.html *.css *.js     the page, with three.js as library
-data/scene.js             meshes, cameras, materials without their images
-data/preview.js           images of at most 1024 texels a side, for a quick first picture
-data/<material>-<kind>.js images larger than that, at up to ``max_side`` texels a side
+index.html *.css *.js     the page and the library three.js
+data/scene.js             meshes, lights, cameras, and materials without their images
+data/preview.js           all images with at most 1024 texels a side, for a quick first picture
+data/<material>-<kind>.js larger images, with at most ``max_side`` texels a side
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from model.reconstruction.atlas_page.sources import page_sources
 from model.reconstruction.atlas_page.textures import AtlasState, material_images, read_state
 
 MAX_SIDE = 4096
-"""Longest side of an image: larger ones exceed many GPUs, and 4096 already takes 256 MB of their memory."""
+"""Default maximum side of images in texels; larger ones exceed the limits of many GPUs."""
 PREVIEW_SIDE = 1024
 PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "controls.js", "view.js")
 
 
 @dataclass(frozen=True)
 class ViewResult:
-    """A written page: its path, numbers of triangles and materials, size of its folder in bytes, and notes on
+    """A written page: its path, the numbers of triangles, materials and bytes in its folder, and notes on
     omitted or reduced data.
     """
 
@@ -50,11 +50,11 @@ class ViewResult:
 
 
 def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
-    """Write the page of an asset package, or of an output folder of ``materials infer``, into ``out``.
+    """Write the page of an asset package, or of an output folder of ``materials infer``, to the folder
+    ``out``.
 
-    The mask of observed texels and the confidence are read from ``atlas/mask.png`` and ``confidence.png``
-    beside the package, if present. Raises :class:`InputError` for other input, and if ``out`` contains other
-    files.
+    The mask of observed texels and the confidence are read from the folder ``atlas`` next to the package, if
+    present. Raises :class:`InputError` for other input, and if ``out`` contains other files.
     """
     package_path = source / "asset" if is_package(source / "asset") else source
     _check_out(out)
@@ -124,7 +124,7 @@ def _check_out(out: Path) -> None:
 
 
 def _meshes_by_material(package: Package, asset: EnvironmentAsset | ObjectAsset) -> dict[str, Mesh]:
-    """One mesh per material, of all its parts, in the asset's frame, with normals and UVs."""
+    """Mesh by material: all parts of the material, in the asset's frame, with normals and UVs."""
     parts: dict[str, list[Mesh]] = {}
     for part in asset.parts:
         mesh = read_ply(package.local_file(part.mesh)).transformed(np.array(part.asset_from_part))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Readers of all supported capture formats; ``read.py`` recognises the format and calls its module."""
+"""Readers of all supported capture formats; ``read.py`` recognises a format and calls its reader."""
 
 from __future__ import annotations
 
@@ -12,11 +12,4 @@ from model.reconstruction.captures.read import (
     write_capture,
 )
 
-__all__ = [
-    "CaptureOptions",
-    "capture_file",
-    "open_capture",
-    "read_capture",
-    "shrunk_camera",
-    "write_capture",
-]
+__all__ = ["CaptureOptions", "capture_file", "open_capture", "read_capture", "shrunk_camera", "write_capture"]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Exposure brackets: photographs with one camera and pose but different exposures, merged to one image.
+"""Merges exposure brackets: photographs with one camera and pose, but different exposures.
 
 A pixel is the mean of the photographs in which it is not clipped, weighted by exposure: for photon noise this
 estimator has the least variance (Hanji, Zhong and Mantiuk, "Noise-aware merging of high dynamic range image
-stacks without camera calibration", ECCV workshops 2020). A pixel clipped in all of them stays clipped.
+stacks without camera calibration", ECCV workshops 2020). A pixel clipped in all of them remains clipped.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from datagen.foundation.cameras import Camera
 from model.reconstruction.captures.photographs import PhotographSource
 
 MAX_APART_M = 1e-3
-"""Maximum distance between the estimated centres of cameras on one tripod."""
+"""Maximum distance between the estimated centres of cameras of one bracket."""
 MAX_TURN_RAD = 1e-3
-"""Maximum angle between their estimated directions: 0.6 pixels of 640 over 60 degrees."""
+"""Maximum angle between their estimated orientations: 0.6 of 640 pixels at a field of view of 60 degrees."""
 MAX_INTRINSICS_SHARE = 1e-3
-"""Maximum difference of intrinsics, relative to the image's width."""
+"""Maximum difference between their intrinsics, relative to the image's width."""
 MIN_EXPOSURE_RATIO = 1.1
 """Minimum ratio of a bracket's longest to its shortest exposure."""
 
@@ -35,7 +35,7 @@ class BracketSource:
     photographs: tuple[PhotographSource, ...]
 
     def read(self, camera: Camera) -> ColorImage:
-        """The photographs, resampled to ``camera`` and merged; ``limit`` is that of the shortest exposure."""
+        """Resample the photographs to ``camera`` and merge them, with the limit of the shortest exposure."""
         ordered = sorted(self.photographs, key=lambda p: (p.exposure_scale, str(p.path)))
         return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
 
@@ -45,9 +45,9 @@ class BracketSource:
 
 
 def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
-    """Merge ``images`` of one size, which the inverse exposures ``scales`` have brought to one exposure.
+    """Merge ``images`` of one size and exposure; ``scales`` are the inverse original exposures.
 
-    Pixels clipped in all images get the value from the shortest exposure, the highest lower bound.
+    Pixels clipped in all images get the value from the shortest exposure, which is the highest lower bound.
     """
     shape = images[0].color.shape
     total, weights = np.zeros(shape), np.zeros(shape)
@@ -66,8 +66,8 @@ def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
 
 
 def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
-    """``views`` with each bracket merged to one view, named after its first photograph, and notes for the
-    user.
+    """Replace each bracket in ``views`` by one view, named after its first photograph; also returns notes for
+    the user.
 
     Photographs of one pose and equal exposure stay separate, since their exposures may not be recorded.
     """
@@ -112,7 +112,7 @@ def _are_one_camera(one: CaptureView, other: CaptureView) -> bool:
         return False
     if np.linalg.norm(a.position_m - b.position_m) > MAX_APART_M:
         return False
-    # for a small rotation between them, |R_a - R_b| = sqrt(2) times its angle
+    # for a small angle between the orientations, |R_a - R_b| = sqrt(2) angle
     turn = np.linalg.norm(a.world_from_camera[:3, :3] - b.world_from_camera[:3, :3]) / np.sqrt(2)
-    apart = np.subtract((a.fx_px, a.fy_px, a.cx_px, a.cy_px), (b.fx_px, b.fy_px, b.cx_px, b.cy_px))
-    return bool(turn <= MAX_TURN_RAD and np.abs(apart).max() <= MAX_INTRINSICS_SHARE * a.width_px)
+    difference = np.subtract((a.fx_px, a.fy_px, a.cx_px, a.cy_px), (b.fx_px, b.fy_px, b.cx_px, b.cy_px))
+    return bool(turn <= MAX_TURN_RAD and np.abs(difference).max() <= MAX_INTRINSICS_SHARE * a.width_px)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""COLMAP models: ``cameras`` and ``images`` in text or binary form, and lines of sight to ``points3D.bin``.
+"""Reads COLMAP models: ``cameras`` and ``images``, text or binary, and lines of sight from ``points3D.bin``.
 
-COLMAP's pose is camera_from_world (quaternion w x y z, translation), its camera looks along +z with y down
-and its pixel centres are at +0.5: the project's conventions. The world is the frame chosen by COLMAP.
+COLMAP's pose is camera_from_world (quaternion w x y z, translation). Its cameras look along +z with y down
+and have pixel centres at +0.5, as in this project. The world is the frame chosen by COLMAP.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from model.reconstruction.captures.posed import Calibration, PosedImage
+from model.reconstruction.captures.posed import Calibration, PosedImage, pose_of
 
 MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -36,7 +36,9 @@ _UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and 
 
 @dataclass(frozen=True)
 class Sights:
-    """Lines of sight from V cameras to N points: ``camera`` (K,) and ``point`` (K,) are their indices."""
+    """K lines of sight from V cameras at ``centers`` (V, 3) to N ``points`` (N, 3): indices ``camera`` (K,)
+    and ``point`` (K,).
+    """
 
     points: NDArray[np.float64]
     centers: NDArray[np.float64]
@@ -56,7 +58,7 @@ _Intrinsics = tuple[tuple[float, float, float, float], Distortion | None]
 
 
 def find(path: Path) -> Path | None:
-    """The folder with a model: ``path``, its ``sparse`` or its ``sparse/0``, or None."""
+    """The folder of a model: ``path``, or its subfolder ``sparse`` or ``sparse/0``, or None."""
     for model in (path, path / "sparse", path / "sparse" / "0"):
         if any(all((model / f"{n}{s}").is_file() for n in ("cameras", "images")) for s in (".bin", ".txt")):
             return model
@@ -64,22 +66,23 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every registered image; ``images`` defaults to a folder of that name in or beside
-    the model's folder or its parent.
+    """Read the calibration of every registered image. Raises :class:`InputError` with all faults.
+
+    ``images`` defaults to the folder ``images`` in ``path``, its parent or its grandparent.
     """
-    beside = (path / "images", path.parent / "images", path.parent.parent / "images")
-    folder = images or next((f for f in beside if f.is_dir()), beside[0])
+    candidates = (path / "images", path.parent / "images", path.parent.parent / "images")
+    folder = images or next((f for f in candidates if f.is_dir()), candidates[0])
     return Calibration(tuple(read_colmap(path, budget)), folder)
 
 
 def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
-    """Every registered image, sorted by file name; binary files are preferred over text files.
+    """Read every registered image, sorted by file name; binary files are preferred to text files.
 
     Raises :class:`InputError` with all faults.
     """
     if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
         lenses = _read_binary_cameras(folder / "cameras.bin", budget)
-        poses = _read_binary_images(folder / "images.bin", budget)
+        poses = {name: values[1:] for name, values in _binary_images(folder / "images.bin", budget)}
         where, cameras = folder / "images.bin", folder / "cameras.bin"
     else:
         lenses = _read_text_cameras(folder / "cameras.txt", budget)
@@ -117,15 +120,12 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
 
 
 def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> NDArray[np.float64]:
-    """world_from_camera (4, 4). Raises :class:`InputError`."""
+    """world_from_camera (4, 4). Raises :class:`InputError` if the pose is invalid."""
     length = float(np.linalg.norm(quaternion))
     if not (np.isfinite(length) and length > 1e-6 and np.isfinite(translation).all()):
         raise input_error(where, name, f"quaternion {quaternion.tolist()}", "a rotation", _REMEDY)
     rotation = rotation_of(quaternion / length)
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation.T
-    matrix[:3, 3] = -rotation.T @ translation
-    return matrix
+    return pose_of(rotation.T, -rotation.T @ translation)
 
 
 def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
@@ -143,7 +143,7 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
 def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
     """(fx, fy, cx, cy) in pixels and the distortion of a COLMAP lens model with parameters ``p``.
 
-    Raises :class:`InputError`, which names ``field``, for models that OpenCV's distortion does not cover.
+    Raises :class:`InputError`, which names ``field``, for unsupported models and invalid parameters.
     """
     if model not in _SUPPORTED:
         raise input_error(where, f"{field} model", model, _UNSUPPORTED, _UNDISTORT)
@@ -218,7 +218,7 @@ class _Cursor:
             raise input_error(path, got=str(error), expected="a readable file", remedy=_REMEDY) from None
 
     def take(self, form: str) -> tuple:
-        """Read the values of a ``struct`` format."""
+        """Read the values of the ``struct`` format ``form``."""
         try:
             values = struct.unpack_from(f"<{form}", self.data, self.offset)
         except struct.error:
@@ -235,14 +235,8 @@ class _Cursor:
         self.offset = end + 1
         return value
 
-    def skip(self, num_bytes: int) -> None:
-        """Skip bytes."""
-        self.offset += num_bytes
-        if self.offset > len(self.data):
-            raise self.short()
-
     def short(self) -> InputError:
-        """The error for a truncated file."""
+        """Make the error for a truncated file."""
         return input_error(self.path, "", "the file ends early", "a whole file", _REMEDY)
 
 
@@ -259,24 +253,20 @@ def _read_binary_cameras(path: Path, budget: Budget) -> dict[int, _Lens]:
     return lenses
 
 
-def _read_binary_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDArray, NDArray]]:
-    return {name: values[1:] for name, values in _binary_images(path, budget)}
-
-
 def _binary_images(path: Path, budget: Budget) -> Iterator[tuple[str, tuple[int, int, NDArray, NDArray]]]:
-    """Name, and (image id, camera id, quaternion, translation), of each image."""
+    """Yield the name and (image id, camera id, quaternion, translation) of each image."""
     cursor = _Cursor(path)
     for _ in range(cursor.take("Q")[0]):
         budget.spend("frames", 1, "images")
         values = cursor.take("i7di")
         name = cursor.text()
-        cursor.skip(cursor.take("Q")[0] * 24)  # x, y as doubles and a point id per feature
+        cursor.take(f"{cursor.take('Q')[0] * 24}x")  # x, y as doubles and a point id per feature
         yield name, (values[0], values[8], np.array(values[1:5]), np.array(values[5:8]))
 
 
 def read_sights(folder: Path, budget: Budget, max_error_px: float) -> Sights:
-    """Lines of sight to the points of a binary model whose mean reprojection error is at most
-    ``max_error_px``.
+    """Read the lines of sight to the points of a binary model with a mean reprojection error of at most
+    ``max_error_px``. Raises :class:`InputError`.
     """
     where = folder / "images.bin"
     images = [

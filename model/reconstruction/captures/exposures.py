@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Normalisation of recorded exposures."""
+"""Normalises recorded exposures of photographs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from model.reconstruction.captures.photographs import relative_exposure
 
 
 def exposure_scales(images: Sequence[Path], *, is_required: bool) -> list[float]:
-    """Factor per photograph that undoes its recorded exposure, 1 at the median; all 1 if any has no record.
+    """Factor of each photograph that compensates for its recorded exposure, 1 at the median exposure.
 
-    If ``is_required``, raises :class:`InputError` with every photograph without a record.
+    If any photograph has no record, all factors are 1; if ``is_required``, raises :class:`InputError` with
+    all of these photographs.
     """
     gathered = [relative_exposure(image) for image in images]
     problems = [

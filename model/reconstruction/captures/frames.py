@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Up axis and unit of a capture: given, or estimated by two rules and reported to the user.
+"""Estimates the up axis and unit of a capture.
 
 Up: photographers hold cameras upright, so the axis within 30 degrees of the cameras' mean up direction is up.
-Where structure from motion leaves the orientation open, up is the direction most nearly perpendicular to the
-rows of all images, regardless of the cameras' tilt. Unit: a room is 1 m to 100 m across (the diagonal of its
-bounding box); larger ones are in millimetres or centimetres, whichever brings them closer to 8 m.
+If the orientation is arbitrary, as from structure from motion, up is the direction most nearly perpendicular
+to the rows of all images, regardless of the cameras' tilt. Unit: a room is 1 m to 100 m across (the diagonal
+of its bounding box); larger ones are in millimetres or centimetres, whichever is closer to 8 m.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from model.reconstruction.capture_options import Axis
 
 AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)
-_MIN_AGREEMENT = 0.3  # length of the mean up direction; it vanishes for cameras that look down with any roll
-_MIN_TURN = np.sin(np.radians(10.0)) ** 2  # variance of directions that turn by 10 degrees from their mean
+_MIN_AGREEMENT = 0.3  # length of the mean up direction, near 0 for cameras that look down at any roll
+_MIN_TURN = np.sin(np.radians(10.0)) ** 2  # variance of directions that deviate by 10 degrees from the mean
 _LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0
 _SMALLEST_ROOM = 1.0
 
@@ -36,14 +36,14 @@ _Z_FROM = {
 
 
 def z_up_from(up: Axis) -> NDArray[np.float64]:
-    """Rotation (3, 3) from the axis ``up`` to +z."""
+    """Rotation (3, 3) that maps the axis ``up`` to +z."""
     return np.array(_Z_FROM[up], dtype=np.float64)
 
 
 def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """Rotation (3, 3) from a world of arbitrary orientation to +z up, estimated from cameras without roll.
+    """Rotation (3, 3) that maps the up direction estimated from cameras without roll to +z.
 
-    If all cameras look in about one direction, up is their mean up direction.
+    If the rows of all images have about one direction, up is the cameras' mean up direction.
     """
     along_rows = np.array([camera.world_from_camera[:3, 0] for camera in cameras])
     mean_up = -np.mean([camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
@@ -57,21 +57,21 @@ def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
 
 
 def world_from_source(rotation: NDArray[np.float64], unit_m: float) -> NDArray[np.float64]:
-    """Transform (4, 4) from units of ``unit_m`` metres to metres, with the rotation (3, 3) to +z up."""
+    """Transform (4, 4) that rotates by ``rotation`` (3, 3) and converts units of ``unit_m`` m to metres."""
     matrix = np.eye(4)
     matrix[:3, :3] = unit_m * rotation
     return matrix
 
 
 def up_of(matrix: ArrayLike) -> Axis:
-    """The axis that a (4, 4) world_from_source maps closest to +z."""
+    """The axis that a transform world_from_source (4, 4) maps closest to +z."""
     row = np.asarray(matrix, dtype=np.float64)[2, :3]
     at = int(np.abs(row).argmax())
     return AXES[at if row[at] > 0 else at + 3]
 
 
 def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
-    """The up axis estimated from the cameras ('z' if they agree on none), and a message about it."""
+    """The up axis estimated from the cameras, 'z' by default, and a message about it for the user."""
     mean = np.mean([-camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     at = int(np.abs(mean).argmax())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mesh of a capture: PLY, OBJ, glTF or GLB, with or without UVs."""
+"""Reads the mesh of a capture: PLY, OBJ, glTF or GLB, with or without UVs."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ _CONVERT = f"convert it to {', '.join(MESH_SUFFIXES[:3])}, as Blender and MeshLa
 
 
 def find_mesh(path: Path) -> Path:
-    """The only mesh beside the cameras at ``path``. Raises :class:`InputError` if there are none or
-    several.
+    """The only mesh file in the folder ``path`` or next to the file ``path``.
+
+    Raises :class:`InputError` if there are none or several.
     """
     folder = path if path.is_dir() else path.parent
     found = (
@@ -41,7 +42,8 @@ def find_mesh(path: Path) -> Path:
 
 
 def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
-    """The mesh in world space without degenerate and repeated triangles, and notes on its faults.
+    """Transform a mesh to world space, without degenerate and repeated triangles; also returns notes on its
+    faults.
 
     Raises :class:`InputError`, which names ``path``, for an unusable mesh.
     """
@@ -64,7 +66,7 @@ def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> 
 
 
 def load_mesh(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read a mesh file in its own frame, within its capture's ``budget``. Raises :class:`InputError`."""
+    """Read a mesh file in its own frame, within the capture's ``budget``. Raises :class:`InputError`."""
     budget = budget or Budget(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES or not path.is_file():
@@ -89,9 +91,9 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with one triangle per set of three positions, of any winding, and the number left out.
+    """Remove triangles with the three positions of another, of any winding; also returns their number.
 
-    Of two coincident triangles, only one would get texels.
+    Only one of them would get texels.
     """
     corners = np.sort(welded(mesh)[1][mesh.faces], axis=1)
     order = np.lexsort(corners.T)

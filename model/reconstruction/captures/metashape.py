@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Agisoft Metashape (PhotoScan): the camera file of "Export Cameras", Agisoft XML.
+"""Reads the camera file of Agisoft Metashape (PhotoScan): "Export Cameras", Agisoft XML.
 
-A camera's ``transform`` is chunk_from_camera, x right, y down, z forward; the chunk's transform (rotation,
-translation, scale) maps the chunk to the coordinates in which "Export Model" writes meshes, if these are
-local. The transform of a component that the camera names replaces it. Sensors: f, cx, cy in pixels, the
-principal point relative to the image's centre; b1 is added to f for u, b2 is skew. Frame cameras: k1 ... k4
-of r^2 ... r^8; p1 multiplies (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models").
-Equidistant fisheyes are OpenCV's fisheye if p1 = p2 = 0.
+A camera's ``transform`` is chunk_from_camera, x right, y down, z forward. The transform (rotation,
+translation, scale) of the chunk or, if the camera refers to one, of a component maps to the coordinates in
+which "Export Model" writes meshes, if these are local. Sensors: f, cx, cy in pixels, the principal point
+relative to the image's centre; b1 is added to f for u, b2 is skew. Frame cameras: k1 ... k4 of r^2 ... r^8;
+p1 multiplies (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models"). Equidistant fisheyes are
+OpenCV's fisheye if p1 = p2 = 0.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ class _Sensor:
 
 
 def find(path: Path) -> Path | None:
-    """The camera file at ``path``, or the only one in that folder, or None."""
+    """The camera file ``path``, or the only one in the folder ``path``, or None."""
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path] if path.suffix.lower() == ".xml" else []
     found = [file for file in files if "<document" in head_of(file) and "<chunk" in head_of(file)]
     return found[0] if len(found) == 1 else None
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every aligned camera of the chunk. Raises :class:`InputError` with all faults."""
+    """Read the calibration of every aligned camera. Raises :class:`InputError` with all faults."""
     root = read_xml(path, budget)
     chunks = root.findall("chunk") + root.findall("chunks/chunk")
     if len(chunks) != 1:
@@ -108,7 +108,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _sensor(element: ElementTree.Element, path: Path) -> _Sensor:
-    """A sensor's intrinsics; the adjusted calibration is preferred over the initial one."""
+    """Parse a sensor's intrinsics; the adjusted calibration is preferred to the initial one."""
     field = f"sensor {element.get('id')}"
     found = element.findall("calibration")
     calibration = next((c for c in found if c.get("class") == "adjusted"), found[-1] if found else None)
@@ -154,7 +154,7 @@ def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Disto
 
 
 def _check_local(chunk: ElementTree.Element, path: Path) -> None:
-    """Raise :class:`InputError` for a georeferenced chunk, whose mesh and cameras differ in coordinates."""
+    """Raise :class:`InputError` for a georeferenced chunk: its mesh and cameras differ in coordinates."""
     for element in chunk.findall("reference"):
         text = (element.text or "").strip().upper()
         if text.startswith(_EARTH):
@@ -163,7 +163,7 @@ def _check_local(chunk: ElementTree.Element, path: Path) -> None:
 
 
 def _similarity(element: ElementTree.Element | None, path: Path) -> NDArray[np.float64]:
-    """world_from_chunk (4, 4), including scale; the identity if ``element`` is None."""
+    """Parse world_from_chunk (4, 4), including scale; the identity if ``element`` is None."""
     matrix = np.eye(4)
     if element is None:
         return matrix

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sensors of a Mitsuba scene, in the scene's frame; an image is named after its sensor's id."""
+"""Reads the sensors of a Mitsuba scene, in the scene's frame; an image is named after its sensor's id."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
 
 
 def find(path: Path) -> Path | None:
-    """The scene file at ``path``, or None."""
+    """``path`` if it is a Mitsuba scene, else None."""
     return path if path.suffix == ".xml" and "<scene" in head_of(path) else None
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every sensor. Raises :class:`InputError` if there is none, or with all faults."""
+    """Read the calibration of every sensor. Raises :class:`InputError` if there is none or one is invalid."""
     posed = []
     for number, node in enumerate(parse_scene(path, budget=budget).all_of("sensor")):
         budget.spend("frames", 1, node.where)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""OpenMVG's ``sfm_data.json`` (``openMVG_main_ConvertSfM_DataFormat -V -I -E``).
+"""Reads OpenMVG's ``sfm_data.json`` (``openMVG_main_ConvertSfM_DataFormat -V -I -E``).
 
 A pose is camera_from_world ``rotation`` (rows) and ``center``; cameras look along +z with y down. Distortion:
 ``disto_k1``, ``disto_k3`` (r^2, r^4, r^6), ``disto_t2`` (k1 k2 k3 t1 t2, t1 and t2 as OpenCV's p1 and p2),
-``fisheye`` (OpenCV's). The serialiser cereal writes the class of an intrinsic only at its first occurrence,
-so the keys of an intrinsic identify its class.
+``fisheye`` (OpenCV's). The serialiser writes the class of an intrinsic only at its first occurrence, so
+classes are recognised by their keys.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _REMEDY = "export views, intrinsics and extrinsics (openMVG_main_ConvertSfM_Data
 
 
 def find(path: Path) -> Path | None:
-    """The OpenMVG file at ``path``, or ``sfm_data.json`` in that folder, or None."""
+    """The OpenMVG file ``path``, or ``sfm_data.json`` in the folder ``path``, or None."""
     file = path / "sfm_data.json" if path.is_dir() else path
     return file if file.suffix == ".json" and '"sfm_data_version"' in head_of(file) else None
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every view with a pose. Raises :class:`InputError` with all faults."""
+    """Read the calibration of every view with a pose. Raises :class:`InputError` with all faults."""
     data = parse_json(read_text(path), path, budget, _REMEDY)
     try:
         views = [_payload(entry) for entry in data["views"]]
@@ -78,18 +78,18 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     if not found and not problems:
         problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
     raise_problems(problems)
-    # root_path may be of another computer: only its last part is used, for a folder beside the file.
+    # root_path may be of another computer: only its last part is used, for a folder next to the file
     name = Path(str(data.get("root_path", ""))).name
-    beside = [
+    candidates = [
         path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..") and len(f) < 100
     ]
-    folder = images or next((f for f in beside if f.is_dir()), path.parent)
+    folder = images or next((f for f in candidates if f.is_dir()), path.parent)
     notes = (f"{unposed} views have no pose or lens and were left out",) if unposed else ()
     return Calibration(tuple(found), folder, notes)
 
 
 def _payload(entry: dict[str, Any]) -> dict[str, Any]:
-    """The object inside cereal's pointer wrapper. Raises :class:`TypeError` if it is no object."""
+    """The object in the serialiser's pointer wrapper. Raises :class:`TypeError` if it is not an object."""
     payload = entry["value"]["ptr_wrapper"]["data"]
     if not isinstance(payload, dict):
         raise TypeError(f"{payload!r}")
@@ -98,14 +98,14 @@ def _payload(entry: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Lens:
-    """An intrinsic: a camera at the origin, and its distortion."""
+    """Intrinsics, as those of a camera at the origin, and distortion."""
 
     camera: Camera
     distortion: Distortion | None
 
 
 def _lens(lens: dict[str, Any], path: Path, field: str) -> _Lens:
-    base = lens.get("value0", lens)  # some classes keep the pinhole's part in a nested object
+    base = lens.get("value0", lens)  # some classes have the pinhole parameters in a nested object
     width, height, focal = int(base["width"]), int(base["height"]), float(base["focal_length"])
     cx, cy = (float(v) for v in base["principal_point"])
     if not (focal > 0 and min(width, height) > 0 and np.isfinite([focal, cx, cy]).all()):
@@ -114,7 +114,7 @@ def _lens(lens: dict[str, Any], path: Path, field: str) -> _Lens:
 
 
 def _pose(name: str, pose: dict[str, Any], path: Path) -> NDArray[np.float64]:
-    """world_from_camera (4, 4). Raises :class:`InputError`."""
+    """world_from_camera (4, 4). Raises :class:`InputError` if the pose is invalid."""
     camera_from_world = rotation_part(pose["rotation"], path, f"{name}.rotation")
     center = np.array([float(v) for v in pose["center"]])
     if center.shape != (3,) or not np.isfinite(center).all():

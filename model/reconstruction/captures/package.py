@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads environment packages as captures: cameras, meshes and lights of the package, photographs beside it.
+"""Reads captures from environment packages, with photographs next to the package.
 
 The Blender add-on exports such packages, so a scene modelled from photographs needs no other export. A
 photograph is named after its camera.
@@ -37,9 +37,10 @@ def is_package(path: Path) -> bool:
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """The capture of the package's cameras that have a photograph. Raises :class:`InputError` if none has.
+    """Read a capture of the package's cameras that have a photograph.
 
-    ``images`` is by default ``photographs`` or ``images`` in the package or beside it.
+    ``images`` is by default the folder ``photographs`` or ``images`` in the package or next to it. Raises
+    :class:`InputError` if no camera has a photograph.
     """
     with open_package(path, budget) as package:
         asset = package.asset

@@ -40,7 +40,7 @@ _OPENCV_FORMATS = {".tif": ("TIFF",), ".tiff": ("TIFF",), ".webp": ("WEBP",)}
 
 
 def can_read(path: Path) -> bool:
-    """Whether photographs with that suffix can be read; HEIC and raw files need their extra."""
+    """Whether photographs with the suffix of ``path`` can be read; HEIC and raw files need their extra."""
     suffix = path.suffix.lower()
     if suffix in HEIC_SUFFIXES:
         return find_spec("pillow_heif") is not None
@@ -48,12 +48,12 @@ def can_read(path: Path) -> bool:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether a file is a raw photograph, by its suffix."""
+    """Whether a file has the suffix of a raw photograph."""
     return path.suffix.lower() in RAW_SUFFIXES
 
 
 def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
-    """Problems of photographs that cannot be read, one per suffix."""
+    """Problems of photographs in unsupported formats, one per suffix."""
     problems = []
     for suffix in sorted({file.suffix.lower() for file in files}):
         names = [file.name for file in files if file.suffix.lower() == suffix]
@@ -76,7 +76,7 @@ class Stored:
     """A decoded photograph.
 
     ``pixels`` (H, W, C) are as stored. ``is_linear``: whether they are linear regardless of the encoding
-    option. ``clipped`` (H, W): mask of pixels at the sensor's limit, None if it must be derived from values.
+    option. ``clipped`` (H, W): mask of clipped pixels, None if it must be derived from the values.
     """
 
     pixels: NDArray
@@ -94,7 +94,7 @@ def read_stored(path: Path) -> Stored:
 
 
 def read_photograph(path: Path) -> NDArray:
-    """Pixels (H, W, C) as stored, in the file's orientation; HEIC and raw photographs are upright.
+    """Read the pixels (H, W, C) in the stored orientation, or upright from HEIC and raw files.
 
     Raises :class:`InputError`.
     """
@@ -108,7 +108,10 @@ def read_photograph(path: Path) -> NDArray:
 
 
 def photograph_size(path: Path) -> tuple[int, int]:
-    """(width, height) as stored; HEIC and raw photographs are upright. Raises :class:`InputError`."""
+    """(width, height) in pixels in the stored orientation, or upright of HEIC and raw files.
+
+    Raises :class:`InputError`.
+    """
     _check(path)
     if is_raw(path):
         from model.reconstruction.captures.raw_photographs import raw_size
@@ -118,7 +121,7 @@ def photograph_size(path: Path) -> tuple[int, int]:
 
 
 def pillow_formats(path: Path) -> tuple[str, ...]:
-    """Pillow's formats for photographs with the suffix of ``path``; registers its HEIC reader if needed."""
+    """Names of Pillow's formats for the suffix of ``path``; registers the HEIC reader if needed."""
     if path.suffix.lower() not in HEIC_SUFFIXES or not can_read(path):
         return _FORMATS
     from pillow_heif import register_heif_opener
@@ -133,7 +136,7 @@ def _check(path: Path) -> None:
 
 
 def _read_heic(path: Path) -> NDArray[np.uint8]:
-    """Pixels (H, W, 3), upright. Raises :class:`InputError`."""
+    """Read upright pixels (H, W, 3). Raises :class:`InputError`."""
     from PIL import Image
 
     width, height = photograph_size(path)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Photographs as a capture's images: decoded, rotated upright, linearised, resized and undistorted.
+"""Reads photographs as a capture's images: decoded, rotated upright, linearised, resized and undistorted.
 
-Pixel coordinates have their centres at +0.5 (``foundation.cameras``); OpenCV's are at whole numbers, so
-OpenCV's principal point is ours minus 0.5. Linearisation precedes any resampling.
+Pixel centres are at +0.5 (``foundation.cameras``), but at integers in OpenCV, so OpenCV's principal point is
+ours minus 0.5. Linearisation precedes any resampling.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from model.reconstruction.captures.photograph_files import is_raw, pillow_format
 
 PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
-"""Clipping level relative to the sensor's limit, linear: JPEG leaves clipped pixels a few steps below it."""
+"""Linear value above which a pixel counts as clipped; JPEG stores clipped pixels a few steps below 1."""
 MIN_CLIPPED_SHARE = 0.02
-"""Clipped share of a resampled pixel above which it counts as clipped."""
+"""Share of clipped pixels in a resampled pixel above which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _ASPECT_SLACK_PX = 1.0  # for sizes that calibrations round differently
@@ -33,7 +33,7 @@ _ASPECT_SLACK_PX = 1.0  # for sizes that calibrations round differently
 
 @dataclass(frozen=True)
 class PhotographSource:
-    """A photograph on disk, with the camera that took it; ``exposure_scale`` multiplies its linear values."""
+    """A photograph on disk and its ``calibrated`` camera; ``exposure_scale`` is a factor of linear values."""
 
     path: Path
     calibrated: Camera
@@ -42,7 +42,7 @@ class PhotographSource:
     exposure_scale: float = 1.0
 
     def read(self, camera: Camera) -> ColorImage:
-        """The photograph resampled to ``camera``: the same pose, any size and intrinsics, no distortion."""
+        """Read the photograph, resampled to ``camera``, a pinhole camera with the same pose."""
         stored = read_stored(self.path)
         pixels = fit_orientation(stored.pixels, self.path, self.calibrated)
         linear = linearized(pixels, "linear" if stored.is_linear else self.encoding)
@@ -62,7 +62,7 @@ class PhotographSource:
 
 
 def exif_orientation(path: Path) -> int:
-    """EXIF orientation 1 ... 8; 1 if the file has none. Raises :class:`InputError` for an unreadable file."""
+    """EXIF orientation, 1 to 8; 1 if there is none. Raises :class:`InputError` for an unreadable file."""
     if path.suffix.lower() == ".exr" or is_raw(path):
         return 1
     from PIL import Image
@@ -76,7 +76,7 @@ def exif_orientation(path: Path) -> int:
 
 
 def relative_exposure(path: Path) -> float | None:
-    """Relative exposure from EXIF: time in s * ISO / f-number^2; None if a value is missing."""
+    """Relative exposure from EXIF, time in s * ISO / f-number^2; None if a value is missing."""
     if is_raw(path):
         from model.reconstruction.captures.raw_photographs import raw_exposure
 
@@ -96,7 +96,7 @@ def relative_exposure(path: Path) -> float | None:
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Pixels (H, W, C) rotated according to an EXIF orientation."""
+    """Rotate and flip ``pixels`` (H, W, C) upright from an EXIF orientation (1 to 8)."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.transpose(1, 0, 2)
     flips = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}.get(orientation, ())
@@ -109,10 +109,10 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """The image (H, W, C) as stored or, if only the upright image has the camera's shape, upright.
+    """The image (H, W, C) as stored or, if only the upright image has the camera's aspect ratio, upright.
 
     Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
-    image has the camera's shape.
+    image has the camera's aspect ratio.
     """
     if _has_shape_of(pixels, camera):
         return pixels
@@ -125,7 +125,7 @@ def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
 
 
 def linearized(pixels: NDArray, encoding: Encoding) -> NDArray[np.float32]:
-    """Linear Rec.709 (H, W, 3), at least 0, from stored pixels; grey is repeated and alpha dropped."""
+    """Convert stored pixels (H, W, C) to linear Rec.709 (H, W, 3), at least 0; alpha is dropped."""
     values = normalized(pixels)
     values = values[..., :3] if values.shape[2] >= 3 else np.repeat(values[..., :1], 3, axis=2)
     if encoding == "auto":
@@ -144,9 +144,10 @@ def undistorted(
     camera: Camera,
     clipped: NDArray[np.bool_] | None = None,
 ) -> ColorImage:
-    """Resample an image of the ``calibrated`` lens with the mask ``clipped`` (H, W, 3) to a pinhole camera.
+    """Resample a ``linear`` image (H, W, 3) of the ``calibrated`` lens, and its mask ``clipped`` (H, W, 3),
+    to the pinhole ``camera``.
 
-    The image is first resized to the camera's size by averaging areas, so shrinking does not alias.
+    The image is first resized to the camera's size, by averaging areas if it shrinks, against aliasing.
     """
     import cv2
 
@@ -182,7 +183,7 @@ def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
 def _distorted_pixels(
     lens: Camera, distortion: Distortion | None, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """x and y (H, W) of the pixels of ``camera`` in the lens's image, in OpenCV's coordinates."""
+    """Positions x and y (H, W) of the pixels of ``camera`` in the lens's image, in OpenCV's coordinates."""
     size = (camera.width_px, camera.height_px)
     u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
@@ -194,7 +195,7 @@ def _distorted_pixels(
 
 
 def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> NDArray[np.float64]:
-    """Pixels (..., 2), centres at +0.5, at which a lens images rays (..., 2), (x / z, y / z) in its frame."""
+    """Pixels (..., 2), with centres at +0.5, at which a lens images the rays (x / z, y / z) (..., 2)."""
     x, y = np.moveaxis(np.asarray(rays, dtype=np.float64), -1, 0)
     if distortion is not None and distortion.model == "fisheye":
         r = np.hypot(x, y)
@@ -216,7 +217,7 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
 
 
 def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Factor by which a brown or polynomial lens scales points at squared radii ``r2``."""
+    """Factor by which a brown or polynomial lens scales points at squared radii ``r2``, of the same shape."""
     k = np.zeros(8)
     k[: len(distortion.coefficients)] = distortion.coefficients
     if distortion.model == "polynomial":
@@ -226,7 +227,7 @@ def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.bool_]:
-    """Mask of radii ``r`` beyond the first at which the distorted radius decreases and repeats the image."""
+    """Mask of radii ``r`` beyond the first at which the distorted radius decreases, where images repeat."""
     if distortion is None:
         return np.zeros(r.shape, dtype=bool)
     steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)

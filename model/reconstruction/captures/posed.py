@@ -2,7 +2,7 @@
 """Common parts of the readers of calibrations, and their result: images with cameras and distortion.
 
 Every reader converts its software's convention to the project's: world_from_camera with x right, y down, z
-forward; pixel centres at +0.5; OpenCV's order of the coefficients.
+forward; pixel centres at +0.5; distortion coefficients in OpenCV's order.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class PosedImage:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All images of a calibration, the folder that their names are relative to, and notes for the user."""
+    """All images of a calibration, the folder to which their names are relative, and notes for the user."""
 
     images: tuple[PosedImage, ...]
     folder: Path
@@ -56,13 +56,13 @@ class Calibration:
 
 
 class ImageMissing(Exception):
-    """An image of a calibration is missing; readers report all of these by :meth:`ImageFinder.absent`."""
+    """An image of a calibration is missing; readers report all such images by :meth:`ImageFinder.absent`."""
 
 
 class ImageFinder:
-    """Finds images by their names in calibrations.
+    """Finds images in a folder by their names in a calibration.
 
-    Names may be absolute paths of another computer, lack their suffix or differ in case. Files outside the
+    Names may be absolute paths of another computer, lack a suffix or differ in case. Files outside the
     folder, also through links, are not found, since calibrations are untrusted.
     """
 
@@ -71,11 +71,11 @@ class ImageFinder:
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
-        """The image's path, or None. Without a file at ``name``, its last part must be unique below the
-        folder.
+        """Path of the image ``name`` in the folder, else of the only image below it with that file name, else
+        None.
         """
         name = name.replace("\\", "/")
-        if not name.isprintable():  # the system refuses paths with a zero byte
+        if not name.isprintable():  # the system raises for paths with a zero byte
             return None
         direct = self.folder / name  # an absolute name replaces the folder
         suffixes: tuple[str, ...] = PHOTOGRAPH_SUFFIXES
@@ -90,14 +90,14 @@ class ImageFinder:
         return found[0] if len(found) == 1 else None
 
     def require(self, name: str) -> Path:
-        """The image's path. Raises :class:`ImageMissing` with its name."""
+        """Like :meth:`find`, but raises :class:`ImageMissing` with the name if there is no image."""
         image = self.find(name)
         if image is None:
             raise ImageMissing(name)
         return image
 
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
-        """Problems of missing images: one per unsupported format, and one per image that does not exist."""
+        """Problems of the images ``names``: one per unsupported format, and one per missing image."""
         others = self.unread(names)
         expected = f"one image of this name in {self.folder}"
         return unread_problems(where, list(others.values())) + [
@@ -105,24 +105,24 @@ class ImageFinder:
         ]
 
     def unread(self, names: Sequence[str]) -> dict[str, Path]:
-        """File by name of the images that exist in an unsupported format."""
+        """Files, by name, of those of the images ``names`` that exist in an unsupported format."""
         named = {name: self._named(name.replace("\\", "/")) for name in names}
         others = {name: [f for f in files if not can_read(f)] for name, files in named.items()}
         return {name: files[0] for name, files in others.items() if files}
 
     def _admitted(self, name: str) -> Path | None:
-        """The file with this relative or absolute name, or None if it does not exist inside the folder."""
+        """The file with a relative or absolute name, or None if there is none in the folder."""
         if not os.path.lexists(self.folder / name):
             return None
         real, _ = fault_of(self.folder, name, (self.folder,))
         return real if real is not None and real.is_file() else None
 
     def _named(self, name: str) -> list[Path]:
-        """Images with that name below the folder, in any known format."""
+        """Images below the folder with the file name of ``name``, in any known format."""
         return self._index().get(Path(name).name.lower(), []) if name.isprintable() else []
 
     def _index(self) -> dict[str, list[Path]]:
-        """Images below the folder by name, with and without suffix, in lower case."""
+        """All images below the folder, by lower-case name with and without suffix."""
         if self._by_name is None:
             self._by_name = {}
             paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
@@ -138,7 +138,7 @@ class ImageFinder:
 def read_text(path: Path) -> str:
     """Read a text file. Raises :class:`InputError` if it is unreadable or too large."""
     try:
-        if not path.is_file():  # a pipe would block for ever
+        if not path.is_file():  # reading a pipe could block
             raise input_error(path, "", "not a regular file", "an export of cameras", EXPORT_AGAIN)
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise input_error(path, "", "a file of over 256 MB", "an export of cameras", EXPORT_AGAIN)
@@ -148,7 +148,7 @@ def read_text(path: Path) -> str:
 
 
 def head_of(path: Path, num_bytes: int = 4096) -> str:
-    """The beginning of a file as text, to recognise its format; '' if it cannot be read."""
+    """The first ``num_bytes`` of a file as text, to recognise its format; '' if it cannot be read."""
     try:
         if not path.is_file():
             return ""
@@ -164,7 +164,7 @@ def read_xml(path: Path, budget: Budget) -> ElementTree.Element:
 
 
 def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np.float64]:
-    """Parse exactly ``count`` finite numbers separated by blanks. Raises :class:`InputError`."""
+    """Parse ``count`` finite numbers separated by blanks. Raises :class:`InputError`."""
     try:
         values = np.array([float(word) for word in (text or "").split()])
     except ValueError:
@@ -202,14 +202,16 @@ def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray
 def polynomial(
     radial: tuple[float, float, float, float], tangential: tuple[float, float]
 ) -> Distortion | None:
-    """Distortion with k1 ... k4 (of r^2 ... r^8) and OpenCV's p1, p2; None if all are 0."""
+    """Distortion with ``radial`` k1 ... k4 (of r^2 ... r^8) and OpenCV's ``tangential`` p1, p2; None if all
+    are 0.
+    """
     k1, k2, k3, k4 = radial
     coefficients = (k1, k2, *tangential, k3, k4)
     return Distortion(model="polynomial", coefficients=coefficients) if any(coefficients) else None
 
 
 def check_skew(skew_px: float, focal_px: float, height_px: int, where: Path, field: str) -> None:
-    """Raise :class:`InputError` for a visible skew, which shifts u by ``skew_px`` times the normalised y."""
+    """Raise :class:`InputError` if a skew, which shifts u by ``skew_px`` y / z, is visible at the border."""
     if abs(skew_px) * 0.5 * height_px / focal_px > _MAX_SKEW_PX:
         remedy = "calibrate without skew (b2 = 0), or export undistorted images"
         raise input_error(where, field, skew_px, "no skew", remedy)

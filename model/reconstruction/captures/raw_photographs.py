@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 with the camera's white balance.
+"""Reads raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709, the camera's white balance.
 
 Black and white levels are the file's; values are not brightened, and no curve is applied. Channels are scaled
 so that the weakest channel in white light reaches 1 at the sensor's limit. Pixels interpolated from a sensor
-value at the limit count as clipped in all channels, since the colour matrix mixes them.
+value at the limit count as clipped in all channels, since the colour matrix mixes channels.
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from datagen.foundation.exr import check_claim
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX
 
 LIMIT_SHARE = 0.99
-"""Clipping level within the range from black to white level; sensors saturate slightly below 1."""
+"""Clipping level, 0 at black level and 1 at white level; sensors saturate slightly below 1."""
 _REACH_PX = 5
 """Side of the square of sensor values from which a pixel is interpolated."""
 _TURNS = {3: 2, 5: 1, 6: -1}  # quarter turns counter-clockwise by libraw's flip
 
 
 def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Linear pixels (H, W, 3) and the mask (H, W) of clipped ones, upright. Raises :class:`InputError`."""
+    """Read linear pixels (H, W, 3) and the mask (H, W) of clipped pixels, upright.
+
+    Raises :class:`InputError`.
+    """
     import cv2
     import rawpy
 
@@ -78,7 +81,7 @@ def raw_size(path: Path) -> tuple[int, int]:
 
 
 def raw_exposure(path: Path) -> float | None:
-    """Relative exposure: time in s * ISO / f-number^2; None if a value is missing."""
+    """Relative exposure, time in s * ISO / f-number^2; None if a value is missing."""
     import rawpy
 
     try:

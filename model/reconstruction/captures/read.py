@@ -2,9 +2,9 @@
 """Recognises the format of a capture and reads it.
 
 A calibration format is a row of ``FORMS`` and a module with two functions: ``find(path)`` returns the file or
-folder that it would read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. A new
-format needs nothing else. Photographs come with a mesh file; ``CaptureOptions`` gives the axes and units of
-both.
+folder to read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. A new format needs
+nothing else. Photographs also need a mesh file; ``CaptureOptions`` gives the axes and units of cameras and
+mesh.
 """
 
 from __future__ import annotations
@@ -36,11 +36,7 @@ from datagen.foundation.errors import InputError, Problem, input_error, raise_pr
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
-from model.reconstruction.capture_options import (
-    DEFAULT_MAX_WIDTH_PX,
-    CaptureOptions,
-    Exposure,
-)
+from model.reconstruction.capture_options import DEFAULT_MAX_WIDTH_PX, CaptureOptions, Exposure
 from model.reconstruction.captures import (
     bundler,
     colmap,
@@ -90,7 +86,7 @@ FORMS = (
 
 
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
-    """The capture at ``path``. Raises :class:`InputError` with its faults, or if its format is unknown.
+    """Read the capture at ``path``. Raises :class:`InputError` with its faults, or if its format is unknown.
 
     Known formats: a shard (.tar) or a dataset folder of one shard; ``capture.json`` or its folder; an
     environment package with cameras; and ``FORMS``.
@@ -115,7 +111,7 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
 
 
 def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None:
-    """Refuse images and meshes outside the folders given by the user, since captures are untrusted."""
+    """Raise :class:`InputError` for files outside of the ``given`` folders, since captures are untrusted."""
     problems = []
     for field, name in [
         *((f"photographs[{k}].image", p.image) for k, p in enumerate(record.photographs)),
@@ -142,8 +138,8 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
 
 
 def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
-    """The content of ``capture.json`` for calibrated photographs, with absolute paths, and notes for the
-    user. Raises :class:`InputError`.
+    """The content of ``capture.json``, with absolute paths, for calibrated photographs at ``path``, and notes
+    for the user. Raises :class:`InputError`.
     """
     record, notes, _ = _calibrated(path, options, Budget(path, options.limits))
     return record, notes
@@ -152,7 +148,7 @@ def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tupl
 def _calibrated(
     path: Path, options: CaptureOptions, budget: Budget
 ) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
-    """As :func:`capture_file`, and the mesh in its own frame if it had to be read."""
+    """Like :func:`capture_file`, and the mesh in its own frame if it was read to estimate the unit."""
     form, found = _form_of(path)
     try:
         calibration = form.read(found, options.images, budget)
@@ -213,7 +209,7 @@ def _calibrated(
 
 
 def has_cameras(path: Path) -> bool:
-    """Whether ``path`` has a known capture format; whether the capture is valid is not checked."""
+    """Whether ``path`` is in a known capture format, which may still be invalid."""
     is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
     return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
 
@@ -229,7 +225,7 @@ def _form_of(path: Path) -> tuple[Form, Path]:
 
 
 def write_capture(folder: Path, record: CaptureFile) -> Path:
-    """Write ``capture.json``; paths below ``folder`` become relative to it."""
+    """Write ``capture.json`` to ``folder``, with paths below the folder relative to it; returns its path."""
     folder.mkdir(parents=True, exist_ok=True)
 
     def relative(name: str) -> str:
@@ -258,7 +254,7 @@ def open_capture(
     mesh_in_its_frame: Mesh | None = None,
     budget: Budget | None = None,
 ) -> Capture:
-    """The capture of ``record``, whose paths are relative to ``base``; reads the mesh unless given.
+    """Open the capture of ``record``, whose paths are relative to ``base``; the mesh is read unless given.
 
     Raises :class:`InputError` with all missing photographs, or for an unusable mesh.
     """
@@ -295,7 +291,7 @@ def _shrunk(capture: Capture, max_width_px: int) -> Capture:
 
 
 def shrunk_camera(camera: Camera, max_width_px: int) -> Camera:
-    """The camera scaled to a longer side of at most ``max_width_px``; sides are rounded to whole pixels."""
+    """Scale the camera down to a longer side of at most ``max_width_px``; sides are whole pixels."""
     longer = max(camera.width_px, camera.height_px)
     if longer <= max_width_px:
         return camera

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""RealityCapture / RealityScan: the CSV "Internal/External camera parameters" and the XMP sidecars.
+"""Reads RealityCapture's (RealityScan's) CSV "Internal/External camera parameters" and XMP sidecars.
 
-Both have the focal length in mm for film whose longer side is 36 mm, and the principal point as an offset
-from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2 where t1
-multiplies (r^2 + 2 x^2): OpenCV's p2, p1. The files have no image sizes, so the images must be available.
+In both formats, the focal length is in mm for film whose longer side is 36 mm, and the principal point is an
+offset from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2, which
+are OpenCV's p2, p1 (t1 multiplies r^2 + 2 x^2). The files have no image sizes, so the images must be
+available.
 
 CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera that
-looks along -z with y up: with all angles 0 it looks straight down, with north (+y) at the top. XMP:
-``Rotation`` is camera_from_world row by row, of a camera with y down and z forward; ``Position`` is the
-centre ("RealityCapture XMP camera math").
+looks along -z with y up: at angles of 0 it looks straight down, with north (+y) at the top. XMP: ``Rotation``
+is camera_from_world by rows, of a camera with y down and z forward; ``Position`` is the centre
+("RealityCapture XMP camera math").
 """
 
 from __future__ import annotations
@@ -51,14 +52,14 @@ _FILM_MM = 36.0
 
 
 def find_csv(path: Path) -> Path | None:
-    """The CSV with camera parameters at ``path``, or the only one in that folder, or None."""
+    """The CSV with camera parameters ``path``, or the only one in the folder ``path``, or None."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
     found = [file for file in files if _columns(head_of(file)) is not None]
     return found[0] if len(found) == 1 else None
 
 
 def find_xmp(path: Path) -> Path | None:
-    """The folder with XMP sidecars: ``path`` or its ``images``, or None."""
+    """The folder with XMP sidecars: ``path`` or its subfolder ``images``, or None."""
     for folder in (path, path / "images"):
         if folder.is_dir() and any("capturingreality" in head_of(file) for file in folder.glob("*.xmp")):
             return folder
@@ -66,7 +67,7 @@ def find_xmp(path: Path) -> Path | None:
 
 
 def _columns(text: str) -> list[str] | None:
-    """Names of the columns, or None. A line with their number may precede the header, which begins #name."""
+    """Names of the columns in the first lines of a CSV; None without the needed ones."""
     for line in text.lstrip("\ufeff").splitlines()[:3]:
         names = [word.strip().lstrip("#").lower() for word in line.split(",")]
         if set(_NEEDED) <= set(names):
@@ -75,7 +76,7 @@ def _columns(text: str) -> list[str] | None:
 
 
 def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every row. Raises :class:`InputError` with all faults, also for missing images."""
+    """Read the calibration of every row. Raises :class:`InputError` with all faults and missing images."""
     text = read_text(path)
     names = _columns(text)
     if names is None:
@@ -120,7 +121,7 @@ def _from_row(row: Mapping[str, str], path: Path, field: str, finder: ImageFinde
 
 
 def rotation_of_angles(heading: float, pitch: float, roll: float) -> NDArray[np.float64]:
-    """world_from_camera (3, 3) of a camera with y down and z forward, from angles in degrees."""
+    """world_from_camera (3, 3) of a camera with y down and z forward, from the CSV's angles in degrees."""
     a, b, c = (math.radians(v) for v in (-heading, pitch, roll))
     about_z = np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, math.cos(b), -math.sin(b)], [0, math.sin(b), math.cos(b)]])
@@ -150,7 +151,7 @@ def _camera(
 
 
 def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every sidecar with a pose; an image has the name of its sidecar.
+    """Read the calibration of every sidecar with a pose; an image has the name of its sidecar.
 
     Raises :class:`InputError` with all faults.
     """
@@ -183,7 +184,7 @@ def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _from_sidecar(path: Path, finder: ImageFinder, budget: Budget) -> PosedImage | None:
-    values: dict[str, str] = {}  # of attributes or elements, depending on the software's version
+    values: dict[str, str] = {}  # attributes or elements, depending on the software's version
     for element in read_xml(path, budget).iter():
         values.update({k[len(_XCR) :]: v for k, v in element.attrib.items() if k.startswith(_XCR)})
         if element.tag.startswith(_XCR) and element.text:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The project's own shards as captures: images from the tar, geometry from the configuration's library."""
+"""Reads captures from shards: images from the tar file, geometry from the configuration's library."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from datagen.rendering.capture_geometry import configuration_geometry
 
 @dataclass(frozen=True)
 class ShardSource:
-    """One view's EXR inside a shard, at a byte offset."""
+    """A view's EXR in a shard, the file ``member`` of ``num_bytes`` bytes at the byte ``offset``."""
 
     shard: Path
     member: str
@@ -31,7 +31,7 @@ class ShardSource:
     num_bytes: int
 
     def read(self, camera: Camera) -> ColorImage:
-        """The view's ``beauty``, resized to ``camera`` by averaging areas."""
+        """Read the view's ``beauty``, resized to the size of ``camera`` by averaging areas."""
         beauty = self._decode(("beauty",))["beauty"].astype(np.float32)
         size = (camera.width_px, camera.height_px)
         if (beauty.shape[1], beauty.shape[0]) != size:
@@ -41,7 +41,7 @@ class ShardSource:
         return ColorImage(beauty, np.ones(beauty.shape[:2], dtype=bool))
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """Stored buffers (H, W, C) by name."""
+        """Read the buffers ``names`` (H, W, C) that are stored."""
         return self._decode(names)
 
     def _decode(self, names: tuple[str, ...]) -> dict[str, NDArray]:
@@ -67,7 +67,10 @@ def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
 
 
 def read_shard(shard: Path, library: Library) -> Capture:
-    """A shard as a capture. Raises :class:`InputError` unless packages have the configuration's hashes."""
+    """Read a shard as a capture.
+
+    Raises :class:`InputError` if packages in ``library`` do not have the configuration's hashes.
+    """
     reader = ShardReader(shard)
     configuration = reader.configuration()
     records = {record.name: record for record in reader.records()}

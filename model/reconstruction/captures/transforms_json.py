@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""``transforms.json`` (NeRF, instant-ngp, nerfstudio) as posed images.
+"""Reads ``transforms.json`` (NeRF, instant-ngp, nerfstudio).
 
 ``transform_matrix`` is world_from_camera of a camera that looks along -z with y up; intrinsics are at the top
-level or in a frame, in pixels with centres at +0.5, or given as ``camera_angle_x``.
+level or in a frame, in pixels with centres at +0.5, or given as the field of view ``camera_angle_x``.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ _MODELS = {
 
 
 def find(path: Path) -> Path | None:
-    """The JSON file at ``path``, or ``transforms.json`` in that folder, or None."""
+    """The JSON file ``path``, or ``transforms.json`` in the folder ``path``, or None."""
     file = path / "transforms.json" if path.is_dir() else path
     return file if file.suffix == ".json" and file.is_file() else None
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """The calibration of every frame. Raises :class:`InputError` with all faults."""
+    """Read the calibration of every frame. Raises :class:`InputError` with all faults."""
     folder = images or path.parent
     return Calibration(tuple(read_transforms(path, budget, folder)), folder)
 
 
 def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> list[PosedImage]:
-    """The image of every frame, with an absolute path, found beside the file or in ``folder``.
+    """Read every frame; its image, with an absolute path, is found next to the file or in ``folder``.
 
     Raises :class:`InputError` with all faults of the file.
     """

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Checks whether the mesh fits the photographs, before longer work on a capture."""
+"""Checks whether a mesh fits the photographs, before longer work on a capture."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Checks a capture before longer work on it: whether the mesh fits the photographs.
+"""Checks whether the mesh of a capture fits its photographs.
 
 Per view: share, side and distance of the visible mesh; black or clipped photographs; whether the mesh's edges
-coincide with the photograph's, and their offset (``check.edges``). Over all views: whether one offset and
-scale of the mesh explains the shifts (``check.registration``) and, if edges do not fit at all, whether
-another up axis or unit fits better. Every warning names its views and a remedy.
+coincide with the photograph's, and their offset (``check.edges``). Over all views: whether a common offset
+and scale of the mesh explain the offsets (``check.registration``) and, if edges do not coincide at all,
+whether another up axis or unit fits better. Every warning names its views and a remedy.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from model.reconstruction.check.views import CheckReport, Look, view_warnings
 __all__ = ["CheckReport", "Look", "check_capture", "check_looks", "check_traced", "view_warnings"]
 _MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
-_MIN_FIT = 4.0  # median score at zero shift, times coverage, of a capture whose mesh fits
-_BETTER = 1.5  # ratio of scores that another frame must reach
+_MIN_FIT = 4.0  # minimum of median score without a shift times coverage for a mesh that fits
+_BETTER = 1.5  # minimum ratio of the score in another frame to the score in the given one
 
 
 def check_capture(capture: Capture, out: Path | None = None, progress: Progress | None = None) -> CheckReport:
@@ -53,7 +53,7 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
 
 
 def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
-    """As :func:`check_capture`, for a capture that has been read and traced."""
+    """Like :func:`check_capture`, for a capture that has been read and traced."""
     looks = [
         Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
         for view in traced.views
@@ -62,7 +62,7 @@ def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
 
 
 def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None) -> CheckReport:
-    """As :func:`check_capture`, for views that have been read and traced in the selected Mitsuba variant."""
+    """Like :func:`check_capture`, for views that have been read and traced."""
     if not any((look.geometry.face >= 0).any() for look in looks):
         raise _nothing_seen(capture, looks)
     sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
@@ -81,7 +81,7 @@ def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Look]) -> None:
-    """Warn of a mesh that does not fit, and name the up axis or unit with which it fits a few views."""
+    """Add a warning that the mesh does not fit, with the up axis or unit, if any, that fits some views."""
     step = max(1, len(looks) // _MAX_TRIED_VIEWS)
     chosen = looks[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T
@@ -107,7 +107,7 @@ def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Loo
 
 
 def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]) -> float:
-    """Median of the views' score without a shift, times coverage, with the mesh transformed by ``linear``."""
+    """Median over views of score without a shift times coverage, if ``linear`` (3, 3) transforms the mesh."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear
     mesh = replace(capture.geometry.mesh.transformed(matrix), normals=None)

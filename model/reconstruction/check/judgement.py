@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Judges the findings of the check: an error common to all views, else single views with errors."""
+"""Derives warnings from the findings of the check: errors common to all views, or errors of single views."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from model.reconstruction.check.registration import Registration, SeenShift, common_mistake
 from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
 
-_LOST = 0.6  # share of SURE below which a view, among others that fit, shows another scene
-_SURE_GAIN = 1.2  # in standard deviations; roll and zoom of correct views gain less
+_LOST = 0.6  # score relative to SURE below which a view does not match, if others do
+_SURE_GAIN = 1.2  # in standard deviations; roll and zoom gain less in correct views
 _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
-_MIN_VIEWS, _MAX_SPREAD = 4, 0.3  # number of views, and relative spread of magnifications of one cause
+_MIN_VIEWS, _MAX_SPREAD = 4, 0.3  # minimum number and maximum relative spread of common magnifications
 
 
 def judge(report: CheckReport, looks: Sequence[Look]) -> None:
-    """Add to ``report`` the common offset and scale of the mesh, and warnings about them and single views."""
+    """Set ``fit``, ``offset_m`` and ``scale`` of ``report``, and add warnings about mesh and views."""
     with_edges = [view.edges for view in report.views if view.edges is not None]
     report.fit = float(np.median([edges.at_zero for edges in with_edges])) if with_edges else 0.0
     if not with_edges:
@@ -32,7 +32,7 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
             f"the mesh looks {factor:.3f} times too {size} in most views; the focal length, or the mesh's "
             "scale in the cameras' frame, is off by this factor; correct it and check again"
         )
-        return  # it causes shifts, which therefore are no evidence of errors of single views
+        return  # a wrong scale shifts the edges in all views, so shifts are no evidence of other errors
     pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
     mistake = common_mistake(
         [
@@ -66,7 +66,7 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
 
 
 def _common_zoom(report: CheckReport) -> float | None:
-    """The magnification common to most views, None if there is none."""
+    """The magnification of the mesh's image common to most views; None if there is none."""
     warps = [view.warp for view in report.views if view.warp is not None and view.warp.at_peak >= SURE]
     zooms = np.array([warp.zoom - 1 for warp in warps if warp.zoom_gain >= _SURE_GAIN])
     if len(zooms) < max(_MIN_VIEWS, 0.5 * len(warps)):
@@ -77,7 +77,7 @@ def _common_zoom(report: CheckReport) -> float | None:
 
 
 def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registration | None) -> None:
-    """Warn of views whose camera is rolled, or too far forward or backward."""
+    """Add warnings to views whose camera is rolled, or too far forward or backward."""
     zoomed = []
     for view, look in zip(report.views, looks, strict=True):
         warp = view.warp
@@ -108,9 +108,9 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
 
 
 def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
-    """Warn of a view whose edges are shifted too far, or do not match.
+    """Add a warning to a view whose edges are shifted too far, or do not match.
 
-    ``left_px``: the shift that the common error does not explain, None if the view's edges are ambiguous.
+    ``left_px``: the shift (dx, dy) that the common error does not explain, None if edges are ambiguous.
     """
     assert view.edges is not None
     is_lost = left_px is None

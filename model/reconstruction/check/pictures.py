@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact sheets of a check: the mesh's edges over every photograph, its name and its findings."""
+"""Draws contact sheets of a check: every photograph with the mesh's edges, its name and its findings."""
 
 from __future__ import annotations
 
@@ -25,14 +25,11 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def write_contact_sheets(
-    out: Path,
-    report: CheckReport,
-    colors: Sequence[NDArray[np.float32]],
-    edges: Sequence[NDArray[np.bool_]],
+    out: Path, report: CheckReport, colors: Sequence[NDArray[np.float32]], edges: Sequence[NDArray[np.bool_]]
 ) -> list[Path]:
-    """Write ``sheet-01.png`` etc. with all views in order, from linear ``colors`` (H, W, 3).
+    """Write ``sheet-01.png`` etc. with all views, from linear ``colors`` (H, W, 3); returns the paths.
 
-    The masks ``edges`` (H, W) are drawn green if they fit, red if there is a fault, yellow if undetermined.
+    The masks ``edges`` (H, W) are drawn green if they fit, red if there is a warning, else yellow.
     """
     tiles = [
         _tile(view, color, lines) for view, color, lines in zip(report.views, colors, edges, strict=True)

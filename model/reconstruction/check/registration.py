@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Registration of the mesh: whether a moved or scaled mesh explains the shifts of all views.
+"""Estimates whether a displacement and scale of the mesh explain the shifts of all views.
 
 If mesh points p are displaced to p + d + e (p - m), with m the cameras' mean position, a camera at c observes
-a displacement of d + e (c - m); the rest of e scales the room about the camera, which does not change its
-image. A view's edges are therefore off by f (d + e (c - m))_xy / z, in the camera's axes.
+the displacement d + e (c - m); the remainder e (p - c) scales the room about the camera, which does not
+change its image. A view's edges are therefore shifted by f (d + e (c - m))_xy / z, in the camera's axes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 
-# minimum offset and error of scale that are reported; their minimum significance in standard deviations
+# minimum offset and error of scale that are reported, and their minimum size in standard deviations
 _OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0
 _MIN_VIEWS, _MIN_VIEWS_FOR_SCALE = 4, 8
 _FLOOR_PX2 = 0.25  # added to a peak's blur, since shifts are known to half a pixel at best
@@ -26,7 +26,7 @@ _EXPLAINED = 0.75  # maximum share of the median shift that may remain
 
 @dataclass(frozen=True)
 class SeenShift:
-    """A view's camera, the depth of its edges, and their shift and its blur (``EdgeMatch``)."""
+    """A view's camera, the mean depth of its edges, and ``peak_px`` and ``blur_px2`` of its ``EdgeMatch``."""
 
     camera: Camera
     depth_m: float
@@ -36,11 +36,11 @@ class SeenShift:
 
 @dataclass(frozen=True)
 class Registration:
-    """The common error, as far as it is significant.
+    """A significant error of the mesh common to all views.
 
     ``offset_m``: offset of the mesh relative to the cameras, None if insignificant. ``scale``: scale of the
-    mesh relative to the cameras, 1 if correct. ``left_px``: remaining shift of each view. ``center_m``: the
-    cameras' mean position.
+    mesh relative to the cameras, 1 if insignificant. ``left_px``: each view's remaining shift (dx, dy).
+    ``center_m`` (3,): the cameras' mean position.
     """
 
     offset_m: tuple[float, float, float] | None
@@ -57,8 +57,7 @@ class Registration:
 def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
     """Offset and scale of the mesh that best explain the shifts of all views; None if insignificant.
 
-    Least squares are robust, so a single wrong view does not move the mesh. Scale is estimated from eight
-    views or more.
+    Least squares are robust to single wrong views. Scale is estimated from eight views or more.
     """
     if len(views) < _MIN_VIEWS:
         return None
@@ -82,7 +81,7 @@ def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
             if not _is_moved(found[:3], covariance[:3, :3]):
                 found[:3] = 0
             return _registration(found, a, b, white, middle)
-    a = a[..., :3]  # an insignificant scale must not blur the offset
+    a = a[..., :3]  # an insignificant scale would make the offset less certain
     found, covariance = _robust(white @ a, (white @ b[..., None])[..., 0])
     return _registration(found, a, b, white, middle) if _is_moved(found, covariance) else None
 

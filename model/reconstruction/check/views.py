@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data of the check: views as read and traced, and findings per view and per capture."""
+"""Views and findings of the check, per view and per capture."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from model.reconstruction.check.edges import (
     photograph_field,
 )
 
-MIN_COVERAGE = 0.05  # share of pixels below which a view hardly shows the mesh
+MIN_COVERAGE = 0.05  # minimum share of pixels that show the mesh
 MAX_CLIPPED = 0.5
-_NEAR_M, _MAX_NEAR = 0.05, 0.5  # the camera is in or at a wall if half of the mesh is nearer than this
+_NEAR_M, _MAX_NEAR = 0.05, 0.5  # a camera with a larger share of the mesh nearer than this is in a wall
 SEARCH_RAD = np.radians(3.5)  # largest rotation error of a camera that is searched
-_MIN_RADIUS_PX = 24  # enough other shifts to distinguish a peak from chance
+_MIN_RADIUS_PX = 24  # gives enough other shifts to distinguish a peak from chance
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
-SURE = 5.0  # standard deviations above which a peak is not chance
+SURE = 5.0  # standard deviations above which a peak is significant
 
 
 @dataclass
@@ -37,8 +37,8 @@ class ViewCheck:
     """Findings of a view.
 
     ``coverage``: share of pixels that show the mesh; ``back_share``: share of these that show its back;
-    ``off_deg``: the shift as an angle of the camera, None without edges; ``depth_m`` and ``zoom_depth_m``:
-    mean depths of edges for shifts and for magnifications.
+    ``nearest_m``: least depth; ``off_deg``: the shift as an angle of the camera, None without edges;
+    ``depth_m`` and ``zoom_depth_m``: mean depths of edges for shifts and for magnifications.
     """
 
     name: str
@@ -54,7 +54,7 @@ class ViewCheck:
 
     @property
     def is_judged(self) -> bool:
-        """Whether the edges determine the shift."""
+        """Whether the edges determine the shift significantly."""
         return self.edges is not None and self.edges.at_peak >= SURE
 
 
@@ -87,7 +87,9 @@ class CheckReport:
 
 
 def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
-    """Warnings of faults that make a view of little use, each with a remedy."""
+    """Warnings, each with a remedy, if a photograph of linear ``color`` (H, W, 3) hardly shows the mesh, is
+    black or is mostly clipped.
+    """
     found = []
     coverage = float((geometry.face >= 0).mean())
     if coverage == 0:
@@ -106,7 +108,9 @@ def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry)
 
 @dataclass
 class Look:
-    """A view as read and traced, with the edges of the mesh and the field of the photograph's edges."""
+    """A view that has been read and traced, with ``edges`` (H, W), the mask of the mesh's edges, and
+    ``field`` (H, W, 2), the photograph's edges as double angles.
+    """
 
     name: str
     camera: Camera
@@ -124,7 +128,9 @@ class Look:
         return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
 
     def checked(self, sides: NDArray[np.float32]) -> ViewCheck:
-        """The findings of the view; ``sides`` (M,) are the outer sides of the triangles, 1 or -1."""
+        """Check the view; ``sides`` (M,) are the outer sides of the triangles, 1 for the front, -1 for the
+        back.
+        """
         hit = self.geometry.face >= 0
         depth = self.geometry.depth_z_m[..., 0]
         is_back = self.geometry.is_front[hit] != (sides[self.geometry.face[hit]] > 0)
@@ -159,10 +165,10 @@ class Look:
         return found
 
     def _zoom_depth_m(self, at: NDArray[np.bool_], depth: NDArray[np.floating]) -> float:
-        """Depth z0 such that a forward move t of the camera magnifies its edges by t / z0 in the mean.
+        """Depth z0 such that a forward motion t of the camera magnifies the edges in a mask by 1 + t / z0.
 
         An edge at distance r from the axis and depth z moves outwards by r t / z; one factor is fitted to
-        all by least squares.
+        all edges by least squares.
         """
         centers = self.camera.pixel_centers()[at] - [self.camera.cx_px, self.camera.cy_px]
         squared = (centers**2).sum(axis=-1)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as an asset package: an environment, usable in ``datagen``.
+"""Writes a reconstruction as an environment package for ``datagen``.
 
 The surface is one part with one material of three textures; every lamp is a separate part with its radiance.
-Windows are area lights or, if light from outside is far, replaced by an image of the sky.
+Windows are area lights or, if light from outside is distant, replaced by an image of the sky.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import Reconstruction, Slot, environment_exr, export_slots
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, FoundLights
 
-_REGION_MARGIN_M = 0.05  # else the region of a capture with one camera would be empty
+_REGION_MARGIN_M = 0.05  # a single camera would give an empty region
 
 
 def write_asset(
@@ -59,21 +59,24 @@ def write_asset(
         provenance=Provenance(license=license_id, source=f"materials infer, {len(capture.views)} views"),
         materials=materials,
         parts=tuple(parts),
-        lights=_known_lights(capture.lights) if found is None else _found_lights(found),
+        lights=_found_lights(found)
+        if found is not None
+        else tuple(light for light in capture.lights if getattr(light, "image", None) is None),
         camera_regions=(_camera_region(capture.cameras),),
-        cameras=tuple(_asset_camera(view.name, view.camera) for view in capture.views),
+        cameras=tuple(
+            AssetCamera(
+                name=view.name,
+                **lens_of(view.camera),
+                asset_from_camera=matrix4(view.camera.world_from_camera),
+            )
+            for view in capture.views
+        ),
     )
     return write_package(path, asset, files, overwrite=True)
 
 
-def _known_lights(lights: tuple[Light, ...]) -> tuple[Light, ...]:
-    return tuple(
-        light for light in lights if not (isinstance(light, EnvironmentLight) and light.image is not None)
-    )
-
-
 def _found_lights(found: FoundLights) -> tuple[Light, ...]:
-    """Rectangles of panels and windows, and the sky."""
+    """Area lights for the rectangles of panels and windows, and an environment light for the sky."""
     areas = (
         AreaLight(
             name=f"{patch.slot}-{number}",
@@ -108,7 +111,3 @@ def _camera_region(cameras: list[Camera]) -> Box:
         minimum_m=tuple(quantized(v) for v in low),  # type: ignore[arg-type]
         maximum_m=tuple(quantized(v) for v in high),  # type: ignore[arg-type]
     )
-
-
-def _asset_camera(name: str, camera: Camera) -> AssetCamera:
-    return AssetCamera(name=name, **lens_of(camera), asset_from_camera=matrix4(camera.world_from_camera))

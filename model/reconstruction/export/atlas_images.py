@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Atlases as image files: PNG for viewers and packages, EXR for exact values, and the quantisation to 8 bits.
+"""Writes atlases as image files: 8-bit PNG for viewers and packages, EXR for exact values.
 
 Diffuse and specular albedo are stored sRGB-encoded in 8 bits (at most 1/510 off in encoded values), roughness
 linearly. Row 0 is at v = 1. Integer arrays are made band by band, so a 16K atlas needs no float copy.
@@ -19,26 +19,20 @@ from numpy.typing import NDArray
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.durable import publish
-from datagen.foundation.images import encode_png
+from datagen.foundation.images import encode_png, quantized_bytes
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
 _BAND = 1024
 MAX_TEXTURE = 4096
-"""Maximum side of textures inside a GLB or USDZ, a limit of most viewers. Larger atlases are averaged down.
-"""
+"""Maximum side in texels of textures in a GLB or USDZ, a limit of most viewers; larger ones are reduced."""
 CONFIDENCE = "confidence"
 SEEN, FILLED, EMPTY = 255, 128, 0
 """Values of the mask: observed surface, filled-in surface, no surface."""
 
 
-def quantized_bytes(values: NDArray) -> NDArray[np.uint8]:
-    """Values in [0, 1] as bytes, rounded."""
-    return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
-
-
 def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
-    """A map (N, N, C) of half floats as bytes, sRGB-encoded if it is a colour, by a table of all halves."""
+    """Quantise the map ``name`` (H, W, C) of half floats to 8 bits, sRGB-encoded if it has three channels."""
     halves = np.arange(65536, dtype=np.uint32).astype(np.uint16).view(np.float16).astype(np.float32)
     values = np.nan_to_num(np.clip(halves, 0.0, 1.0))
     table = quantized_bytes(srgb_from_linear(values) if MAP_CHANNELS[name] == 3 else values)
@@ -51,12 +45,12 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
 
 
 def texture_shrink(atlas: Atlas) -> int:
-    """Side in texels of the squares that are averaged so that a texture has at most :data:`MAX_TEXTURE`."""
+    """Smallest divisor of the atlas's size that reduces it to at most :data:`MAX_TEXTURE` texels a side."""
     return next(k for k in range(-(-atlas.size // MAX_TEXTURE), atlas.size + 1) if atlas.size % k == 0)
 
 
 def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
-    """Means of (H, W, C) over squares of ``shrink`` texels a side, float32."""
+    """Means (H / shrink, W / shrink, C) of ``band`` (H, W, C) over squares of ``shrink`` texels a side."""
     values = np.asarray(band, np.float32)
     if shrink == 1:
         return values
@@ -65,7 +59,7 @@ def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
 
 
 def mask_png(atlas: Atlas) -> bytes:
-    """PNG with :data:`SEEN`, :data:`FILLED` or :data:`EMPTY` for each texel."""
+    """Encode a grey PNG with the value :data:`SEEN`, :data:`FILLED` or :data:`EMPTY` at each texel."""
     mask = np.full(atlas.face.shape, EMPTY, np.uint8)
     for top in range(0, atlas.size, _BAND):
         rows = slice(top, top + _BAND)
@@ -77,7 +71,7 @@ def mask_png(atlas: Atlas) -> bytes:
 def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; returns the paths.
 
-    If the confidence is known, ``confidence.png`` and ``.exr`` contain that of D, S and R as R, G and B.
+    If known, the confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B.
     """
     folder.mkdir(parents=True, exist_ok=True)
 

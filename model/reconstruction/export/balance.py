@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Gains of the recovered lights by which the exported asset is as bright as the photographs.
+"""Estimates gains of the recovered lights that make the exported asset as bright as the photographs.
 
 A recovered light has the radiance photographed, or inferred, where it is emitted or enters. The brightness of
 other surfaces also depends on surfaces in no photograph, on the merged materials, and on windows that are
-exported as diffuse rectangles. Therefore the light of each is path traced to photographed pixels in the
-exported Mitsuba scene: radiance there is linear in the gains, one per light and channel, which minimize a
-robust loss of the logarithms' differences from the photographs, visible lights included.
+exported as diffuse rectangles. Therefore the radiance of photographed pixels in the light of each source is
+path traced in the exported Mitsuba scene. The gains, one per light and channel, minimise a robust loss of the
+differences in log radiance from the photographs, including pixels that show a light.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from model.reconstruction.found_lights import SKY, Color, FoundLights, RadianceS
 PATHS, MAX_DEPTH = 256, 24
 """Paths per sample and light, and their maximum number of segments."""
 MAX_LIGHTS = 24
-"""Maximum number of gains: the least powerful lights share one."""
+"""Maximum number of gains; the least powerful lights share one."""
 NOISE, FLOOR = 0.3, 0.1
-"""Difference of logarithms above which the loss is linear; radiance added before the logarithm, as a share
-of the median."""
+"""Difference of ln radiance above which the loss is linear; radiance added before the logarithm, relative to
+the median."""
 GAIN_SPREAD, COLOR_SPREAD = 2.0, 0.2
 """Standard deviations of the prior: of ln gain, and of its deviation from the mean over the channels."""
 MIN_SAMPLES = 100
@@ -43,7 +43,7 @@ _BATCH = 1 << 19  # paths
 
 @dataclass(frozen=True)
 class Balance:
-    """``lights`` times ``gains`` by slot; mean losses of the samples that were held out, before and after."""
+    """``lights`` multiplied by ``gains`` by slot, and the mean loss of held-out samples before and after."""
 
     lights: FoundLights
     gains: dict[str, Color]
@@ -52,10 +52,10 @@ class Balance:
 
 
 def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balance | None:
-    """Gains of the recovered lights of ``reconstruction``.
+    """Balance the recovered lights of ``reconstruction`` to the photographed ``samples``.
 
     None if no light emits, if there are fewer than :data:`MIN_SAMPLES` samples, or if gains from half of the
-    samples bring the other half no closer to the photographs.
+    samples do not reduce the loss of the other half.
     """
     lights = reconstruction.shining_lights
     if lights is None or len(samples) < MIN_SAMPLES:
@@ -79,7 +79,7 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
 
 
 def _groups(lights: FoundLights) -> list[list[str]]:
-    """Slots by gain, in decreasing order of power after the sky, which windows share the gain of."""
+    """Groups of slots that share a gain: the sky with the windows, then lights by decreasing power."""
     powers = {lamp.slot: lamp.area_m2 * sum(lamp.radiance) for lamp in lights.lamps if lamp.is_lit}
     powers |= {patch.slot: patch.area_m2 * sum(patch.radiance) for patch in lights.sending}
     groups = [[slot] for slot in sorted(powers, key=lambda slot: (-powers[slot], slot))]
@@ -90,7 +90,7 @@ def _groups(lights: FoundLights) -> list[list[str]]:
 
 
 def _emitters(lights: FoundLights) -> dict[str, list[str]]:
-    """Names of the exported emitters by slot; dark rectangles are none."""
+    """Names of the exported emitters by slot, without dark rectangles."""
     names = {lamp.slot: [lamp.slot] for lamp in lights.lamps if lamp.is_lit}
     for patch in lights.sending:
         is_lit = (max(rectangle.radiance) > 0 for rectangle in patch.rectangles)
@@ -117,7 +117,7 @@ def _transport(
 
 
 def _load_scene(reconstruction: Reconstruction, folder: Path) -> Any:
-    """The exported scene without sensors, with textures of at most ``atlas_images.MAX_TEXTURE`` a side."""
+    """Load the exported scene without sensors, with textures of at most ``MAX_TEXTURE`` texels a side."""
     import mitsuba as mi
 
     from mitsuba_plugins import register
@@ -141,10 +141,7 @@ def _rays(samples: RadianceSamples, which: NDArray[np.int64]) -> Any:
 
 
 class _Emitters:
-    """The emitters of a scene, switched on and off.
-
-    ``names``: ids of the shapes that emit, and of the sky.
-    """
+    """Switches emitters of a scene on and off; ``names`` are ids of emissive shapes and of the sky."""
 
     def __init__(self, scene: Any, names: Sequence[str]):
         import mitsuba as mi
@@ -165,14 +162,14 @@ class _Emitters:
 
 
 def _emission_keys(parameters: Any, name: str) -> tuple[str, str]:
-    """Names of an emitter's parameters: emission, weight in light sampling."""
+    """Names of an emitter's scene parameters for its emission and its weight in light sampling."""
     prefix = name if f"{name}.scale" in parameters else f"{name}.emitter"
     emission = "scale" if prefix == name else "radiance.value"
     return f"{prefix}.{emission}", f"{prefix}.sampling_weight"
 
 
 def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.float64]:
-    """Radiance (N, 3) of the samples in the light that is on."""
+    """Path-traced radiance (N, 3) of the samples in the light of the emitters that are on."""
     import mitsuba as mi
 
     integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH // 2})
@@ -188,20 +185,19 @@ def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.flo
 
 
 def _differences(transport: NDArray, photographed: NDArray, floor: float, gains: NDArray) -> NDArray:
-    """Differences (N, 3) of ln(radiance + floor) of the asset in lights times ``gains`` (K, 3) from the
-    photographs; ``transport`` (N, K, 3) is the radiance by light without gains.
+    """ln(radiance + floor) of the asset minus that ``photographed``, (N, 3), for ``gains`` (K, 3) of the K
+    lights; ``transport`` (N, K, 3) is the radiance in each light at gain 1.
     """
     return np.log((transport * gains).sum(axis=1) + floor) - np.log(photographed + floor)
 
 
 def _loss(differences: NDArray) -> NDArray[np.float64]:
-    """Half the squared difference, from about :data:`NOISE` on linear."""
-    loss: NDArray[np.float64] = NOISE**2 * (np.sqrt(1 + (differences / NOISE) ** 2) - 1)
-    return loss
+    """Pseudo-Huber loss: half the squared difference, linear above about :data:`NOISE`."""
+    return np.asarray(NOISE**2 * (np.sqrt(1 + (differences / NOISE) ** 2) - 1))
 
 
 def _solved(transport: NDArray, photographed: NDArray, floor: float) -> NDArray[np.float64]:
-    """Gains (K, 3) of least loss, with their prior."""
+    """Gains (K, 3) that minimise the loss and the deviations from their prior."""
     from scipy.optimize import least_squares
 
     shape = transport.shape[1:]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as GLB: metallic-roughness with KHR_materials_specular (``metallic_textures``)."""
+"""Writes a reconstruction as GLB: metallic-roughness with KHR_materials_specular (``metallic_textures``)."""
 
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,7 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.export.gltf_lights import PUNCTUAL, emissive, punctual_lights
-from model.reconstruction.export.metallic_textures import (
-    DIELECTRIC_F0,
-    MAX_DIELECTRIC_F0,
-    ConversionError,
-)
+from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0, ConversionError
 from model.reconstruction.export.slots import Reconstruction, export_slots, patch_meshes
 
 _FLOAT, _UINT = 5126, 5125
@@ -27,8 +24,8 @@ _FLOAT, _UINT = 5126, 5125
 def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
     """Write a GLB with geometry (rotated to Y up) and textures; returns the error of the conversion.
 
-    Recovered lamps, panels and windows are emissive surfaces; ``has_punctual`` adds point lights for small
-    lamps. glTF has no sky.
+    Recovered lamps, panels and windows become emissive surfaces; ``has_punctual`` adds point lights for small
+    lamps. The sky is left out, since glTF has none.
     """
     made = reconstruction.metallic
     writer = _Glb()
@@ -83,10 +80,7 @@ def _material(name: str, textures: list[int]) -> dict[str, Any]:
         "pbrMetallicRoughness": {"baseColorTexture": base, "metallicRoughnessTexture": packed},
         "occlusionTexture": packed,
         "extensions": {
-            "KHR_materials_specular": {
-                "specularColorTexture": tint,
-                "specularColorFactor": [factor] * 3,
-            }
+            "KHR_materials_specular": {"specularColorTexture": tint, "specularColorFactor": [factor] * 3}
         },
     }
 
@@ -101,7 +95,7 @@ def _unit(vectors: NDArray) -> NDArray:
 
 
 class _Glb:
-    """Collects binary data and the tables that describe it."""
+    """Collects the binary data of a GLB and the JSON tables that describe it."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -117,7 +111,9 @@ class _Glb:
         return len(self.views) - 1
 
     def array(self, rows: NDArray, kind: str, *, has_bounds: bool = False) -> int:
-        """Add vertex data (float32) or, for ``SCALAR``, indices (uint32); returns the accessor's index."""
+        """Add an array (N, C) of vertex data (float32) or, of the type ``SCALAR``, of indices (uint32);
+        returns its accessor's index.
+        """
         is_index = kind == "SCALAR"
         stored = np.ascontiguousarray(rows, "<u4" if is_index else "<f4")
         accessor: dict[str, Any] = {
@@ -132,7 +128,7 @@ class _Glb:
         return len(self.accessors) - 1
 
     def mesh(self, mesh: Mesh, *, has_uv: bool) -> dict[str, Any]:
-        """Add a mesh; returns the attributes and indices of its primitive."""
+        """Add a mesh; returns the JSON attributes and indices of its primitive."""
         assert mesh.normals is not None and mesh.uv is not None
         turn = Z_UP_FROM_Y_UP[:3, :3]  # multiplied from the right: the inverse rotation, Y up from Z up
         attributes = {
@@ -144,7 +140,7 @@ class _Glb:
         return {"attributes": attributes, "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR")}
 
     def image(self, png: bytes) -> int:
-        """Add an image; returns its index, which is also its texture's."""
+        """Add a PNG image; returns its index, which is also that of its texture."""
         self.images.append({"bufferView": self._view(png), "mimeType": "image/png"})
         return len(self.images) - 1
 
@@ -158,10 +154,10 @@ class _Glb:
         }
 
     def encode(self, document: dict[str, Any]) -> bytes:
-        """The bytes of the GLB file with the JSON ``document``."""
+        """Encode a GLB file from the JSON ``document`` and the collected data."""
         text = json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         binary = bytes(self.data) + bytes(-len(self.data) % 4)
-        head = [len(text).to_bytes(4, "little"), b"JSON", text, len(binary).to_bytes(4, "little"), b"BIN\0"]
-        body = b"".join(head) + binary
-        return b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body
+        chunks = ((b"JSON", text), (b"BIN\0", binary))
+        body = b"".join(struct.pack("<I4s", len(chunk), kind) + chunk for kind, chunk in chunks)
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Lights in glTF: emissive surfaces (KHR_materials_emissive_strength) and small lamps as points
+"""Lights in glTF: emissive surfaces (KHR_materials_emissive_strength) and small lamps as point lights
 (KHR_lights_punctual).
 
-An emissive surface illuminates nothing in rasterising viewers, but does in path tracers, which would count a
-lamp twice if it were a point light as well; point lights are therefore optional.
+Emissive surfaces illuminate the scene in path tracers, but not in rasterising viewers. Path tracers would
+count a lamp twice if it were a point light as well; point lights are therefore optional.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from model.reconstruction.found_lights import Color
 
 PUNCTUAL, STRENGTH = "KHR_lights_punctual", "KHR_materials_emissive_strength"
 SMALL_M = 0.5
-"""Largest side of the bounding box of a lamp that becomes a point light."""
+"""Largest side in metres of the bounding box of a lamp that becomes a point light."""
 LUMENS_A_WATT = 683.0
 """Candela per W/sr in each channel, the factor by which Blender and other programs convert intensities."""
 
 
 def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
-    """``material`` with emission: a colour factor of at most 1 times an emissive strength."""
+    """Add emission of a ``radiance`` to a glTF material: a colour factor of at most 1 and a strength."""
     peak = max(radiance)
     if peak <= 0:
         return material
@@ -33,7 +33,7 @@ def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
 
 
 def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Point lights and their nodes for small lamps.
+    """glTF point lights for small lamps, and the nodes that place them.
 
     A convex lamp of area A and radiance L has a mean intensity of L A / 4, since its mean projected area is a
     quarter of its area.

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""D and S as metallic-roughness textures with an additional specular colour, and the conversion's error.
+"""Converts D and S to metallic-roughness textures with a specular colour, and measures the error.
 
-glTF's F0 is lerp(min(0.04 c, 1), base, m) with the specular colour c and the metalness m, its diffuse albedo
-base (1 - m). Surfaces of F0 up to 0.16 (an index of 2.3) become dielectrics, exactly: m = 0, base = D, c = S
-/ 0.04. Above, m solves S (1 - m) = 0.16 (1 - m)^2 + D m in the mean over channels, so that viewers without
-the extension show metals as metals; c compensates as much of the remainder as it can.
+In glTF, F0 = lerp(min(0.04 c, 1), base, m) with the specular colour c and the metalness m, and the diffuse
+albedo is base (1 - m). Surfaces of S up to 0.16 (an index of 2.3) become dielectrics, exactly: m = 0, base =
+D, c = S / 0.04. For larger S, m solves S (1 - m) = 0.16 (1 - m)^2 + D m in the mean over channels, so that
+viewers without the extension show metals as metals; c compensates for the remainder as far as possible.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
-from datagen.foundation.images import encode_png
+from datagen.foundation.images import encode_png, quantized_bytes
 from model.reconstruction.atlas.atlas import Atlas
-from model.reconstruction.export.atlas_images import averaged, quantized_bytes, texture_shrink
+from model.reconstruction.export.atlas_images import averaged, texture_shrink
 
 DIELECTRIC_F0 = 0.04
 MAX_DIELECTRIC_F0 = 0.16
@@ -26,8 +26,8 @@ _BAND = 1024
 
 @dataclass(frozen=True)
 class ConversionError:
-    """Absolute errors of D and S as a glTF reader decodes them, over all texels with a surface, and the side
-    of the textures.
+    """Mean and maximum absolute errors of D and S as a glTF reader decodes them, over the texels with a
+    surface, and the textures' side in texels.
     """
 
     diffuse_mean: float
@@ -40,8 +40,8 @@ class ConversionError:
 def metallic_channels(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Base colour (..., 3), metalness (...) and specular colour divided by its factor 4 (..., 3), in [0, 1],
-    from D and S (..., 3).
+    """Convert D and S (..., 3) to base colour (..., 3), metalness (...) and specular colour divided by its
+    factor 4 (..., 3), all in [0, 1].
     """
     limit = MAX_DIELECTRIC_F0
     d, s = diffuse.mean(axis=-1), specular.mean(axis=-1)
@@ -58,15 +58,15 @@ def metallic_channels(
 
 
 def as_read(base: NDArray, metallic: NDArray, tint: NDArray) -> tuple[NDArray, NDArray]:
-    """D and S (..., 3) as a glTF reader decodes the results of :func:`metallic_channels`."""
+    """D and S (..., 3) that a glTF reader decodes from the results of :func:`metallic_channels`."""
     m = metallic[..., None]
     return base * (1 - m), np.minimum(MAX_DIELECTRIC_F0 * tint, 1.0) * (1 - m) + base * m
 
 
 @dataclass(frozen=True)
 class MetallicTextures:
-    """PNG textures: base colour; occlusion (1), roughness and metalness in R, G and B, as engines pack them;
-    specular colour divided by ``MAX_DIELECTRIC_F0``.
+    """PNG textures: base colour; ``orm``, occlusion (always 1), roughness and metalness as R, G and B; and
+    specular colour divided by its factor 4.
     """
 
     base_color: bytes
@@ -76,7 +76,7 @@ class MetallicTextures:
 
 
 def metallic_textures(atlas: Atlas) -> MetallicTextures:
-    """The textures of an atlas, and their errors including quantisation."""
+    """Convert an atlas to textures; their errors include quantisation."""
     shrink = texture_shrink(atlas)
     bands: list[list[NDArray[np.uint8]]] = [[], [], []]
     sums, most, num = np.zeros(2), np.zeros(2), 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as a standalone Mitsuba scene."""
+"""Writes a reconstruction as a standalone Mitsuba scene."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import (
+    WORLD_FROM_SKY,
     Reconstruction,
     environment_exr,
     export_slots,
@@ -24,17 +25,14 @@ from model.reconstruction.export.slots import (
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, Color, FoundLights
 
 _MATERIAL = "atlas"
-# columns: Mitsuba's frame of a sky (Y up, centre column along +Z) in ours (Z up, centre column along +Y)
-_WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sensors: bool = True) -> Path:
-    """Write ``scene.xml`` with meshes and textures beside it, and return its path.
+    """Write ``scene.xml``, its meshes and its textures to ``folder``, and return the path of ``scene.xml``.
 
-    Loading it requires ``mitsuba_plugins.register()``, which provides its BSDF.
-
-    Sensors are the capture's cameras (square pixels: the mean focal length). Lights are the recovered lights,
-    else the capture's point lights and constant sky, else a white sky. Shapes are named as their meshes.
+    Loading it requires ``mitsuba_plugins.register()``, which provides its BSDF. Sensors are the capture's
+    cameras with their mean focal length, since Mitsuba's pixels are square. Lights are the recovered lights,
+    else the capture's point lights and constant sky, else a white sky. A shape's id is the name of its mesh.
     """
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)
@@ -98,7 +96,7 @@ def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> 
     emitter = _add(scene, "emitter", "envmap", ("string", "filename", ENVIRONMENT_FILE))
     emitter.set("id", SKY)
     transform = ElementTree.SubElement(emitter, "transform", name="to_world")
-    ElementTree.SubElement(transform, "matrix", value=_numbers(_WORLD_FROM_SKY))
+    ElementTree.SubElement(transform, "matrix", value=_numbers(WORLD_FROM_SKY))
 
 
 def _add(

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Slots of an export: the surface with the atlas's materials, and one slot for each lamp."""
+"""Common parts of the exports: slots, namely the surface with the atlas's materials and the lamps, and meshes
+and images of lights."""
 
 from __future__ import annotations
 
@@ -20,14 +21,17 @@ from model.reconstruction.export.metallic_textures import MetallicTextures, meta
 from model.reconstruction.found_lights import Color, FoundLights, FoundPatch
 
 SURFACE = "surface"
+WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""World (Z up, the sky's centre column along +Y) from the frame of Mitsuba's and USD's skies (Y up, centre
+column along +Z)."""
 
 
 @dataclass(frozen=True)
 class Reconstruction:
     """Input of the exports.
 
-    ``mesh`` is unwrapped, with the capture's order of faces; ``atlas`` is filled; ``images`` is the folder of
-    ``write_atlas_images``; ``lights`` are None if not requested.
+    ``mesh`` is unwrapped and has the capture's order of faces; ``atlas`` is filled; ``images`` is the folder
+    written by ``write_atlas_images``; ``lights`` are None if not requested.
     """
 
     capture: Capture
@@ -38,19 +42,19 @@ class Reconstruction:
 
     @cached_property
     def metallic(self) -> MetallicTextures:
-        """The atlas as metallic-roughness textures, shared by GLB and USDZ."""
+        """The atlas as metallic-roughness textures, for GLB and USDZ."""
         return metallic_textures(self.atlas)
 
     @property
     def shining_lights(self) -> FoundLights | None:
-        """The recovered lights if any of them emits; they replace the capture's known lights."""
+        """The recovered lights, which replace the capture's known lights; None if none of them emits."""
         return None if self.lights is None or self.lights.is_dark else self.lights
 
 
 @dataclass(frozen=True)
 class Slot:
-    """Triangles with one material; ``emission`` is a lamp's radiance, ``has_material`` whether it uses the
-    atlas's maps.
+    """Triangles with one material; ``emission`` is a lamp's radiance, ``has_material`` whether the material
+    uses the atlas's maps.
     """
 
     mesh: Mesh
@@ -59,7 +63,7 @@ class Slot:
 
 
 def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
-    """The triangles in the mask ``chosen`` (M,), with their vertices; missing normals are computed."""
+    """The triangles in the mask ``chosen`` (M,), with their vertices and normals, computed if missing."""
     mesh = with_normals(mesh)
     assert mesh.normals is not None
     faces = mesh.faces[chosen]
@@ -73,8 +77,8 @@ def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
 
 
 def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
-    """Slots by name: ``surface``; ``lamp-0``, ..., the emissive parts of the geometry, with recovered
-    radiance if there is any; and ``found-0``, ..., other surfaces that were found to emit.
+    """Slots by name: ``surface``; ``lamp-0``, ..., the emissive parts of the geometry, with their recovered
+    radiance if any light was recovered; and ``found-0``, ..., other surfaces that were found to emit.
     """
     mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry
     found = reconstruction.shining_lights
@@ -106,7 +110,7 @@ def turned(mesh: Mesh) -> Mesh:
 
 
 def patch_meshes(patches: Iterable[FoundPatch]) -> dict[str, tuple[Mesh, Color]]:
-    """Rectangles of windows and panels as meshes, with their radiance, by name."""
+    """Mesh and radiance of each rectangle of windows and panels, by name."""
     meshes = {}
     for patch in patches:
         for number, rectangle in enumerate(patch.rectangles):
@@ -120,5 +124,5 @@ def patch_meshes(patches: Iterable[FoundPatch]) -> dict[str, tuple[Mesh, Color]]
 
 
 def environment_exr(environment: NDArray[np.float32]) -> bytes:
-    """EXR bytes of the sky's image (H, W, 3)."""
+    """Encode an image (H, W, 3) of the sky as EXR."""
     return encode_view({"beauty": environment})

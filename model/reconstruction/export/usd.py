@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as one USDZ file: surfaces as UsdPreviewSurface, lights as UsdLux.
+"""Writes a reconstruction as one USDZ file: surfaces as UsdPreviewSurface, lights as UsdLux.
 
 The root's variant set ``workflow`` has two variants. *metallic*, the default, is supported by every program:
 base colour, occlusion-roughness-metalness, and one index of refraction, from the mean S of non-metallic
-texels. *specular* has exact D, S and R, but some programs misread it (Blender 4.5, AR Quick Look).
+texels. *specular* has exact D, S and R, but is misread by some programs (Blender 4.5, AR Quick Look).
 
 The stage is in metres with Y up; one root transform rotates the capture's Z up, and everything below it is in
 the capture's frame. Emissive surfaces are mesh lights whose material shows the same radiance
@@ -29,7 +29,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
 from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
 from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0
-from model.reconstruction.export.slots import Reconstruction, environment_exr, export_slots
+from model.reconstruction.export.slots import WORLD_FROM_SKY, Reconstruction, environment_exr, export_slots
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color
 
 POINT_RADIUS_M = 0.01
@@ -48,8 +48,6 @@ _INPUTS = {
 """Inputs of the surface and the texture outputs connected to them, by workflow."""
 _BAND = 1024
 _FIRST_ZIP_TIME_S = 315532800  # 1980, in all files, so that equal content gives equal bytes
-# columns: the frame of a dome's texture (Y up, centre column along +Z) in ours (Z up, centre along +Y)
-_WORLD_FROM_DOME = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def require_usd() -> None:
@@ -98,7 +96,7 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
 
 
 def mean_index(atlas: Atlas) -> float:
-    """Index of refraction for the mean S of non-metallic texels; 1.5 if there are none."""
+    """Index of refraction whose F0 is the mean S of non-metallic texels; 1.5 if there are none."""
     total, num = 0.0, 0
     for top in range(0, atlas.size, _BAND):
         specular = np.asarray(atlas.maps["specular_albedo"][top : top + _BAND], np.float32)
@@ -126,7 +124,7 @@ def _write_textures(folder: Path, reconstruction: Reconstruction) -> None:
 
 
 class _Stage:
-    """A USD stage, written to ``file``; ``index`` is the refractive index in the metallic workflow."""
+    """Writes a USD stage to ``file``; ``index`` is the index of refraction in the metallic workflow."""
 
     def __init__(self, file: Path, index: float):
         from pxr import Gf, Usd, UsdGeom
@@ -194,7 +192,7 @@ class _Stage:
         return material
 
     def _connect_textures(self, path: str, shader: Any) -> None:
-        """Connect the textures to the surface, separately in each variant of the workflow."""
+        """Connect the textures to the surface's shader, separately in each variant of the workflow."""
         from pxr import Sdf, UsdShade
 
         types = Sdf.ValueTypeNames
@@ -227,10 +225,7 @@ class _Stage:
                     )
 
     def known_light(self, light: Light) -> None:
-        """Add a light of the capture.
-
-        Kinds without a counterpart, and images of other packages, are left out as in the asset package.
-        """
+        """Add a light of the capture; unsupported kinds and images of other packages are left out."""
         if isinstance(light, PointLight):
             radiance = np.asarray(light.intensity) / (np.pi * POINT_RADIUS_M**2)
             self._sphere(light.name, light.position_m, POINT_RADIUS_M, radiance, is_point=True)
@@ -261,14 +256,14 @@ class _Stage:
         _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
 
     def dome(self, name: str, radiance: Color, image: str | None, world_from_environment: NDArray) -> None:
-        """Add a dome light of a radiance, times an image in the project's convention if given."""
+        """Add a dome light with a constant radiance, times an image in the project's convention if given."""
         from pxr import Sdf, UsdLux
 
         light = UsdLux.DomeLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
         if image is not None:
             light.CreateTextureFileAttr(Sdf.AssetPath(f"./{image}"))
             light.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        self._place(light, world_from_environment @ _WORLD_FROM_DOME)
+        self._place(light, world_from_environment @ WORLD_FROM_SKY)
         _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
 
     def _sphere(
@@ -301,7 +296,7 @@ def _shine(light: Any, radiance: Color) -> None:
 
 
 def _identifier(name: str) -> str:
-    """``name`` with all but letters, digits and underscores replaced, as prims require."""
+    """``name`` with characters replaced that names of prims must not contain."""
     from pxr import Tf
 
     return str(Tf.MakeValidIdentifier(name))

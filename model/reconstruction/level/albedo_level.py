@@ -32,20 +32,18 @@ NUM_POINTS, NUM_RAYS = 4096, 400
 """Number of surface points, distributed about evenly over the photographed surface, and of rays per point, a
 square number."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
-"""Cosine-weighted known share of a point's hemisphere above which it has full weight, below which none."""
+"""Cosine-weighted share of a point's hemisphere with known radiance: the point has full weight above the
+first limit and none below the second."""
 LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
-"""Uncertain share of a point's light below which it has full weight, above which none."""
+"""Uncertain share of a point's light: the point has full weight below the first limit and none above the
+second."""
 MIN_POINTS, MIN_USED = 200, 0.4
 """Minimum number of points and their minimum mean weight for a correction."""
 MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
 """Maximum ``spread`` and ``impossible_share`` (:class:`LevelReport`) for a correction."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
 _MIN_RADIANCE = 1e-6  # relative to the median
-_POINT_SCALE, _REGION_SCALE, _FREEDOM = (
-    0.2,
-    0.3,
-    2.0,
-)  # scales and degrees of freedom of Student's t of ln rho
+_POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # of Student's t of ln rho
 _ROUNDS = 40
 _CHUNK = 512
 
@@ -54,12 +52,12 @@ _CHUNK = 512
 class LevelReport:
     """Result and statistics of the albedo scale.
 
-    ``gain``: the room's gain of R, G and B, around which regions vary. ``coverage``: mean known share of the
+    ``gain``: the room's gain of D by channel, about which regions vary. ``coverage``: mean known share of the
     points' hemispheres; ``used_share``: mean weight of the points, in [0, 1]. ``spread``: half the
     interquartile range of ln(rho / (D + S)) of points about their region's mode, in green; ``region_spread``:
     half the interquartile range of the regions' ln gains, weighted by points. ``impossible_share``: weighted
     share of the points that reflect more than their incident light. ``clipped_share``: share of the
-    photographs' pixels that are clipped. ``reason``: why nothing was changed, or empty.
+    photographs' pixels that are clipped. ``reason``: why no correction is applied, or empty.
     """
 
     is_applied: bool
@@ -77,14 +75,15 @@ class LevelReport:
 
 @dataclass(frozen=True)
 class AlbedoLevel:
-    """Gains of D by smooth region of the mesh, (number of regions, 3)."""
+    """RGB ``gains`` (K, 3) of D for the K smooth regions of the mesh, and their report."""
 
     gains: Floats
     report: LevelReport
 
     def corrected(self, diffuse_albedo: NDArray, region: NDArray) -> NDArray[np.float16]:
-        """A view's ``diffuse_albedo`` (H, W, 3) times its gains, clipped to [0, 1]; unchanged where
-        ``region`` (H, W) is -1, off the mesh."""
+        """Multiply a view's D (H, W, 3) by the gains of each pixel's ``region`` (H, W), clipped to [0, 1];
+        pixels off the mesh (region -1) are unchanged.
+        """
         found = diffuse_albedo.astype(np.float16)
         on_mesh = region >= 0
         gained = self.gains[region[on_mesh]] * diffuse_albedo[on_mesh]
@@ -100,9 +99,10 @@ def find_level(
     clipped_share: float = 0.0,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
 ) -> AlbedoLevel:
-    """The albedo scale of the views' ``maps``; with too little evidence, gains are 1.
+    """Estimate the albedo scale of the views' ``maps``; gains are 1 if the evidence is too weak.
 
-    ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading at positions and normals (N, 3).
+    ``region_of_face`` (M,) is each triangle's smooth region. ``doubt_at`` returns the uncertain luminance
+    (N,) of diffuse shading at positions and normals (N, 3).
     """
     num_regions = int(region_of_face.max(initial=-1)) + 1
     try:
@@ -127,11 +127,10 @@ def fit_level(
     clipped_share: float,
     sure: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Gains from the points' known irradiance (N, 3) and the known share ``coverage`` (N,) of the hemisphere.
-
-    ``sure`` (N,) in [0, 1] is a further weight of the points.
+    """Fit gains to the ``irradiance`` (N, 3) of points from known directions, whose cosine-weighted share of
+    the hemisphere is ``coverage`` (N,). ``sure`` (N,) in [0, 1] is a further weight of the points.
     """
-    # unknown directions are assumed to be like the known ones
+    # assumes the mean radiance of the known directions in the others
     arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]
     weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * sure
     leaving = points.radiance @ LUMINANCE_WEIGHTS
@@ -171,7 +170,7 @@ def fit_level(
 
 
 def clipped_share(views: Sequence[TracedView]) -> float:
-    """Share of the photographs' pixels with a channel at the sensor's limit."""
+    """Share of all photographs' pixels of which a channel is clipped."""
     masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
     return sum(int(mask.any(axis=2).sum()) for mask in masks) / max(
         sum(view.valid_mask.size for view in views), 1
@@ -184,8 +183,8 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 @dataclass(frozen=True)
 class _Points:
-    """N points on non-emitting surfaces: position, normal, radiance and predicted D + S (N, 3), and smooth
-    region (N,).
+    """N points on non-emitting surfaces: position, normal, radiance and predicted D + S, each (N, 3), and
+    smooth region (N,).
     """
 
     position_m: Floats
@@ -201,7 +200,7 @@ def _draw_points(
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
 ) -> _Points:
-    """Draw at most one pixel per cube, so points are distributed by area, not by number of views."""
+    """Draw at most one pixel per cube, which distributes points by area, not by number of views."""
     pixels, random = cache.pixels, np.random.default_rng(0)
     is_surface = np.zeros(len(pixels.view), dtype=bool)
     for index, view in enumerate(views):
@@ -224,7 +223,9 @@ def _draw_points(
 def _irradiance(
     cache: RadianceCache, traced: TracedGeometry, position_m: Floats, normal: Floats
 ) -> tuple[Floats, Floats]:
-    """Irradiance (N, 3) from known directions, and their cosine-weighted share (N,) of the hemisphere."""
+    """Irradiance (N, 3) of points from directions of known radiance, and the cosine-weighted share (N,) of
+    these directions in the hemisphere.
+    """
     random = np.random.default_rng(1)
     irradiance, coverage = np.zeros_like(position_m), np.zeros(len(position_m))
     for first in range(0, len(position_m), _CHUNK):
@@ -243,7 +244,7 @@ def _irradiance(
 
 
 def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
-    """Stratified cosine-distributed directions (N NUM_RAYS, 3) about ``normal`` (N, 3)."""
+    """Stratified, cosine-distributed directions (N * NUM_RAYS, 3) about ``normal`` (N, 3)."""
     side = int(np.sqrt(NUM_RAYS))
     cell = np.arange(NUM_RAYS)
     u = (cell // side + random.random((len(normal), NUM_RAYS))) / side
@@ -262,7 +263,7 @@ def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
 
 
 def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Distance (N,) to the mesh, Inf for misses, and the normal (N, 3) there, towards the ray's origin."""
+    """Distance (N,) to the first hit, Inf for misses, and the normal (N, 3) on the ray's side of the mesh."""
     import drjit as dr
     import mitsuba as mi
 
@@ -279,7 +280,7 @@ def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tup
 def _modes(
     values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
 ) -> tuple[float, Floats]:
-    """Modes of the room and of its regions (num_regions,), for points with a value and a weight (N,).
+    """Mode of the room and modes (num_regions,) of its regions, of points' ``values`` (N,) with ``weight``.
 
     They have maximum likelihood under Student's t of points about their region and of regions about the room.
     """
@@ -297,7 +298,7 @@ def _modes(
 
 
 def _precision(residual: Floats, scale: float) -> Floats:
-    """Weights of residuals in a least-squares step for Student's t."""
+    """Weight of each residual in an iteration of reweighted least squares for Student's t."""
     return (_FREEDOM + 1) / (_FREEDOM + (residual / scale) ** 2) / scale**2
 
 

@@ -3,8 +3,8 @@
 
 Surfaces: pixels are grouped by cubes of space and the signed axis nearest to their normal, which separates
 the two sides of a wall. The radiance of a cube is the median over views of each view's mean. Background: the
-outside may be near, so a ray gets the radiance of the photographed ray that leaves the surfaces' bounding box
-nearest to it in position and direction. Otherwise the radiance is unknown.
+outside may be near, so a ray gets the radiance of the photographed background ray that is nearest in position
+and direction where it leaves the surfaces' bounding box. Rays without a near one have no known radiance.
 
 Colours are linear and of one exposure; radiance is in the same unit.
 """
@@ -23,7 +23,7 @@ from datagen.geometry.views import TracedView
 Floats = NDArray[np.float64]
 
 MAX_PIXELS = 4_000_000
-"""Maximum over all views; above it, only every k-th pixel along both axes is used."""
+"""Maximum number of pixels of all views; of more, only every k-th along both axes is used."""
 CUBES_ACROSS = 150
 """Number of cubes along the diagonal of the photographed box: cubes of 5 cm in a room of 7 m."""
 _MAX_BACKGROUND = 20_000
@@ -34,8 +34,8 @@ _BACKGROUND_REACH = 1.0
 
 @dataclass(frozen=True)
 class SeenPixels:
-    """Pixels on the mesh: index of the view and flat index of the pixel (P,), position and normal (P, 3), and
-    index of the cube (P,) in the :class:`RadianceCache`.
+    """P pixels on the mesh: index of the view (P,), flat index in the view (P,), world position and normal
+    (P, 3), and index of the cube (P,) in the :class:`RadianceCache`.
     """
 
     view: NDArray[np.int64]
@@ -46,7 +46,10 @@ class SeenPixels:
 
 
 class RadianceCache:
-    """Radiance of cubes and background. Raises :class:`ValueError` if the views show no extended surface."""
+    """Radiance of the surfaces and background in ``views``.
+
+    Raises :class:`ValueError` if these show no extended surface.
+    """
 
     def __init__(self, views: Sequence[TracedView]):
         total = sum(view.valid_mask.size for view in views)
@@ -69,7 +72,7 @@ class RadianceCache:
         self._set_background(views, step)
 
     def cubes(self, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-        """Index (N,) of the cubes of points and normals (N, 3); points outside get the outermost cubes."""
+        """Index (N,) of the cube of each point and normal (N, 3); points outside the grid get its border."""
         at = ((position_m - self._low) / self.cube_m).astype(np.int64) + 1
         at = np.clip(at, 0, self._shape - 1)
         axis = np.abs(normal).argmax(axis=1)
@@ -86,11 +89,11 @@ class RadianceCache:
         num_views: int,
     ) -> None:
         order = np.argsort(cube * num_views + view, kind="stable")
-        starts, keys = _runs((cube * num_views + view)[order])
+        keys, starts = np.unique((cube * num_views + view)[order], return_index=True)
         num = np.diff(np.append(starts, len(order)))
         of_view = np.add.reduceat(color[order], starts) / num[:, None]  # mean of a view in a cube
         cube_of_run = keys // num_views
-        first, self._keys = _runs(cube_of_run)
+        self._keys, first = np.unique(cube_of_run, return_index=True)
         count = np.diff(np.append(first, len(cube_of_run)))
         self._radiance = np.empty((len(first), 3))
         for channel in range(3):
@@ -103,9 +106,8 @@ class RadianceCache:
         self._tree = cKDTree(np.concatenate([place, facing * self.cube_m], axis=1))
 
     def at(self, position_m: Floats, normal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) of surface points with ``normal`` towards the viewer, and whether it is known (N,).
-
-        It is that of the point's cube, else of the nearest known cube within reach.
+        """Radiance (N, 3) of surface points with ``normal`` towards the viewer, and mask (N,) where it is
+        known: in the point's cube or, failing that, in a cube at most two cubes away.
         """
         wanted = self.cubes(position_m, normal)
         index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
@@ -132,14 +134,16 @@ class RadianceCache:
         self._rays = cKDTree(ray[chosen]) if len(chosen) else None
 
     def _leaving(self, origin: Floats, direction: Floats) -> Floats:
-        """Rays (N, 6): weighted exit point from the surfaces' bounding box, in diagonals, and direction."""
+        """Rays as points (N, 6): where they leave the surfaces' bounding box, in weighted diagonals, and
+        their direction.
+        """
         safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
         distance = np.maximum((np.where(safe > 0, self._high, self._low) - origin) / safe, 0.0).min(axis=1)
         place = (origin + distance[:, None] * direction) * (_POSITION_WEIGHT / self.size_m)
         return np.concatenate([place, direction], axis=1)
 
     def beyond(self, origin: Floats, direction: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) along rays that miss the mesh, and whether it is known (N,)."""
+        """Radiance (N, 3) along rays that miss the mesh, and mask (N,) where it is known."""
         if self._rays is None or not len(origin):
             return np.zeros((len(origin), 3)), np.zeros(len(origin), dtype=bool)
         distance, nearest = self._rays.query(
@@ -171,9 +175,3 @@ def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
         view.geometry.normal_world.reshape(-1, 3)[pixel].astype(np.float64),
         view.color.reshape(-1, 3)[pixel].astype(np.float64),
     )
-
-
-def _runs(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Start index and key of each run of equal keys in sorted ``keys``."""
-    starts = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
-    return starts, keys[starts]

@@ -14,9 +14,7 @@ from model.reconstruction.stages import Maps, Run
 
 
 def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
-    """The maps with corrected albedo scale, or unchanged if evidence is weak; files on disk keep the
-    prediction.
-    """
+    """The maps with corrected albedo scale, or unchanged if evidence is weak; stored maps stay unchanged."""
     with run.stage("level"):
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R recovered from light."""
+"""Confidence of D, S and R that were recovered from light."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from datagen.light.estimated_light import MAX_REFLECTED
 from datagen.light.surfels import CellGrid, Surfels
 
 IMPOSSIBLE = (0.1, 0.3)
-"""Limits on the share of nearby surfels that reflect more than their incident light: below the first, the
-light has full weight; above the second, none."""
+"""Limits on the share of nearby surfels that reflect more than their incident light: light has full weight
+below the first limit, and none above the second."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
-"""Like :data:`IMPOSSIBLE`, for the share in a room: below the first, its light has full weight everywhere."""
+"""Limits on this share in a room: below the first, light has full weight everywhere."""
 DARK_ROOM = (0.2, 0.4)
-"""Like :data:`IMPOSSIBLE`, for the share in a room: above the second, its light has no weight anywhere, since
-lamps are not photographed."""
+"""Limits on this share in a room: above the second, light has no weight anywhere, since its sources are not
+photographed."""
 IMPOSSIBLE_SURFACE = (0.4, 0.8)
-"""Like :data:`IMPOSSIBLE`, in any room, for the weight of a surface's light as evidence of D."""
+"""Limits on the share of nearby surfels, in any room, for the weight of light as evidence of D."""
 MIN_OBSERVATIONS = 50.0
-"""Number of observations at which a share depends equally on its surfels and on the larger surface around."""
+"""Number of observations at which a share depends equally on its surfels and on the larger surface."""
 BLOCK_CELLS = 25
 """Side of the blocks over which shares are computed, in cells: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
-"""Limits on the uncertain share of a surfel's light: below the first it has full weight, above the second
-none."""
+"""Limits on the uncertain share of a surfel's light, which has full weight below the first limit, and none
+above the second."""
 HIDDEN_LIGHT = (0.3, 0.5)
-"""Limits on the share of a smooth region's light from unphotographed lamps, whose position is unknown: below
-the first it has full weight, above the second none."""
+"""Limits on the share of unphotographed lamps at unknown positions in a smooth region's light, which has full
+weight below the first limit, and none above the second."""
 INFERRED_LIGHT = (0.02, 0.08)
-"""Limits on the share of a smooth region's light from named lamps in no photograph, for S and R: below the
-first they have full weight, above the second none."""
+"""Limits on the share of unphotographed lamps at known positions in a smooth region's light, for S and R."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
-"""Limits on the spread of the normals around a surfel and on the room's median, in radians, for R: below
-either first it has full weight, above both second :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere
-and reflects in wrong directions; an exact mesh is curved only at some objects."""
+"""Limits on the spread of normals around a surfel, and on the room's median spread, in radians: R has full
+weight below the first limit of either, and the weight :data:`BUMPY_TRUST` above the second limits of both. A
+mesh with errors is bumpy everywhere and reflects in wrong directions; an exact mesh is curved at some objects
+only."""
 _BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # minimum cosine between normals of one surface
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
-"""Limits on the photographed share of a surfel's hemisphere: below the first its light has no weight, above
-the second full weight."""
+"""Limits on the photographed share of a surfel's hemisphere: light has no weight below the first limit, and
+full weight above the second."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
-    """Confidence (N, 3) of D, S and R of surfels; ``photographed`` (N,) is the photographed share, in [0, 1],
-    of their hemisphere.
+    """Confidence (N, 3) of surfels' D, S and R from the ``photographed`` share (N,), in [0, 1], of their
+    hemispheres.
 
     An error of the irradiance changes D in proportion, so D needs a larger share than S and R, whose prior
-    already gains weight as evidence falls.
+    already has more weight where evidence is weak.
     """
     of_d = _ramp(photographed, D_EVIDENCE)
     of_s = _ramp(photographed, S_EVIDENCE)
@@ -62,10 +62,9 @@ def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class ImpossibleShares:
-    """Shares of surfels that reflect more than their incident light, because of unphotographed lamps and
-    windows.
+    """Shares of surfels that reflect more than their incident light, because of unphotographed sources.
 
-    ``around`` (N,): near each surfel, on its smooth region; ``of_room``: of the whole room.
+    ``around`` (N,): share near each surfel in its smooth region; ``of_room``: share in the whole room.
     """
 
     around: NDArray[np.float64]
@@ -93,9 +92,10 @@ def impossible_shares(
 ) -> ImpossibleShares:
     """Shares of surfels that reflect more than their incident light, by smooth ``region`` (N,).
 
-    These have a radiance above :data:`MAX_REFLECTED` times ``diffuse`` (N, 3). Shares, weighted by views, are
-    those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between blocks; blocks with few surfels
-    are shrunk to the whole region, small regions to the room. Metals and mixed surfels are ignored.
+    Such surfels have a radiance above :data:`MAX_REFLECTED` times their shading ``diffuse`` (N, 3). Shares,
+    weighted by views, are those of a region in blocks of :data:`BLOCK_CELLS` cells, interpolated between
+    blocks; shares of blocks with few views are shrunk to that of the region, and those of regions to that of
+    the room. Metals and mixed surfels are ignored.
     """
     excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = (np.diff(surfels.observations.start) * ~(is_metal | surfels.is_mixed)).astype(np.float64)
@@ -109,7 +109,7 @@ def impossible_shares(
     whole = _shrunk_share(np.bincount(of_region, weight * excess), np.bincount(of_region, weight), of_room)
     num = np.bincount(block)
     total, shining = np.bincount(block, weight), np.bincount(block, weight * excess)
-    apart_m = 100 * side_m * of_region  # keeps blocks of other regions far apart
+    apart_m = 100 * side_m * of_region  # separates the regions in the tree
     place = np.column_stack([surfels.position_m, surfels.normal * side_m, apart_m]).astype(np.float64)
     centre = np.stack([np.bincount(block, column) / num for column in place.T], axis=1)
     distance, index = cKDTree(centre).query(place, k=np.arange(min(_NEAR_BLOCKS, len(num))) + 1, workers=-1)
@@ -121,25 +121,24 @@ def impossible_shares(
 
 
 def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> NDArray[np.float64]:
-    """``part`` / ``total``, shrunk to ``otherwise`` with the weight of :data:`MIN_OBSERVATIONS`."""
+    """Share ``part`` / ``total`` (K,), shrunk to ``otherwise`` by the weight :data:`MIN_OBSERVATIONS`."""
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 
 def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of all confidences from the share ``hidden`` (N,) of light from unphotographed lamps.
-
-    Where it is low, the network's maps are blended in.
-    """
+    """Factor (N,) of all confidences from the share ``hidden`` (N,) of light from unphotographed lamps."""
     return (1 - _ramp(hidden, HIDDEN_LIGHT)).astype(np.float32)
 
 
 def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of the confidences of S and R from the share (N,) of light of unphotographed lamps."""
+    """Factor (N,) of the confidences of S and R from the ``share`` (N,) of light from named lamps that no
+    photograph shows.
+    """
     return (1 - _ramp(share, INFERRED_LIGHT)).astype(np.float32)
 
 
 def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
-    """Root mean square angle (N,), in radians, between the normals of a surfel and of its neighbours."""
+    """Root mean square angle (N,) in radians between the normals of each surfel and its neighbours."""
     nearest = np.arange(min(_BUMPY_NEIGHBOURS + 1, len(surfels))) + 1
     _, index = cKDTree(surfels.position_m).query(surfels.position_m, k=nearest, workers=-1)
     normal = surfels.normal.astype(np.float64)
@@ -150,20 +149,20 @@ def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
 
 
 def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of the confidence of R from the ``spread`` (N,) of the normals around all surfels."""
+    """Factor (N,) of the confidence of R from the ``spread`` (N,) of normals (:func:`normal_spread`)."""
     of_room = _ramp(float(np.median(spread)), BUMPY_ROOM)
     return (1 - (1 - BUMPY_TRUST) * of_room * _ramp(spread, BUMPY)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
-    """Factor (N,) of the confidence of surfels with shading ``diffuse`` (N, 3), of which the luminance
-    ``doubt`` (N,) is uncertain.
+    """Factor (N,) of the confidence of surfels with diffuse shading ``diffuse`` (N, 3), of which the
+    luminance ``doubt`` (N,) is uncertain.
     """
     part = doubt / np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
     return 1.0 - _ramp(part, DOUBT)
 
 
 def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:
-    """0 below the first of ``ends``, 1 above the second, smooth between them."""
+    """Smoothstep from 0 at the first of ``ends`` to 1 at the second."""
     t = np.clip((value - ends[0]) / (ends[1] - ends[0]), 0, 1)
     return t * t * (3 - 2 * t)

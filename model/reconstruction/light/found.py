@@ -21,14 +21,14 @@ from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import sky_image
 
 NUM_SAMPLES = 1600
-"""Number of pixels by which exported lights are balanced."""
+"""Number of pixels to which exported lights are balanced."""
 _SEED = 0x62616C
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
     """Lamps, windows and, if light from outside depends on direction only, the sky, with their radiance.
 
-    Lamps that the geometry declares have its surfaces; others are smooth regions found to emit.
+    Lamps declared by the geometry consist of its emissive parts, other lamps of smooth regions that emit.
     """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
@@ -40,7 +40,7 @@ def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) ->
 
 
 def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> RadianceSamples:
-    """About ``num`` random pixels that are photographed and not clipped, as many of each view.
+    """Radiance of about ``num`` random valid, unclipped pixels, equally many per view.
 
     The result does not depend on the order of the views.
     """

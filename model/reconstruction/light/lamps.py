@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Emissive surfaces as exported lights: one lamp for each emissive part named by the geometry, and one for
-each other smooth region that was found to emit.
+"""Converts emissive surfaces to lamps for export: one for each emissive part declared by the geometry, and
+one for each other smooth region that was found to emit.
 """
 
 from __future__ import annotations

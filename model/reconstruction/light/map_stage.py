@@ -16,8 +16,8 @@ from model.reconstruction.stages import Maps, Run
 
 
 def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions | None = None) -> list[Maps]:
-    """The maps with D, S and R from light, blended with the network's where evidence is weak; files on disk
-    keep the prediction.
+    """Maps of D, S and R from light, blended with ``maps`` where the evidence is weak; stored maps are
+    unchanged.
     """
     options = options or LightOptions(has_prior=run.options.materials == "both")
     report = LightReport()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Windows: rectangles through which rays from a room's surfaces leave its mesh, with the incident radiance.
+"""Finds windows: rectangles through which rays from a room's surfaces leave its mesh, and their radiance.
 
 Rays that leave the background's box through one connected part of a face belong to one opening. Its plane,
-parallel to the face, is the one that they cross in the smallest area. Rays from surfels are
+parallel to the face, is the one in which they cover the smallest area. Rays from surfels are
 cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
 through an opening count, regardless of the face of the box that they cross behind it.
 """
@@ -27,20 +27,20 @@ FINE = 96
 """Number of squares along each side of a face of the box."""
 RAYS = 600_000
 MIN_RAYS, MIN_OPEN = 2, 0.4
-"""Minimum number of rays through an open square, absolute and relative to the median square: squares at the
-edge of a window are covered in part."""
+"""Minimum number of rays through an open square, absolute and relative to the median over the squares; a
+square at the edge of a window is only partly open."""
 PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
-"""Number of planes tried from a face of the box inwards, depth of the last in sides of the box, and minimum
-share of the rays that must start on the inner side of a plane."""
+"""Number of planes tried from a face of the box inwards, depth of the last relative to the box, and minimum
+share of the rays that start on the inner side of a plane."""
 MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
 """Maximum number of openings, searched from the largest, and minimum share of all leaving rays for each."""
 MIN_SIDE = 1 / 60
-"""Side of the smallest window, in diagonals of the box; smaller gaps may be cracks of the mesh."""
+"""Side of the smallest window, relative to the box's diagonal; smaller gaps may be cracks of the mesh."""
 MAX_BLOCK = FINE // 6
-"""Maximum side of a rectangle in squares; longer ones are cut, so that gradients are preserved."""
+"""Maximum side of a rectangle in squares; larger ones are cut, which preserves gradients."""
 DARK = 1e-3
 """Minimum luminance of a window relative to the surfels' median."""
-_GAP = 1e-3  # diagonals between the plane and the rectangles, which could otherwise coincide with a wall
+_GAP = 1e-3  # between plane and rectangles, in diagonals, so that rectangles never coincide with a wall
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class _Plane:
         return (self.box.high - self.box.low)[list(self.across)] / FINE
 
     def crossed(self, rays: LeavingRays) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Mask (N,) of rays that start inside the plane, and flat index (N,) of the square of each ray."""
+        """Mask (N,) of rays that start on the inner side, and flat index (N,) of the square of each ray."""
         along = rays.direction[:, self.axis]
         along = np.where(np.abs(along) < 1e-9, np.where(self.face % 2, 1e-9, -1e-9), along)
         distance = (self.at_m - rays.origin[:, self.axis]) / along
@@ -164,9 +164,8 @@ class _Plane:
 
 @dataclass(frozen=True)
 class _Squares:
-    """Sums over the rays through each square (FINE, FINE) of a plane.
-
-    Number of rays, of rays of known radiance, and ``sums`` (FINE, FINE, 3) of radiance.
+    """Sums over the rays through each square of a plane, (FINE, FINE): ``num`` rays, ``known`` rays of known
+    radiance, and the ``sums`` (FINE, FINE, 3) of their radiance.
     """
 
     num: NDArray[np.int64]
@@ -188,7 +187,7 @@ class _Squares:
 
 
 def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mask (FINE, FINE) of the open squares, from the numbers of rays through squares."""
+    """Mask (FINE, FINE) of the open squares, from the number of rays ``num`` through each square."""
     crossed = num[num > 0]
     if not len(crossed):
         return np.zeros((FINE, FINE), dtype=bool)
@@ -219,7 +218,7 @@ def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[
 
 
 def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
-    """The plane parallel to ``face`` that the rays cross in the smallest area."""
+    """The plane parallel to ``face`` in which the rays cover the smallest area."""
     best, least = _Plane(background, face, 0.0), np.inf
     side = float((background.high - background.low)[face // 2])
     for depth in np.linspace(0, MAX_DEPTH * side, PLANES):
@@ -234,9 +233,9 @@ def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
 
 
 def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatch | None:
-    """A connected set of open squares as a window; None if it is too small or of unknown radiance.
+    """A window of the connected open squares ``part``; None if it is too small or of unknown radiance.
 
-    Its rectangles cover most of it and emit its total power.
+    Its rectangles cover most of the squares and emit their total power.
     """
     area_m2 = float(part.sum() * plane.square_m.prod())
     diagonal = float(np.linalg.norm(plane.box.high - plane.box.low))
@@ -255,7 +254,7 @@ def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatc
 
 
 def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:
-    """A block of squares of a plane as a light that emits inwards."""
+    """The rectangle of a ``block`` (row, column, rows, columns) of squares; it emits inwards."""
     row, column, rows, columns = block
     window = (slice(row, row + rows), slice(column, column + columns))
     known = int(seen.known[window].sum())
@@ -268,6 +267,6 @@ def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, 
     origin[first] += row * plane.square_m[0]
     origin[second] += column * plane.square_m[1]
     u[first], v[second] = rows * plane.square_m[0], columns * plane.square_m[1]
-    if (np.cross(u, v)[plane.axis] > 0) == is_upper:  # the winding must point inwards
+    if (np.cross(u, v)[plane.axis] > 0) == is_upper:  # the normal must point inwards
         u, v = v, u
     return Rectangle(as_color(origin), as_color(u), as_color(v), as_color(radiance))

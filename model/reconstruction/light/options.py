@@ -17,13 +17,12 @@ from model.reconstruction.light.solve import PriorWeights
 class LightOptions(GatherOptions):
     """Options of the light stage.
 
-    Rays per observation of a solved point and roughness level (``solve_rays``) and per observation of a
-    surfel (``specular_rays``), in addition to the rays of :class:`GatherOptions`. At most ``max_points``
-    surfels are solved, with ``num_observations`` each. ``num_rounds``: a second round has less noise, and
-    reflects rays at the metals found in the first. ``unmixes_edges``: whether pixels of mixed surfels get the
-    radiance of those surfels alone. ``has_prior``: whether the network's maps are a prior where evidence is
-    missing. ``is_corrected``: whether the shading gets a smooth correction where its light is not
-    photographed.
+    ``solve_rays``: rays per observation of a solved point and roughness level; ``specular_rays``: rays per
+    observation of a surfel. At most ``max_points`` surfels are solved, with ``num_observations`` each.
+    ``num_rounds``: a second round has less noise, and reflects rays at the metals found in the first.
+    ``unmixes_edges``: whether the radiance of pixels that mix two surfaces is separated. ``has_prior``:
+    whether the network's maps are a prior where evidence is missing. ``is_corrected``: whether the shading
+    gets a smooth correction where its light is not photographed.
     """
 
     solve_rays: int = 24
@@ -41,7 +40,7 @@ STEPS = (
     "edges", "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction",
     "maps", "lights",
 )  # fmt: skip
-"""Steps of the stage in order; with one round, "second round" is left out."""
+"""Steps of the stage in order; "second round" is left out if there is only one round."""
 
 
 @dataclass
@@ -49,8 +48,8 @@ class LightReport:
     """Findings of the light stage.
 
     ``photographed_share``: mean photographed share of the surfels' hemispheres; ``confidence``: means over
-    surfels for D, S and R; ``seconds`` by step; ``memory_mb``, peak resident memory of the process up to the
-    end of each step.
+    surfels for D, S and R; ``seconds``: time by step; ``memory_mb``: peak resident memory up to the end of
+    each step.
     """
 
     num_surfels: int = 0

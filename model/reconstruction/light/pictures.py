@@ -6,16 +6,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.color_maps import cividis
+from datagen.foundation.images import quantized_bytes
 from datagen.geometry.views import TracedView
 from model.reconstruction.stages import Maps, ViewPicture
 
 NUM_VIEWS, WIDTH_PX = 6, 320
 NO_SURFACE = 128
-"""Grey of pixels without a confidence."""
+"""Grey value of pixels without a surface."""
 
 
 def view_pictures(views: Sequence[TracedView], maps: Sequence[Maps], exposure: float) -> list[ViewPicture]:
@@ -27,18 +27,14 @@ def view_pictures(views: Sequence[TracedView], maps: Sequence[Maps], exposure: f
         step = max(1, -(-view.camera.width_px // WIDTH_PX))
         thin = (slice(None, None, step), slice(None, None, step))
         scale = np.array(cividis(), np.uint8)
-        confidence = scale[_bytes(view_maps["confidence"][thin][..., 0].astype(np.float32))]
+        confidence = scale[quantized_bytes(view_maps["confidence"][thin][..., 0].astype(np.float32))]
         confidence[view.geometry.surface_mask[thin][..., 0] == 0] = NO_SURFACE
         pictures.append(
             ViewPicture(
                 view.name,
-                _bytes(srgb_from_linear(view.color[thin] * exposure)),
-                _bytes(srgb_from_linear(view_maps["diffuse_albedo"][thin].astype(np.float32))),
+                quantized_bytes(srgb_from_linear(view.color[thin] * exposure)),
+                quantized_bytes(srgb_from_linear(view_maps["diffuse_albedo"][thin].astype(np.float32))),
                 confidence,
             )
         )
     return pictures
-
-
-def _bytes(values: NDArray) -> NDArray[np.uint8]:
-    return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

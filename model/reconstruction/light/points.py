@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Solved surfels, the specular shading of their observations, and S and R of the segments."""
+"""Chooses surfels, shades their observations, and solves S and R of the segments."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ from model.reconstruction.light.solve import (
 EVIDENCE_POWER = 3
 """Priors are weighted by the photographed share of the light to the power of minus this number."""
 HALF_EVIDENCE_VIEWS = 1.0
-"""Number of views of a surfel that gives half of the full evidence: with few directions, other materials may
+"""Number of views of a surfel that gives half of the full evidence: from few directions, other materials may
 look like metal."""
 MIN_VIEWS, MIN_LIGHT = 3, 0.6
-"""Minimum number of views and minimum share of known light of preferred points."""
-_MIN_WEIGHT = 0.1  # preferred minimum per observation
+"""Preferred minimum of a surfel's number of views and of its share of known light."""
+_MIN_WEIGHT = 0.1  # preferred minimum of an observation
 _QUOTA_STEP = 8
-_UNSEEN_WEIGHT = 0.05  # minimum weight, for lobes without photographed light; the maximum is 1.05
+_UNSEEN_WEIGHT = 0.05  # added to the photographed share of a lobe, which may be 0
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Per-surfel ``segment`` (N,), smooth ``region`` (N,), and the network's D, S, R as ``prior`` (N, 7)."""
+    """Index of each surfel's ``segment`` (N,) and smooth ``region`` (N,), and the network's D, S and R as
+    ``prior`` (N, 7).
+    """
 
     segment: NDArray[np.int32]
     region: NDArray[np.int32]
@@ -42,10 +44,10 @@ class Segmentation:
 
 @dataclass(frozen=True)
 class Points:
-    """Solved surfels (P) with O observations each, ordered by segment.
+    """P surfels to be solved, ordered by segment, with up to O observations each.
 
-    ``surfel`` (P,); ``row`` (P, O) indices of the observations and their ``weight`` (P, O), 0 for none;
-    ``start`` (G + 1,) first point of each segment, then P.
+    ``surfel`` (P,): index of the surfel; ``row`` (P, O): indices of the observations; ``weight`` (P, O), 0
+    for missing observations; ``start`` (G + 1,): first point of each of G segments, then P.
     """
 
     surfel: NDArray[np.int64]
@@ -55,9 +57,10 @@ class Points:
 
 
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
-    """At most ``max_points`` surfels, evenly distributed over the segments.
+    """Choose at most ``max_points`` surfels, evenly distributed over the segments ``segment`` (N,).
 
-    Each has at most ``num_observations``: its darkest, its brightest and evenly ranked ones between them.
+    ``known`` (N,) is the known share of their light. Each has at most ``num_observations``: the darkest, the
+    brightest and evenly ranked ones between them.
     """
     num_segments = int(segment.max()) + 1
     size = np.bincount(segment, minlength=num_segments)
@@ -80,9 +83,7 @@ def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: L
 
 
 def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
-    """Weight (M,) of each observation: its number of pixels, at most four, times the cosine of the view
-    direction.
-    """
+    """Weight (M,) of each observation: number of pixels, at most 4, times the cosine of the view angle."""
     observations = surfels.observations
     surfel = surfels.surfel_of_observation()
     direction = surfels.directions(surfel, observations.view)
@@ -109,9 +110,9 @@ def _choose_observations(
 
 @dataclass(frozen=True)
 class PointShading:
-    """Specular shading S ``ls0`` + ``ls1`` of the points' observations, (P, O, levels, 3) by roughness level.
+    """Specular shading S ``ls0`` + ``ls1`` of the points' observations by roughness, (P, O, levels, 3).
 
-    Their ``weight`` (P, O) is lower where the lobe includes unphotographed radiance.
+    The observations' ``weight`` (P, O) is lower where the lobe includes unphotographed radiance.
     """
 
     ls0: NDArray[np.float32]
@@ -120,7 +121,7 @@ class PointShading:
 
 
 def shade_points(lit: Lit, points: Points, options: LightOptions) -> PointShading:
-    """Specular shading of all observations of the points for every roughness level."""
+    """Compute the specular shading of the points' observations at every roughness level."""
     surfels, observations = lit.surfels, lit.surfels.observations
     num_points, num = points.row.shape
     num_levels = len(ROUGHNESS_LEVELS)
@@ -155,7 +156,7 @@ def solve_points(
     exposure: float,
     options: LightOptions,
 ) -> SolvedSegments:
-    """S and R of the segments, from the specular shading of their points."""
+    """Solve S and R of the segments from the ``shading`` of their points at the capture's ``exposure``."""
     of_point = segmentation.prior[points.surfel]
     num_segments = len(points.start) - 1
     segment = np.repeat(np.arange(num_segments), np.diff(points.start))

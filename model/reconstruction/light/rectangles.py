@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 COVERED, MAX_RECTANGLES = 0.98, 12
-"""Minimum share of a mask covered by its rectangles, and maximum number of them."""
+"""Share of a mask to cover by rectangles, and maximum number of rectangles."""
 
 
 def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Disjoint rectangles (row, column, rows, columns) that cover :data:`COVERED` of a mask, largest first;
-    at most :data:`MAX_RECTANGLES`.
+    """Disjoint rectangles (row, column, rows, columns) that cover a share :data:`COVERED` of a mask (H, W),
+    largest first; at most :data:`MAX_RECTANGLES`.
     """
     rest = mask.copy()
     found: list[tuple[int, int, int, int]] = []
@@ -26,7 +26,7 @@ def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
 
 
 def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """The largest rectangle (row, column, rows, columns) of True, by column heights above each row."""
+    """The largest rectangle (row, column, rows, columns) in which a mask (H, W) is True."""
     best, size = (0, 0, 0, 0), 0
     heights = np.zeros(mask.shape[1] + 1, np.int64)  # a final 0 closes all open rectangles
     for row, line in enumerate(mask):
@@ -45,7 +45,7 @@ def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 
 
 def cut(block: tuple[int, int, int, int], most: int) -> list[tuple[int, int, int, int]]:
-    """A rectangle cut into pieces of at most ``most`` squares a side."""
+    """Cut a rectangle (row, column, rows, columns) into pieces of at most ``most`` squares a side."""
     row, column, rows, columns = block
     down, along = -(-rows // most), -(-columns // most)
     tops = np.linspace(row, row + rows, down + 1).round().astype(int)

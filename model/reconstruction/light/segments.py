@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Segments: surfels that share specular albedo and roughness.
+"""Divides surfels into segments that share specular albedo and roughness.
 
 A segment is a part of a smooth region of the mesh with similar reflectance and predictions, found by binning
-these features; sparse bins are joined to the nearest one of the same region.
+these features; a bin with few surfels is joined to the nearest bin of its region.
 """
 
 from __future__ import annotations
@@ -11,21 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 LUMINANCE_STEP, CHROMA_STEP = 0.5, 0.35
-"""Bin widths in the logarithm of the reflectance's luminance, and of its red and blue over green."""
+"""Bin widths in the mean ln reflectance over channels, and in ln of red and blue relative to green."""
 SPECULAR_STEP, ROUGHNESS_STEP = 0.3, 0.35
 """Bin widths in the square root of the predicted specular albedo, and in the predicted roughness."""
 MIN_SURFELS = 24
-"""Minimum number of surfels of a bin that forms its own segment."""
+"""Minimum number of surfels of a bin that is not joined to another."""
 _MIN_REFLECTANCE, _MAX_REFLECTANCE = 0.01, 2.0
 
 
 def segment_surfels(
     region: NDArray, reflectance: NDArray, specular_albedo: NDArray, roughness: NDArray
 ) -> NDArray[np.int32]:
-    """Segment (N,) of each surfel, numbered from 0 without gaps.
-
-    Found from its smooth ``region`` (N,), ``reflectance`` pi L / E (N, 3), and predicted ``specular_albedo``
-    (N, 3) and ``roughness`` (N,).
+    """Index (N,) of each surfel's segment, from 0 without gaps, by its smooth ``region`` (N,),
+    ``reflectance`` pi L / E (N, 3), and predicted ``specular_albedo`` (N, 3) and ``roughness`` (N,).
     """
     feature = _features(reflectance, specular_albedo, roughness)
     bins = np.round(feature).astype(np.int64)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Correction of the diffuse shading Ld where the incident light is not photographed.
+"""Corrects the diffuse shading Ld where the incident light is not photographed.
 
 The error of Ld is smooth over a surface, regardless of texture: missing or wrongly estimated light affects
-the whole neighbourhood. u (N, 3), the logarithm of the factor by which the albedo pi L / E is too low,
+the whole neighbourhood. The logarithm u (N, 3) of the factor by which the albedo pi L / E is too low
 minimises over the surfels
 
     c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
@@ -26,15 +26,15 @@ from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medi
 SMOOTHNESS = 100.0
 """Weight of a difference between adjacent surfels, relative to that of a surfel with known light."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
-"""Weights of the priors at a spread of 1; small, because the errors of neighbouring surfels are correlated.
-"""
+"""Weights of the priors at a spread of 1; small, since the errors of neighbouring surfels are correlated."""
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
-"""Added to the spreads, in quadrature."""
+"""Values added in quadrature to the spreads of ln D."""
 SCALE_SUPPORT = 0.05
-"""Mean confidence of the light at which the network's albedo takes on half of the scale of the confident
-surfels."""
+"""Mean confidence in the light at which half of the scale of the confident surfels is applied to the
+network's albedo."""
 MIN_SUPPORT = 10.0
-"""Number of confident surfels that a region needs for a prior; ten times as many give full weight."""
+"""Minimum number of confident surfels of a region for its prior, which has full weight from ten times as
+many."""
 _NEIGHBOURS = 9
 _BLOCK = 5  # in cells
 _ROUNDS = 3  # of Huber weights
@@ -51,11 +51,12 @@ def shading_correction(
     confidence: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Correction u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected albedo, exp(-u) times Ld the
-    corrected shading.
+    """Correction u (N, 3) of surfels: the corrected albedo is exp(u) ``albedo`` (N, 3), the corrected diffuse
+    shading exp(-u) Ld.
 
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
-    ``confidence`` (N,) in the light, in [0, 1]; ``is_diffuse`` (N,): mask of lit surfels that are not metal.
+    ``confidence`` (N,): confidence in the light, in [0, 1]; ``is_diffuse`` (N,): mask of lit surfels that are
+    not metal.
     """
     log_albedo, log_network = _log(albedo), _log(predicted)
     confident = confidence * is_diffuse
@@ -86,11 +87,11 @@ def shading_correction(
 
 
 def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> NDArray[np.float32]:
-    """Factor (3,) from the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N, 3) of surfels in known
-    light.
+    """RGB factor (3,) from the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N, 3) of surfels in
+    known light.
 
-    ``confident`` (N,) is the confidence in their light, 0 for metals. The factor's logarithm shrinks to 0 if
-    little light is known (:data:`SCALE_SUPPORT`).
+    ``confident`` (N,) is the confidence in their light, 0 for metals. The factor approaches 1 if little light
+    is known (:data:`SCALE_SUPPORT`).
     """
     support = float(confident.mean())
     offset, _ = _network_offset(_log(albedo) - _log(predicted), confident)
@@ -98,7 +99,9 @@ def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> ND
 
 
 def _network_offset(difference: NDArray, confident: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Centre (3,) and standard deviation of the ``difference`` (N, 3) in ln D of confident surfels."""
+    """Robust mean (3,) and standard deviation of the ``difference`` (N, 3) in ln D, weighted by
+    ``confident`` (N,).
+    """
     offset, spread, _ = _grouped_spread(difference, confident, np.zeros(len(confident), np.int64))
     return offset[0], float(spread[0])
 
@@ -110,10 +113,10 @@ def _log(albedo: NDArray) -> NDArray[np.float64]:
 def _minimised(
     matrix: sparse.csr_matrix, right: NDArray, blocks: sparse.csr_matrix, start: NDArray
 ) -> NDArray:
-    """Solution (N, 3) by conjugate gradients.
+    """Solution (N, 3) of ``matrix`` (N, N) x = ``right`` (N, 3) by conjugate gradients from ``start`` (N, 3).
 
     For smooth corrections over long distances, the preconditioner adds the exact solution on ``blocks`` (N,
-    K) to the division by the diagonal.
+    K) to the division by the diagonal. Raises ArithmeticError if it does not converge.
     """
     coarse = splu((blocks.T @ matrix @ blocks).tocsc())
     diagonal = matrix.diagonal()
@@ -145,11 +148,11 @@ def _blocks(surfels: Surfels) -> sparse.csr_matrix:
 def _grouped_spread(
     values: NDArray, weight: NDArray, group: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Centre (N, 3), standard deviation (N,) and total weight (N,) of the group of each row.
+    """Robust mean (N, 3), standard deviation (N,) and total weight (N,) of the group of each row of
+    ``values`` (N, 3).
 
-    The deviation, at most 1, is computed from the mean absolute deviation; the weight is 0 for empty groups.
-    The centre is the mean with values clipped at twice the deviation: the median of a checkerboard would be
-    one of its two colours.
+    The deviation is computed from mean absolute deviations of at most 1. The mean is of values clipped at
+    twice the deviation from the median: the median alone of a checkerboard would be one of its two colours.
     """
     order = np.argsort(group, kind="stable")
     keys, first = np.unique(group[order], return_index=True)
@@ -169,7 +172,7 @@ def _grouped_spread(
 
 
 def _laplacian(surfels: Surfels) -> sparse.csr_matrix:
-    """Laplacian (N, N) of the graph of adjacent surfels with similar normals."""
+    """Laplacian (N, N) of the graph that joins adjacent surfels with similar normals."""
     num = len(surfels)
     distance, index = near_surfels(surfels, _NEIGHBOURS)
     weight = np.exp(-0.5 * (distance / 2) ** 2)

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Lamps that the geometry does not name: surfels whose emission is several times the light that any albedo
-could reflect, in nearly all views (mirrors reflect a lamp in some views only), and several times that of the
-surface around (the light of a hidden lamp on a wall fades gradually).
+"""Finds lamps that the geometry does not declare: surfels whose radiance is several times the maximum that
+they could reflect, in nearly all views (a mirror reflects a lamp in some views only), and several times that
+of the surrounding surface (the light of a hidden lamp on a wall fades gradually).
 
 Neighbouring cells of one side are clustered and exported as rectangles perpendicular to the side's axis, just
 in front of the surface, since the triangles of a ceiling extend beyond its lamp.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +24,9 @@ from model.reconstruction.found_lights import FoundPatch, Rectangle, as_color
 from model.reconstruction.light.rectangles import cover, cut
 
 EXCESS = 2.5
-"""Minimum radiance of a lamp, relative to a white surface."""
+"""Minimum radiance of a lamp, relative to a white surface in the same light."""
 FAINTEST, MIN_VIEWS = 0.2, 3
-"""Share of the views in which a lamp may be fainter, and minimum number of views that show it."""
+"""Maximum share of the views in which a lamp is fainter, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
 """Minimum photographed share of a surfel's hemisphere; near unphotographed lamps, estimates are too dark."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
@@ -32,12 +34,12 @@ MIN_CELLS, MIN_SHARE = 4, 0.003
 MAX_BLOCK = 16
 """Maximum side of a rectangle in cells."""
 MIN_EDGE, RING_CELLS = 2.0, (1.5, 3.5)
-"""Minimum radiance of a lamp, relative to the surface of its side at these distances, in cells."""
+"""Minimum radiance of a lamp relative to the surrounding surface, in a ring of these radii in cells."""
 _GAP = 0.25  # cells between the surface and its rectangle
 
 
 def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
-    """The lamps among the surfels, in decreasing order of power."""
+    """The lamps ``panel-0``, ... among the surfels, in decreasing order of power."""
     surfels, grid = lit.surfels, lit.surfels.grid
     sent = luminance(surfels.radiance.astype(np.float64))
     arriving = luminance(lit.diffuse.astype(np.float64))
@@ -48,25 +50,22 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
         return ()
     keys = np.flatnonzero(grid.surfel >= 0)
     cells, sides = cell_indices(keys, grid.shape)
-    apart = apart_by_side(cells, sides)
+    separated = apart_by_side(cells, sides)
     others = np.setdiff1d(np.arange(len(keys)), shining)
-    around = cKDTree(apart[others])
+    around = cKDTree(separated[others])
     found = []
     for cluster in adjacent_cells(cells[shining], sides[shining]):
         which = shining[cluster]
         share = sent[which].sum() / sent.sum()
         if len(which) < MIN_CELLS or share < MIN_SHARE:
             continue
-        near, far = (_within(around, apart[which], reach) for reach in RING_CELLS)
+        near, far = (_within(around, separated[which], reach) for reach in RING_CELLS)
         ring = others[np.setdiff1d(far, near)]
         if not len(ring) or np.median(sent[which]) >= MIN_EDGE * np.median(sent[ring]):
             patch = _patch(cells[which], int(sides[which][0]), which, lit)
             found.append((share, patch))
     found.sort(key=lambda item: -item[0])
-    return tuple(
-        FoundPatch(f"panel-{number}", patch.rectangles, patch.place_m, patch.area_m2, patch.radiance)
-        for number, (_, patch) in enumerate(found)
-    )
+    return tuple(replace(patch, slot=f"panel-{number}") for number, (_, patch) in enumerate(found))
 
 
 def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
@@ -76,7 +75,9 @@ def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[n
 
 
 def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Luminance (K,) exceeded in all but :data:`FAINTEST` of a surfel's views; 0 if it has too few views."""
+    """Luminance (K,) of each of ``surfels`` (K,) exceeded in all but a share :data:`FAINTEST` of its views; 0
+    with fewer than :data:`MIN_VIEWS` views.
+    """
     observations = lit.surfels.observations
     found = np.zeros(len(surfels))
     for row, surfel in enumerate(surfels):
@@ -87,7 +88,7 @@ def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: Lit) -> FoundPatch:
-    """A lamp of cells (K, 3) of one side, with the surfels (K,) in them, as rectangles."""
+    """The lamp in the cells ``cell`` (K, 3) of one ``side``, which contain the surfels ``surfel`` (K,)."""
     surfels, grid = lit.surfels, lit.surfels.grid
     axis, is_upper = side // 2, side % 2 == 1
     across = [k for k in range(3) if k != axis]
@@ -99,7 +100,7 @@ def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: L
     np.add.at(num, tuple(at.T), 1)
     np.add.at(sums, tuple(at.T), surfels.radiance[surfel])
     mean = sums.sum(axis=(0, 1)) / num.sum()
-    # fills cells without observations between others of a lamp
+    # includes cells without observations between others of the lamp
     mask = ndimage.binary_closing(np.pad(num > 0, 2), np.ones((3, 3)))[2:-2, 2:-2]
     area_m2 = float(mask.sum()) * grid.cell_m**2
     height = float(np.median(surfels.position_m[surfel, axis])) + _GAP * grid.cell_m * (1 if is_upper else -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Far light from outside as a sky image."""
+"""Converts distant light from outside to an image of the sky."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 from datagen.light.background import Background
 
 HEIGHT, WIDTH = 64, 128
-"""Pixels of the sky image."""
+"""Size of the sky image in pixels."""
 
 
 def sky_image(background: Background) -> NDArray[np.float32]:
-    """Sky image (H, W, 3) of a far ``background``: radiance by direction.
+    """Radiance of a distant ``background`` by direction, as a sky image (HEIGHT, WIDTH, 3).
 
-    Each pixel is the mean of its known bins or, without any, that of the nearest pixel.
+    A pixel is the mean of its known bins or, without known bins, equal to the nearest pixel with some.
     """
     pixel = directions_of(background.layout.ways(), HEIGHT)[background.is_known]
     radiance = background.radiance[background.is_known].astype(np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Specular albedo and roughness of segments, from the variation of radiance over views (docs/light.md).
+"""Solves specular albedo and roughness of segments from the variation of radiance over views (docs/light.md).
 
 For each roughness of :data:`ROUGHNESS_LEVELS` and specular albedo of :data:`SPECULAR_LEVELS`, the diffuse
 albedo of each point follows in closed form from its observations,
@@ -24,30 +24,30 @@ from datagen.multiview.compiled import compiled
 
 ROUGHNESS_LEVELS = np.array([0.12, 0.25, 0.4, 0.55, 0.75, 1.0], np.float32)
 SPECULAR_LEVELS = np.array([0.0, 0.02, 0.04, 0.06, 0.08], np.float32)
-"""Specular albedos of dielectrics: 0.02 is water, 0.08 sapphire; metals are above."""
+"""Specular albedos of dielectrics, from water (0.02) to sapphire (0.08)."""
 MAX_ALBEDO = 0.95
 MAX_RESIDUAL = 0.2
-"""Maximum residual of an observation: larger ones indicate faulty visibility or light."""
+"""Maximum residual of an observation; larger ones, from faulty visibility or light, are clamped."""
 MIN_METAL = 0.2
 """Minimum specular albedo of metal, mean over channels."""
 MIN_DARK_METAL = 0.1
 """Minimum specular albedo of segments to which metal spreads, such as the dark tiles of a metal floor."""
 
-
 MIN_EVIDENCE = 0.05
 DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
-"""Limits on a segment's residual: below the first it has full confidence; above the second none, since no
-hypothesis explains it. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals
-fit worse than correct dielectrics, since they reflect the errors of both."""
+"""Limits on a segment's residual: confidence is full below the first, and 0 above the second, since no
+hypothesis explains the observations. Unexplained dielectrics are mostly metals in inexact light or geometry;
+correct metals fit worse than correct dielectrics, since they reflect the errors of both."""
 NETWORK_VARIANCE = 0.03
 """Variance of the network's R per view of a segment, relative to which the hypotheses' variance of R lowers
-confidence: from few views, likely hypotheses share errors of light and geometry that it does not include."""
+confidence; the latter omits errors of light and geometry, which all hypotheses share if views are few."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, by which a hypothesis of S and R is e times less likely."""
 MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
-"""Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the cost
-difference at which both are equally likely, since glossy hypotheses fit noise slightly better."""
+"""Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the
+difference of costs, relative to the residual, at which they are equally likely, since glossy hypotheses fit
+noise slightly better."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels above which metal spreads in the region."""
 METAL_TOLERANCE = 0.005
@@ -56,10 +56,10 @@ METAL_TOLERANCE = 0.005
 
 @dataclass(frozen=True)
 class PriorWeights:
-    """Weights of the priors, each multiplied by ``1 / evidence``.
+    """Weights of the priors, each divided by a segment's evidence.
 
     ``specular_albedo`` and ``roughness``: weights of the squared differences of sqrt(S) and of R from the
-    network's; ``metal``: margin by which metal must explain the observations better than a dielectric.
+    network's; ``metal``: minimum difference of costs by which metal must be better than a dielectric.
     """
 
     specular_albedo: float = 0.02
@@ -69,10 +69,8 @@ class PriorWeights:
 
 @dataclass(frozen=True)
 class Costs:
-    """Costs of hypotheses for G segments.
-
-    ``dielectric`` (G, levels, speculars), ``metal`` (G, levels), and ``metal_albedo`` (G, levels, 3), the S
-    of each metal hypothesis.
+    """Costs of the hypotheses for G segments, by roughness and specular albedo: ``dielectric`` (G, levels,
+    speculars), ``metal`` (G, levels), and ``metal_albedo`` (G, levels, 3), the S of each metal hypothesis.
     """
 
     dielectric: NDArray[np.float32]
@@ -85,8 +83,8 @@ class SolvedSegments:
     """Materials of G segments.
 
     ``specular_albedo`` (G, 3), ``roughness`` (G,), ``is_metal`` (G,), ``residual`` (G,), the mean cost
-    without priors, and ``confidence`` (G, 3) of D, S and R in [0, 1], by the residual and by how much the
-    likely hypotheses differ.
+    without priors, and ``confidence`` (G, 3) of D, S and R in [0, 1], which decreases with the residual and
+    with the variance of the likely hypotheses.
     """
 
     specular_albedo: NDArray[np.float32]
@@ -105,24 +103,13 @@ def segment_costs(
     ls1: NDArray[np.float32],
     exposure: float,
 ) -> Costs:
-    """Costs of G segments, of the points from ``start[g]`` to ``start[g + 1]``, with ``start`` (G + 1,).
+    """Costs of G segments; segment g consists of the points ``start[g]`` to ``start[g + 1]`` - 1.
 
-    For P points with O observations each: ``radiance`` (P, O, 3), ``weight`` (P, O), 0 for none; ``diffuse``
-    (P, 3), their Ld; ``ls0`` and ``ls1`` (P, O, levels, 3).
+    For P points with O observations each: ``radiance`` (P, O, 3); ``weight`` (P, O), 0 for missing ones;
+    diffuse shading ``diffuse`` (P, 3); specular shading ``ls0`` and ``ls1`` (P, O, levels, 3).
     """
-    return Costs(
-        *_costs(
-            start,
-            radiance,
-            weight,
-            diffuse,
-            ls0,
-            ls1,
-            np.float32(exposure),
-            ROUGHNESS_LEVELS,
-            SPECULAR_LEVELS,
-        )
-    )
+    observed = (start, radiance, weight, diffuse, ls0, ls1, np.float32(exposure))
+    return Costs(*_costs(*observed, ROUGHNESS_LEVELS, SPECULAR_LEVELS))
 
 
 def decide(
@@ -137,11 +124,11 @@ def decide(
 ) -> SolvedSegments:
     """The expected material of each segment.
 
-    ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's, ``evidence`` (G,) in (0, 1],
-    ``views`` (G,) the mean number of views of a surfel, ``group`` (G,) the smooth region and ``size`` (G,)
+    ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) is in (0, 1];
+    ``views`` (G,) is the mean number of views of a surfel, ``group`` (G,) the smooth region and ``size`` (G,)
     the number of surfels. A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy
-    hypotheses, weighted by likelihood. Metal has hysteresis: once :data:`METAL_SHARE` of a region is metal,
-    segments of the region that metal explains about as well as a dielectric become metal too.
+    hypotheses, weighted by likelihood. If :data:`METAL_SHARE` of a region is metal, its segments that metal
+    explains about as well as a dielectric become metal too.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -184,8 +171,8 @@ def decide(
 
 
 def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """S, R and R squared (G,), means over the hypotheses of ``cost`` (G, levels, nonzero speculars), weighted
-    by likelihood.
+    """Means (G,) of S, R and R squared over the glossy hypotheses of ``cost`` (G, levels, nonzero speculars),
+    weighted by likelihood.
 
     The mean has a lower squared error than the most likely hypothesis.
     """
@@ -199,8 +186,8 @@ def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:
-    """Position of the minimum (G,) of the parabola through the best level and its neighbours; ``cost`` (G,
-    levels).
+    """Roughness (G,) at the minimum of the parabola through the costs of the ``best`` level (G,) and its
+    neighbours; ``cost`` is (G, levels).
     """
     rows, last = np.arange(len(best)), len(ROUGHNESS_LEVELS) - 1
     inner = (best > 0) & (best < last)
@@ -258,7 +245,7 @@ def _cost(first, last, radiance, target, weight, diffuse, ls0, ls1, level, specu
 
 @compiled
 def _metal_albedo(first, last, radiance, weight, ls0, ls1, level, out):
-    """Medians (3,) of (L - Ls1) / Ls0."""
+    """Set ``out`` (3,) to the medians of (L - Ls1) / Ls0 over a segment's observations, in [0, 1]."""
     num = radiance.shape[1]
     ratio = np.empty((last - first) * num, np.float32)
     for channel in range(3):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stage between prediction and merge: maps of the views from recorded light.
+"""The stage between prediction and merge that recovers maps of the views from their recorded light.
 
 Surfels and radiance field (``lighting``) → segments → S and R of segments (``points``, ``solve``) → a second
 round of both, with less noise and with rays reflected at metals → specular part of every observation →
@@ -39,15 +39,15 @@ from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
 
-_SEED = 99  # seed of the specular part of all observations, other than the solver's
+_SEED = 99  # of the specular part of all observations; differs from the solver's seeds
 
 
 @dataclass(frozen=True)
 class LightMaterials:
     """Results of the light stage.
 
-    ``maps`` of the views with their ``confidence`` (H, W, 3) of D, S and R; the surfels, their light and
-    their materials: ``solved``, ``albedo`` (N, 3), ``segment`` (N,).
+    ``maps``: D, S, R and ``confidence`` (H, W, 3) of each view by name; ``lit``: the surfels and their light;
+    ``solved``, the diffuse ``albedo`` (N, 3) and ``segment`` (N,): the surfels' materials and segments.
     """
 
     maps: list[dict[str, NDArray]]
@@ -69,12 +69,12 @@ def materials_from_light(
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
     report: LightReport | None = None,
 ) -> LightMaterials:
-    """Materials of ``views`` in their recorded light.
+    """Recover the materials of ``views`` from their recorded light.
 
-    ``maps`` are the network's, ``emits`` (M,) is the mask of triangles known to emit, ``exposure`` the factor
-    that scales bright surfaces to 0.9; ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading
-    at positions and normals. The result does not depend on the order of the views. Raises ValueError if the
-    views show no extended surface.
+    ``maps`` are the network's; ``emits`` (M,) is the mask of triangles known to emit; ``region_of_face`` (M,)
+    is each triangle's smooth region; ``exposure`` is the factor that scales bright surfaces to 0.9;
+    ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading at positions and normals (N, 3). The
+    result does not depend on the order of the views. Raises ValueError if they show no extended surface.
     """
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
@@ -130,7 +130,7 @@ def materials_from_light(
     with report.step("maps"):
         found: list[dict[str, NDArray]] = [{} for _ in views]
         for place, (index, view, view_maps) in enumerate(zip(order, ordered, predicted, strict=True)):
-            found[index] = dict(view_materials(surfels, solved, place, view, camera_row(view), view_maps))
+            found[index] = dict(view_materials(surfels, solved, place, view, view_maps))
         report.confidence = tuple(float(v) for v in solved.confidence.mean(axis=0))
     return LightMaterials(found, report, lit, solved, albedo, segment)
 
@@ -144,7 +144,7 @@ def _packed(view_maps: dict[str, NDArray]) -> NDArray:
 def _specular_parts(
     lit: Lit, segments: SolvedSegments, segment: NDArray, options: LightOptions
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """S (N, 3) of the surfels, and S Ls0 + Ls1 (M, 3) of every observation."""
+    """S (N, 3) of the surfels, and the specular shading S Ls0 + Ls1 (M, 3) of every observation."""
     surfels = lit.surfels
     owner = surfels.surfel_of_observation()
     roughness = segments.roughness[segment]
@@ -173,7 +173,7 @@ def _solved_surfels(
     inferred: NDArray,
     options: LightOptions,
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
-    """Inputs of the views' maps, and the surfels' diffuse albedo (N, 3)."""
+    """The surfels' shading and materials for the views' maps, and their diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
     r, is_metal = segments.roughness[segment], segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
@@ -194,7 +194,7 @@ def _solved_surfels(
     if options.is_corrected:
         predicted, is_diffuse = segmentation.prior[:, :3], is_lit & ~is_metal
         scale = network_scale(albedo, predicted, confidence[:, 0] * is_diffuse)
-        # surfaces take on the scale only where their light is trusted but no hypothesis explains them
+        # applies the scale only where the light is trusted but no hypothesis explains the observations
         unexplained = np.clip((trust - replaced) / np.maximum(1 - replaced, 1e-6), 0, 1)[:, None]
         prior_scale = 1 + unexplained * (scale - 1)
         correction = shading_correction(
@@ -208,7 +208,9 @@ def _solved_surfels(
 def surfel_albedo(
     surfels: Surfels, diffuse: NDArray, specular: NDArray, specular_albedo: NDArray, is_metal: NDArray
 ) -> NDArray[np.float32]:
-    """Median over observations of (L - specular part) / ((1 - S) Ld), (N, 3)."""
+    """Diffuse albedo (N, 3) of surfels, 0 for metals: the median over their observations of (L - specular) /
+    ((1 - S) Ld), from ``diffuse`` Ld and ``specular_albedo`` S (N, 3) and ``specular`` (M, 3).
+    """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()
     rest = (observations.radiance - specular) / np.maximum(

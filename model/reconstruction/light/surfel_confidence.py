@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R at any surface point, from the surfels, in a compact form."""
+"""Looks up the confidence of D, S and R at any surface point in a compact copy of the surfels' confidence."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ _NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1),
 
 @dataclass(frozen=True)
 class SurfelConfidence:
-    """Confidence by cell and side.
+    """Confidence of N surfels by cell and side.
 
-    ``low``, ``cell_m`` and ``shape`` describe the grid; ``cell`` (N,): index of each surfel's cell and side,
-    ascending; ``confidence`` (N, 3) of D, S and R, 255 for 1.
+    ``low`` (3,), ``cell_m`` and ``shape`` (3,) are the grid's lower corner, cell size and number of cells;
+    ``cell`` (N,): index of each surfel's cell and side, ascending; ``confidence`` (N, 3) of D, S and R, 255
+    for 1.
     """
 
     low: NDArray[np.float64]
@@ -31,15 +32,15 @@ class SurfelConfidence:
 
     @classmethod
     def of(cls, surfels: Surfels, confidence: NDArray) -> SurfelConfidence:
-        """Make it from the surfels' ``confidence`` (N, 3) in [0, 1]."""
+        """Store the ``confidence`` (N, 3) of ``surfels``, in [0, 1]."""
         grid = surfels.grid
         stored = np.round(255 * np.clip(confidence, 0, 1)).astype(np.uint8)
         return cls(grid.low, grid.cell_m, grid.shape, np.flatnonzero(grid.surfel >= 0), stored)
 
     def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
-        """Confidence (..., 3) of the surface at ``points`` (..., 3), on the side of ``normals``.
+        """Confidence (..., 3) of the surface at ``points`` (..., 3) with ``normals`` (..., 3), 255 for 1.
 
-        It is that of the surfel in the point's cell, else in the nearest of the adjacent cells, else 0.
+        It is that of the surfel in the point's cell, else in the nearest adjacent cell with one, else 0.
         """
         flat = points.reshape(-1, 3).astype(np.float64)
         side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)

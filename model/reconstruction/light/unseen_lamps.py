@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Radiance of lamps that the geometry names and no photograph shows.
+"""Estimates the radiance of lamps that the geometry declares and no photograph shows.
 
 A lamp is a connected part of the emitting triangles. Lamps with the same number of triangles and the same
-area are of one kind and have one radiance: that of a photographed lamp of the kind or, without any, the
-radiance for which the illuminated surfaces have a uniform albedo within each smooth region, near the
+area are of one kind and have one radiance: that of a photographed lamp of the kind or, if there is none, the
+radiance for which illuminated surfaces have a uniform albedo in each smooth region that is close to the
 network's (:func:`~model.reconstruction.radiometry.recovered.recovered`).
 """
 
@@ -21,14 +21,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import smooth_regions
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import Lit
-from model.reconstruction.radiometry.recovered import (
-    RAYS,
-    Gathered,
-    Prior,
-    SourceField,
-    doubt_of,
-    recovered,
-)
+from model.reconstruction.radiometry.recovered import RAYS, Gathered, Prior, SourceField, doubt_of, recovered
 from model.reconstruction.radiometry.sources import Sources
 
 MAX_POINTS = 2500
@@ -36,9 +29,9 @@ MAX_POINTS = 2500
 SAME_AREA = 0.02
 """Maximum relative difference of area between lamps of one kind."""
 MIN_LIGHT = 0.01
-"""Lower bound on the light of a kind, relative to the light without it."""
+"""Lower bound on the light from a kind of lamp, relative to the light from all else."""
 ALBEDO_SPREAD = 0.5
-"""Prior standard deviation of the logarithm of a region's mean albedo, about the network's."""
+"""Prior standard deviation of a region's mean ln albedo from the network's."""
 _EXPECTED, _EXPECTED_SPREAD = np.log(30.0), 2.0  # prior of ln(light / MIN_LIGHT)
 _MIN_ALBEDO = 0.02  # limits the effect of dark predictions on the mean logarithm
 _MIN_KNOWN = 0.5  # minimum known share of a surfel's light
@@ -46,18 +39,18 @@ _MIN_KNOWN = 0.5  # minimum known share of a surfel's light
 
 @dataclass(frozen=True)
 class UnseenLamps:
-    """``emitters`` with the radiance of the lamps.
+    """All ``emitters`` of a room, with the estimated radiance of unphotographed lamps.
 
-    ``light_at`` returns the luminance (N,), at positions and normals, of the diffuse shading by the lamps
-    whose radiance was estimated from surfaces; None without any.
+    ``light_at`` returns the luminance (N,) of the diffuse shading at positions and normals (N, 3) by the
+    lamps whose radiance was estimated from surfaces; None if there are none.
     """
 
     emitters: Emitters
     light_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None
 
     def share(self, lit: Lit, region: NDArray) -> NDArray[np.float64]:
-        """Share (N,) of these lamps in the light of each surfel's smooth ``region`` (N,), at least their
-        share in the whole room.
+        """Mean share (N,) of the estimated lamps in the light of each surfel's smooth ``region`` (N,), at
+        least their share in the whole room.
         """
         if self.light_at is None:
             return np.zeros(len(lit.surfels))
@@ -69,7 +62,7 @@ class UnseenLamps:
 
 
 def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> UnseenLamps:
-    """The emitters of a room with the radiance of its unphotographed lamps, whose light ``lit`` lacks.
+    """Estimate the radiance of a room's unphotographed lamps, whose light is missing in ``lit``.
 
     ``region`` (N,) and ``predicted`` (N, 3) are the surfels' smooth regions and the network's D.
     """
@@ -104,21 +97,20 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
     log_albedo = np.log(np.maximum(predicted[chosen].astype(np.float64), _MIN_ALBEDO))
     albedo = np.stack([np.bincount(group, column) for column in log_albedo.T], axis=1)
     prior = Prior(
-        albedo / np.bincount(group)[:, None],
-        np.full(len(lamps), _EXPECTED),
-        ALBEDO_SPREAD,
-        _EXPECTED_SPREAD,
+        albedo / np.bincount(group)[:, None], np.full(len(lamps), _EXPECTED), ALBEDO_SPREAD, _EXPECTED_SPREAD
     )
     gathered = Gathered(surfels.radiance[chosen].astype(np.float64), light, form, group)
-    told = recovered(gathered, replace(lamps, bound=bound), prior)
+    found = recovered(gathered, replace(lamps, bound=bound), prior)
     mine = kind >= 0
-    radiance[mine] = np.where(lights[:, None], told.radiance, 0.0)[kind[mine]]
-    unsure = replace(told, spread=np.ones(len(lamps)))  # all of their light counts as uncertain
+    radiance[mine] = np.where(lights[:, None], found.radiance, 0.0)[kind[mine]]
+    unsure = replace(found, spread=np.ones(len(lamps)))  # all light from these lamps counts as uncertain
     return UnseenLamps(emitters.with_radiance(radiance), doubt_of(field, lamps, unsure))
 
 
 def lamp_kinds(emitters: Emitters, mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Kind (K,) of emitters of unknown radiance, -1 for others, and radiance (K, 3) of the others."""
+    """Index (K,) of the kind of each emitter of unknown radiance, -1 for the others, and radiance (K, 3) of
+    all emitters, 0 if unknown.
+    """
     faces = emitters.triangles
     lamp_of_face = smooth_regions(Mesh(mesh.positions, mesh.faces[faces]), np.pi)
     emitter_of_face = emitters.of_face[faces]
@@ -134,13 +126,13 @@ def lamp_kinds(emitters: Emitters, mesh: Mesh) -> tuple[NDArray[np.int64], NDArr
         is_new |= lamp_area[after] > (1 + SAME_AREA) * lamp_area[before]
         kind_of_lamp[after] = kind_of_lamp[before] + is_new
     kind, radiance = kind_of_lamp[lamp], emitters.radiance.astype(np.float64)
-    for alike in (lamp, kind):
+    for group in (lamp, kind):
         dark = ~radiance.any(axis=1)
         weight = emitter_area * ~dark
-        total = np.bincount(alike, weight)
-        mean = np.stack([np.bincount(alike, weight * column) for column in radiance.T], axis=1)
+        total = np.bincount(group, weight)
+        mean = np.stack([np.bincount(group, weight * column) for column in radiance.T], axis=1)
         mean = mean / np.maximum(total, 1e-30)[:, None]
-        radiance[dark] = mean[alike[dark]]
+        radiance[dark] = mean[group[dark]]
     unknown = ~radiance.any(axis=1)
     found = np.full(len(emitters), -1, np.int64)
     found[unknown] = np.unique(kind[unknown], return_inverse=True)[1]

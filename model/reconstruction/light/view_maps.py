@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Maps of views from solved surfels: texture from the photographs, scale from the light.
+"""Computes maps of views from solved surfels: texture from the photographs, scale from the light.
 
 Shading and materials of the surfels around a pixel are interpolated between cell centres, and
 
     D = (L - specular part) / ((1 - S) Ld),
 
-clipped to [0, MAX_ALBEDO], or in uncertain light to the albedo of white paint, with the specular part of the
-same view. S and R come from surfels of similar reflectance, so they change with the colour, and are blended
-with the network's by confidence.
+clipped to [0, MAX_ALBEDO], or in uncertain light to the albedo of white paint; the specular part is that of
+the same view. S and R are those of surfels of similar reflectance, so they change with the colour; they are
+blended with the network's by confidence.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from datagen.geometry.views import TracedView
 from datagen.light.lighting import MIN_SHADING
-from datagen.light.surfels import NUM_SIDES, Surfels, cell_of, place_pixel, surfels_around
+from datagen.light.surfels import NUM_SIDES, Surfels, camera_row, cell_of, place_pixel, surfels_around
 from datagen.multiview.compiled import compiled
 from model.reconstruction.light.solve import MAX_ALBEDO
 
 SIMILAR = 0.35
-"""Difference in the logarithm of reflectance at which a surfel's S and R have the weight exp(-1/2)."""
+"""Difference in ln reflectance from the pixel at which a surfel's S and R have the weight exp(-1/2)."""
 WHITE_PAINT = 0.85
-"""Maximum D in uncertain light; surfels of the development rooms with a larger result there have a true D of
-0.78 to 0.91."""
+"""Maximum D in uncertain light; surfels of the development rooms that exceed it there have a true D of 0.78
+to 0.91."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 
 
@@ -37,7 +37,7 @@ class SolvedSurfels:
 
     ``diffuse`` (N, 3): Ld; ``specular`` (M, 3): S Ls0 + Ls1 of each observation; ``specular_albedo`` (N, 3),
     ``roughness`` (N,), ``is_metal`` (N,); ``confidence`` (N, 3) of D, S and R in [0, 1]; ``replaced`` (N,):
-    share of the network's D that is replaced; ``prior_scale`` (N, 3): factor of the network's D in the rest.
+    share of the network's D that is replaced; ``prior_scale`` (N, 3): factor of the remainder.
     """
 
     diffuse: NDArray[np.float32]
@@ -51,17 +51,11 @@ class SolvedSurfels:
 
 
 def view_materials(
-    surfels: Surfels,
-    solved: SolvedSurfels,
-    index: int,
-    view: TracedView,
-    camera_row: NDArray[np.float64],
-    predicted: dict[str, NDArray],
+    surfels: Surfels, solved: SolvedSurfels, index: int, view: TracedView, predicted: dict[str, NDArray]
 ) -> dict[str, NDArray[np.float16]]:
-    """Maps of view ``index``: ``diffuse_albedo``, ``specular_albedo``, ``roughness``, and ``confidence`` (H,
-    W, 3) of the three.
+    """Compute the maps D, S, R and ``confidence`` (H, W, 3) of the view ``index`` by name.
 
-    Pixels without surfels keep ``predicted``.
+    Pixels without a surfel keep the network's maps ``predicted`` and have confidence 0.
     """
     observations = surfels.observations
     rows = np.flatnonzero(observations.view == index)
@@ -77,7 +71,7 @@ def view_materials(
         view.geometry.depth_z_m.ravel(),
         np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
         surfels.pixel_surfel[index],
-        camera_row,
+        camera_row(view),
         surfels.grid.low,
         surfels.grid.cell_m,
         surfels.grid.shape,
@@ -108,7 +102,7 @@ def _pixels(
     color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, diffuse, specular, albedo, rough,
     metal, confidence, replaced, prior_scale, radiance, prior, floor
 ):  # fmt: skip
-    """D, S, R and their confidences (P, 10)."""
+    """D, S, R and their confidence (P, 10) of the P pixels of a view."""
     out = np.zeros((len(color), 10), np.float32)
     width = int(camera[16])
     here = np.zeros(3)
@@ -152,14 +146,14 @@ def _pixels(
         r, is_metal, total_like = np.float32(0), np.float32(0), np.float32(0)
         for k in range(num):
             i = near[k]
-            apart = np.float32(0)
+            distance2 = np.float32(0)
             for c in range(3):
                 d = np.log(
                     (color[index, c] / ld[c] + np.float32(0.02))
                     / (radiance[i, c] / max(diffuse[i, c], floor) + np.float32(0.02))
                 )
-                apart += d * d
-            w = share[k] * (np.exp(np.float32(-0.5 / SIMILAR**2) * apart / 3) + np.float32(1e-4))
+                distance2 += d * d
+            w = share[k] * (np.exp(np.float32(-0.5 / SIMILAR**2) * distance2 / 3) + np.float32(1e-4))
             total_like += w
             r += w * rough[i]
             is_metal += w * metal[i]

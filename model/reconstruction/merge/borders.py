@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Weights of a view's pixels by their distance to its borders.
+"""Weights a view's pixels by their distance to the borders of its footprint.
 
-Where a view's footprint ends, at the border of its image or behind a nearer surface, the set of merged views
-changes, and steps in the merged values would show rectangles and silhouettes. A pixel's weight therefore
-falls to almost 0 towards the nearest border.
+At a border, of the image or of a nearer surface's silhouette, the set of merged views changes, which would
+cause visible steps in the merged maps. A pixel's weight therefore falls to almost 0 towards the nearest
+border.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 RAMP = 0.1
-"""Length over which the weight falls, in diagonals of the image."""
+"""Distance over which the weight falls, relative to the image's diagonal."""
 MIN_BORDER_WEIGHT = 1e-3
-"""Weight at a border; not 0, so that texels shown only at borders, such as leaves, have a value."""
+"""Weight at a border; above 0, so that texels visible only at borders, such as leaves, get a value."""
 
 
 def border_weights(depth_z_m: NDArray, max_jump: float) -> NDArray[np.float32]:
     """Weight (H, W) in [MIN_BORDER_WEIGHT, 1] of a view's pixels by their distance to the nearest border.
 
-    Borders are those of the image, pixels without surface (``depth_z_m`` (H, W) is 0), and neighbouring
-    pixels whose depths differ by more than ``max_jump`` of the larger one.
+    Borders are the edges of the image, pixels without a surface (``depth_z_m`` (H, W) is 0), and neighbouring
+    pixels whose depths differ by more than ``max_jump`` relative to the larger one.
     """
     import cv2
 

@@ -4,7 +4,7 @@
 In a partly observed chart, unseen texels get the value of the nearest observed texel of the chart; triangles
 of unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
 value of the nearest texel with a surface, which avoids artefacts of filtering at seams and in mip levels.
-``count`` still distinguishes observed from filled texels.
+``count`` remains 0 at filled texels.
 """
 
 from __future__ import annotations
@@ -26,16 +26,19 @@ from model.reconstruction.unwrap.charts import chart_of_faces
 BAND = 1024
 """Number of rows processed at a time."""
 GUTTER = 128
-"""Number of rows above and below a band whose texels may fill it."""
+"""Number of rows above and below a band from which its texels may be filled."""
 MAX_CHARTS = 20_000  # more charts are so small that filling by triangle is as good
-_LARGE_WINDOW = 2**22  # number of texels of a chart after which memory is released
+_LARGE_WINDOW = 2**22  # number of texels of a chart above which memory is released after it
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
-    """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh."""
+    """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh.
+
+    If no texel is observed, nothing is filled.
+    """
     means, num_seen = _face_means(atlas, len(mesh.faces))
     if not num_seen.any():
-        return  # no texel was observed
+        return
     charts = chart_of_faces(mesh)
     is_filled = _fill_charts(atlas, mesh, charts, num_seen)
     nearest = _nearest_means(mesh, means, num_seen).astype(np.float16).view(np.uint16)
@@ -49,19 +52,19 @@ def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
 
 
 def _bands(atlas: Atlas) -> Iterator[slice]:
-    """Row ranges, band after band; finished bands are released from memory."""
+    """Yield the rows of each band; the memory of a finished band is released."""
     for top in range(0, atlas.size, BAND):
         yield slice(top, min(top + BAND, atlas.size))
         atlas.release()
 
 
 def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
-    """Rows of the maps as integers with the bits of their half floats, since values are only copied."""
+    """Views of rows of the maps as 16-bit integers, with which half floats are copied faster."""
     return [array[rows].view(np.uint16) for array in atlas.maps.values()]
 
 
 def _face_means(atlas: Atlas, num_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Mean (M, 7) of each triangle's observed texels, and their number (M,)."""
+    """Mean D, S and R (M, 7) of the observed texels of each triangle, and their number (M,)."""
     sums, num_seen = np.zeros((num_faces, NUM_CHANNELS)), np.zeros(num_faces, np.int64)
     for rows in _bands(atlas):
         face, count = atlas.face[rows], atlas.count[rows]
@@ -101,7 +104,7 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """Mean (M, 7) of each triangle or, without one, of the nearest triangle with one."""
+    """Mean (M, 7) of each triangle or, if it has no observed texel, of the nearest triangle with one."""
     from scipy.spatial import cKDTree
 
     centroids = mesh.triangles().mean(axis=1)
@@ -111,7 +114,9 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 
 
 def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -> NDArray[np.bool_]:
-    """Fill partly observed charts; returns a mask (C,) of the charts that need no other filling."""
+    """Fill partly observed charts; returns the mask (C,) of all charts with an observed texel, or of none if
+    there are too many.
+    """
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
     seen_in_chart = np.bincount(charts, num_seen, num_charts) > 0
@@ -144,7 +149,7 @@ def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -
 
 @compiled
 def _split_chart(face_of: Any, count: Any, charts: Any, chart: Any, seen: Any, unseen: Any) -> Any:
-    """Mark a chart's observed and unseen texels; returns whether there are both."""
+    """Set the masks ``seen`` and ``unseen`` of a chart's texels; returns whether both have texels."""
     num_seen, num_unseen = 0, 0
     for row in range(face_of.shape[0]):
         for column in range(face_of.shape[1]):
@@ -164,15 +169,15 @@ def _span(low: float, high: float, size: int) -> tuple[int, int]:
 def _copy_nearest(
     atlas: Atlas, window: tuple[slice, slice], source: NDArray[np.bool_], target: NDArray[np.bool_]
 ) -> None:
-    """Copy the value of the nearest ``source`` texel of a window to its ``target`` texels."""
+    """Copy to each texel in the mask ``target`` of a window the value of the nearest one in ``source``."""
     labels, places = nearest_labels(source)
     for array in atlas.maps.values():
         _copy_labelled(array.view(np.uint16)[window], labels, places, target)
 
 
 def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Label (H, W) of each pixel's nearest True pixel, approximately Euclidean, and flat index (L,) of the
-    True pixel of each label. At least one pixel must be True.
+    """Label (H, W) of the nearest True pixel of each pixel, by approximate Euclidean distance, and flat index
+    (L,) of the True pixel with each label. At least one pixel of ``source`` (H, W) must be True.
     """
     import cv2
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Sorts many short lists at once in machine code: one list per lane of vector instructions, by Batcher's
-odd-even merge sort, whose comparisons do not depend on the values.
+"""Sorts many short lists at once, one per lane of vector instructions, by Batcher's odd-even merge sort,
+whose comparisons do not depend on the values.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from datagen.multiview.compiled import compiled
 LANES = 64
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
 STEP = 4
-"""Lists are sorted by the network for their length rounded up to a multiple of this."""
+"""A list is sorted by the network for its length rounded up to a multiple of this number."""
 
 
 @compiled
 def networks(most: int) -> tuple[Any, Any]:
-    """Batcher's networks for lists of up to ``most`` values rounded up to ``STEP``.
+    """Batcher's sorting networks for lists of k * STEP values, k = 0, 1, ..., up to at least ``most`` values.
 
-    Comparisons (C, 2), and the index of the first comparison for k * STEP values, k = 0, 1, ... .
+    Returns the comparisons (C, 2), pairs of rows, of all networks, and the first comparison (K + 1,) of each.
     """
     num_sizes = (most + STEP - 1) // STEP + 1
     starts = np.zeros(num_sizes + 1, np.int64)
@@ -46,7 +46,7 @@ def networks(most: int) -> tuple[Any, Any]:
 
 @compiled
 def sort_lanes(values: Any, network: Any) -> None:
-    """Sort each lane of (R, LANES) ``values`` in ascending order."""
+    """Sort each column of ``values`` (R, LANES) in ascending order by the comparisons ``network`` (C, 2)."""
     for index in range(len(network)):
         a, b = values[network[index, 0]], values[network[index, 1]]
         for lane in range(LANES):
@@ -57,7 +57,7 @@ def sort_lanes(values: Any, network: Any) -> None:
 
 @compiled
 def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
-    """As :func:`sort_lanes`; ``weights`` (R, LANES) are permuted with the values."""
+    """Like :func:`sort_lanes`, and permute ``weights`` (R, LANES) with the values."""
     for index in range(len(network)):
         i, k = network[index, 0], network[index, 1]
         a, b, light, heavy = values[i], values[k], weights[i], weights[k]
@@ -72,10 +72,10 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 
 @compiled
 def middle_mean(values: Any, weights: Any, lane: Any, num: Any) -> Any:
-    """Mean of the middle half of a lane's sorted values by weight.
+    """Mean of the middle half by weight of the first ``num`` values, which are sorted, in a lane.
 
-    A value counts by the part of its weight between a quarter and three quarters of the cumulative weight.
-    Outliers are ignored as by the median, but the result is continuous in the weights.
+    A value is weighted by the part of its weight between a quarter and three quarters of the cumulative
+    weight. Outliers are ignored as by the median, but the result is continuous in the weights.
     """
     total = np.float32(0)
     for k in range(num):

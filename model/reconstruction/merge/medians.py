@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The loop of the merge: medians over views by texel, in machine code.
+"""The compiled loop of the merge: medians over views by texel.
 
 Texels are processed in squares of 8 x 8, whose covered texels are the lanes of vector instructions. For each
 view whose frustum may contain a square's bounding sphere, all lanes are projected and tested (visibility as
@@ -20,7 +20,7 @@ from model.reconstruction.atlas.texels import surface_point
 from model.reconstruction.merge.lane_sort import LANES, STEP, middle_mean, sort_lanes, sort_weighted_lanes
 
 SIDE = 8
-"""Side of a square of texels, one for each of the LANES."""
+"""Side in texels of the squares, which have one texel for each of the LANES."""
 NUM_CHANNELS = 7
 PACKET = 8
 """Floats per pixel: D (3), S (3), R, and its smooth region."""
@@ -31,19 +31,19 @@ _X, _Y, _Z, _NX, _NY, _NZ, _U, _V, _DEPTH, _LIMIT, _COSINE, _REGION = (row * LAN
 _ROWS = 12
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _INFINITY = np.float32(np.inf)
-MIN_WEIGHT = np.float32(1e-3)  # closer to zero, the quotient would amplify rounding
+MIN_WEIGHT = np.float32(1e-3)  # division by a smaller weight would amplify rounding
 _MIN_COSINE = np.float32(1e-3)  # a weight of 0 would drop a view that shows the texel
 
 
 class ViewArrays(NamedTuple):
-    """All views, concatenated for the loop."""
+    """The pixels of all V views, concatenated, for the loop."""
 
     cameras: NDArray[np.float32]
     """(V, CAMERA)."""
     first_pixel: NDArray[np.int64]
     """(V,) index of each view's first pixel."""
     depth: NDArray[np.float32]
-    """(P,) depth along z, 0 at pixels without a value."""
+    """(P,) depth along z in metres, 0 at pixels without a value."""
     packets: NDArray[np.float32]
     """(P, PACKET)."""
     weight: NDArray[np.float32]
@@ -51,7 +51,7 @@ class ViewArrays(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Parameters of visibility (:class:`datagen.multiview.visibility.VisibilityOptions`) and weights."""
+    """Parameters of :class:`datagen.multiview.visibility.VisibilityOptions` and of the views' weights."""
 
     depth_tolerance: np.float32
     slope_tolerance_px: np.float32
@@ -65,7 +65,7 @@ class Rules(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """Arrays of a :class:`TexelSurface`'s mesh, with the smooth region of each triangle."""
+    """Arrays of a :class:`TexelSurface`, and the smooth region (M,) of each triangle."""
 
     size: int
     uv: NDArray[np.float32]
@@ -77,7 +77,7 @@ class Surface(NamedTuple):
 
 @compiled
 def _project(state: Any, camera: Any, rules: Any) -> None:
-    """Project all lanes into a view; the limit of the depth test is -1 for lanes outside the view."""
+    """Project all lanes of ``state`` into a view; the limit of the depth test is -1 outside the view."""
     r00, r01, r02, r10, r11, r12 = camera[0], camera[1], camera[2], camera[3], camera[4], camera[5]
     r20, r21, r22, cx, cy, cz = camera[6], camera[7], camera[8], camera[9], camera[10], camera[11]
     fx, fy, px, py, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
@@ -103,7 +103,7 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
 
 @compiled
 def may_see(camera: Any, x: Any, y: Any, z: Any, radius: Any) -> Any:
-    """Whether a sphere may intersect a view's frustum, up to its depth."""
+    """Whether a sphere about (x, y, z) may intersect a view's frustum up to its maximum visible depth."""
     dx, dy, dz = x - camera[9], y - camera[10], z - camera[11]
     depth = camera[6] * dx + camera[7] * dy + camera[8] * dz
     if depth + radius <= _ZERO or depth - radius > camera[18]:
@@ -136,7 +136,7 @@ def _append_view(
 ) -> None:
     """Append a view's values to the lists of the lanes that it shows, in ``values`` (lists * V, LANES).
 
-    Pixels of another smooth region, or (when interpolating) of another depth, are ignored.
+    Pixels of another smooth region and, if interpolated, of another depth are ignored.
     """
     camera, first, depths, packets = views.cameras[view], views.first_pixel[view], views.depth, views.packets
     width, height, num_views = int(camera[16]), int(camera[17]), len(views.first_pixel)
@@ -215,7 +215,7 @@ def merge_tile(
     medians: Any,
     counts: Any,
 ) -> None:
-    """Medians (H, W, 7) and counts (H, W) of a tile from its triangles ``face_of`` (H, W).
+    """Fill ``medians`` (H, W, 7) and ``counts`` (H, W) of a tile with the triangles ``face_of`` (H, W).
 
     ``traced`` (V, H, W): visibility of texels in views, used if ``rules.is_traced``; ``comparisons`` and
     ``starts`` are :func:`networks` for V values.

@@ -2,12 +2,12 @@
 """Merges the maps of all views into one atlas: for each texel, the exact median over the views that show it,
 or the weighted mean of the middle half.
 
-Letters: V views, P pixels of all views. For each covered texel, the point and normal at its centre are
-projected into every view; views in which it is visible (``datagen.multiview.visibility``) contribute their D,
-S and R, and each channel gets the median, the mean of the middle two for even counts, or with weights the
-mean of the middle half (``lane_sort.middle_mean``). Values are gathered, not scattered, so an atlas may have
-more texels than the views have pixels. Threads process tiles; memory contains the views' maps and a few
-tiles, and a large atlas is on disk. The loop is in ``medians``.
+For each covered texel, the point and normal at its centre are projected into every view; views in which it is
+visible (``datagen.multiview.visibility``) contribute their D, S and R, and each channel gets the median (for
+even counts, the mean of the middle two) or, with weights, the mean of the middle half
+(``lane_sort.middle_mean``). Values are gathered, not scattered, so an atlas may have more texels than the
+views have pixels. Threads process tiles; only the views' maps and a few tiles need memory, since a large
+atlas is on disk. The loop is in ``medians``.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ DEFAULT_TILE = 512
 class MapView:
     """A view's maps in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3) and ``roughness`` (H, W, 1).
 
-    ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W) is
-    the triangle of each pixel; ``confidence`` (H, W, 3) is an optional weight of its D, S and R.
+    ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W):
+    index of each pixel's triangle; ``confidence`` (H, W, 3): optional weights of its D, S and R.
     """
 
     camera: Camera
@@ -64,7 +64,7 @@ class MapView:
     confidence: NDArray | None = None
 
     def problems(self) -> list[Problem]:
-        """All faults of the arrays."""
+        """All faults in shape and values of the arrays."""
         shape = (self.camera.height_px, self.camera.width_px)
         found = []
         for name, channels in MAP_CHANNELS.items():
@@ -86,7 +86,7 @@ class MapView:
 
 
 def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -> list[MapView]:
-    """Traced views with their maps; lamps and background have depth 0."""
+    """Combine traced ``views`` with their ``maps``; the depth of lamps and background is set to 0."""
     return [
         MapView(
             view.camera,
@@ -104,9 +104,9 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
 class MergeOptions:
     """Options of the merge.
 
-    ``fetch``: a map is interpolated between pixels of about the same depth, or the nearest pixel is used;
-    ``tile`` is the side of a tile in texels. ``weights`` of the views: distance to the borders of their
-    footprints, cosine of the angle of incidence, pixels per square metre facing the view ("distance"),
+    ``fetch``: whether values are interpolated between pixels of about the same depth, or taken from the
+    nearest pixel; ``tile``: side of a tile in texels. ``weights`` of the views: distance to the borders of
+    their footprints, cosine of the angle of incidence, pixels per square metre facing the view ("distance"),
     confidence, or the product of all four.
     """
 
@@ -116,7 +116,7 @@ class MergeOptions:
     weights: Weights = "none"
 
     def rules(self) -> Rules:
-        """The options as arguments of the loop."""
+        """Convert the options to the parameters of the loop."""
         see, weights = self.visibility, self.weights
         return Rules(
             np.float32(see.depth_tolerance),
@@ -131,20 +131,16 @@ class MergeOptions:
         )
 
     @property
-    def by_borders(self) -> bool:
-        """Whether pixels near the borders of a view have less weight."""
-        return self.weights in ("borders", "all")
-
-    @property
     def by_confidence(self) -> bool:
         """Whether pixels are weighted by their confidence."""
         return self.weights in ("confidence", "all")
 
 
 class MapMerger:
-    """The maps of all views, ready to merge into any texel.
+    """Merges the maps of ``views``; ``region_of_face`` (M,) separates the smooth regions of the mesh.
 
-    Raises :class:`InputError` for maps that do not fit their cameras.
+    ``scene`` is needed for visibility by shadow rays. Raises :class:`InputError` for maps that do not fit
+    their cameras, and for missing views, scene or confidence.
     """
 
     def __init__(
@@ -174,7 +170,7 @@ class MapMerger:
     def merge(
         self, surface: TexelSurface, atlas: Atlas, progress: Callable[[int, int], Any] | None = None
     ) -> None:
-        """Fill ``atlas`` tile by tile. ``progress(done, total)`` is called after each tile."""
+        """Merge into ``atlas`` tile by tile; ``progress(done, total)`` is called after each tile."""
         regions = np.zeros(surface.num_faces) if self._regions is None else self._regions
         loop_surface = Surface(
             surface.size,
@@ -186,7 +182,7 @@ class MapMerger:
         )
         starts = range(0, atlas.size, self.options.tile)
         total, done = len(starts) ** 2, 0
-        # one thread casts Mitsuba's rays, which use all processors
+        # one thread only casts Mitsuba's rays, which use all processors
         with ThreadPoolExecutor(1 if self._rules.is_traced else num_threads()) as pool:
             for top in starts:
                 row = [
@@ -251,7 +247,10 @@ class MapMerger:
 def _view_arrays(
     views: Sequence[MapView], region_of_face: NDArray | None, options: MergeOptions
 ) -> ViewArrays:
-    """The views as arrays for the loop; a pixel's region is 0 if regions are ignored."""
+    """Pack the views into arrays for the loop; a pixel's region is 0 if there are no regions.
+
+    Raises ValueError for too many regions.
+    """
     if region_of_face is not None and len(region_of_face) >= 2**24:
         raise ValueError("expected fewer regions than float32 counts exactly")
     sizes = [view.camera.width_px * view.camera.height_px for view in views]
@@ -278,7 +277,7 @@ def _view_arrays(
             packets[span, first] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
         if options.by_confidence and view.confidence is not None:
             weight[span] = np.maximum(view.confidence.reshape(num, 3), MIN_WEIGHT)
-        if options.by_borders:
+        if options.weights in ("borders", "all"):
             image = view.depth_z_m.reshape(camera.height_px, camera.width_px)
             borders = border_weights(image, see.depth_tolerance + see.slope_limit)
             weight[span] *= borders.reshape(num, 1)

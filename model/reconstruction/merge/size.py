@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Atlas size: texels as fine as the views' pixels on the surface."""
+"""Chooses the size of an atlas whose texels are as fine as the views' pixels on the surface."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _GRAZING_COSINE = 0.1  # bounds the footprints of grazing views
 
 
 def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: float = 0.1) -> float | None:
-    """Side of a fine pixel's footprint in metres, None if no view shows the surface.
+    """Side in metres of a fine pixel's footprint on the surface; None if no view shows the surface.
 
-    A pixel covers a square of side z / f / sqrt(cos) of a surface at depth z; the result is the ``quantile``
-    over all pixels.
+    The result is the ``quantile`` over pixels of z / f / sqrt(cos), with depth z, focal length f in pixels
+    and cosine of the angle of incidence.
     """
     footprints = []
     for camera, view in views:
@@ -34,7 +34,7 @@ def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: fl
 
 
 def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:
-    """Side of an atlas whose texels are ``footprint_m`` wide: a multiple of 256 in [256, 16384]."""
+    """Side in texels of an atlas with texels of ``footprint_m`` a side: a multiple of 256 in [256, 16384]."""
     if footprint_m is None:
         return MIN_SIZE
     return int(np.clip(np.ceil(metres_per_side / footprint_m / 256) * 256, MIN_SIZE, MAX_SIZE))

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Runs COLMAP, each step once, to get cameras and a mesh from a folder of photographs.
+"""Runs COLMAP to compute cameras and a mesh from a folder of photographs; each step runs only once.
 
 WORK/database.db    features and matches
 WORK/found/         the models of the mapper
 WORK/sparse/0/      the largest of them
-WORK/dense/         undistorted photographs and depth, if a GPU allows
+WORK/dense/         undistorted photographs and depth, if there is a suitable GPU
 WORK/mesh.ply       a Poisson surface of the dense points, else a Delaunay surface of the sparse ones
-WORK/STEP.done      marker of each finished step; WORK/STEP.log output of COLMAP
+WORK/STEP.done      marker of each finished step; WORK/STEP.log: output of COLMAP
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from model.reconstruction.captures.colmap import read_sights
 from model.reconstruction.photos.sparse_mesh import sparse_surface
 
 MAX_IMAGE_PX = 2400
-"""Longer side to which larger photographs are scaled down for features."""
+"""Longer side in pixels to which larger photographs are scaled down for features."""
 MAX_POINT_ERROR_PX = 2.0
 """Maximum mean reprojection error of the sparse points on the mesh."""
 _OVERLAP = "take more photographs that overlap, sharp and large, from different positions; see the log"
@@ -35,7 +35,7 @@ _TAIL = 400  # characters of the log in an error
 
 @dataclass(frozen=True)
 class Step:
-    """Commands with a common result; ``clears`` lists files and folders that a failed attempt may leave."""
+    """Commands that run as one step; ``clears`` lists files and folders to clear before them."""
 
     name: str
     commands: tuple[tuple[str, ...], ...]
@@ -43,7 +43,7 @@ class Step:
 
 
 def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...]:
-    """Steps that compute features, matches and cameras on the CPU."""
+    """Steps that compute features, matches and cameras on the CPU; ``program`` is the COLMAP executable."""
     database = ("--database_path", str(work / "database.db"))
     images = ("--image_path", str(photographs))
     features = (
@@ -80,7 +80,7 @@ def dense_step(program: str, photographs: Path, work: Path) -> Step:
 
 
 def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
-    """Shell commands that install and run COLMAP, followed by the command ``rest``."""
+    """Text of the shell commands that install and run COLMAP and then run the command ``rest``."""
     found, largest = work / "found", work / "sparse" / "0"
     return "\n".join(
         [
@@ -95,14 +95,14 @@ def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[
 
 
 class ColmapRun:
-    """Runs unfinished steps in ``work``; ``tell`` is called with the name of each."""
+    """Runs unfinished steps in the folder ``work``; ``tell`` is called with the name of each step."""
 
     def __init__(self, program: str, photographs: Path, work: Path, tell: Callable[[str], None]):
         self.program, self.photographs, self.work, self.tell = program, photographs, work, tell
 
     @property
     def has_cameras(self) -> bool:
-        """Whether the cameras are computed, by this run or by the user."""
+        """Whether the folder of the cameras exists."""
         return self.model.is_dir()
 
     @property
@@ -129,8 +129,9 @@ class ColmapRun:
         return self.model
 
     def mesh(self) -> Path:
-        """Compute a mesh in the cameras' frame, from dense points if COLMAP can use a GPU, and return its
-        path. Raises :class:`InputError` if the sparse points give no surface.
+        """Compute a mesh in the cameras' frame, from dense points if COLMAP has a GPU, and return its path.
+
+        Raises :class:`InputError` if there is no surface through the sparse points.
         """
         mesh = self.work / "mesh.ply"
         if (self.work / "mesh.done").is_file() or (self.work / "dense.done").is_file():
@@ -183,7 +184,7 @@ class ColmapRun:
 
 
 def _size(model: Path) -> int:
-    """Bytes of a model's images; 0 if there is no model."""
+    """Size in bytes of a model's file of images; 0 if there is no model."""
     for name in ("images.bin", "images.txt"):
         if (model / name).is_file():
             return (model / name).stat().st_size

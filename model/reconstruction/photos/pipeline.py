@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``materials photos``: photographs → cameras and mesh → asset → turntable, each once, in one folder.
+"""``materials photos``: photographs → cameras and mesh → asset → turntable, in one folder.
 
 OUT/photos.json     identity of the work: photographs, options and checkpoint
 OUT/colmap/         cameras and mesh by COLMAP, if the photographs have none (``colmap_run``)
@@ -35,8 +35,8 @@ TURNTABLE = "turntable.gif"
 class PhotosOptions:
     """Options of ``materials photos``.
 
-    ``program`` is the COLMAP executable; ``reading`` and ``inference`` are as in ``materials infer``. The
-    turntable has ``frames`` frames with ``samples`` light paths per pixel.
+    ``program`` is the COLMAP executable; ``reading`` and ``inference`` are options of ``materials infer``.
+    The turntable has ``frames`` frames with ``samples`` light paths per pixel.
     """
 
     program: str = "colmap"
@@ -48,15 +48,16 @@ class PhotosOptions:
 
 @dataclass(frozen=True)
 class Made:
-    """The report, None if the asset existed before, and the path of the turntable."""
+    """The report of the inference, None if the asset existed before, and the path of the turntable."""
 
     report: InferReport | None
     turntable: Path
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """The photographs of a folder. Raises :class:`InputError` if there are too few, or for unsupported
-    formats.
+    """The photographs in a folder, sorted by name.
+
+    Raises :class:`InputError` for fewer than three, and for raw photographs and unsupported formats.
     """
     if not folder.is_dir():
         raise input_error(folder, "", "no such folder", "a folder of photographs", "check the path")
@@ -82,10 +83,10 @@ def make_asset(
     tell: Progress,
     say: Callable[[str], None],
 ) -> Made:
-    """Run all steps from ``folder`` to ``out``, except those with results of an earlier run.
+    """Make an asset in ``out`` of the photographs or capture ``folder``, without repeating finished steps.
 
-    Raises :class:`InputError` if the input is bad, a program is missing or fails, or ``out`` contains other
-    work.
+    Raises :class:`InputError` if the input is invalid, a program is missing or fails, or ``out`` contains
+    other work.
     """
     has_own = has_cameras(folder)
     photographs = [] if has_own else photographs_in(folder)
@@ -126,7 +127,7 @@ def make_asset(
 def _claim(
     out: Path, folder: Path, photographs: list[Path], source: MapSource, options: PhotosOptions
 ) -> None:
-    """Assign ``out`` to these photographs; if other options were used, remove the report and turntable.
+    """Assign ``out`` to ``photographs``; if other options were used, remove the report and turntable.
 
     Raises :class:`InputError` if ``out`` is assigned to other photographs.
     """

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""A closed surface through the sparse points of structure from motion, which needs no dense depth.
+"""Computes a closed surface through the sparse points of structure from motion, without dense depth.
 
 Labatut, Pons and Keriven (2007): a minimum cut divides Delaunay tetrahedra of the points into free and solid
 ones. A line of sight from a camera to a point is evidence that the tetrahedra that it crosses are free and
 that the one behind the point is solid. The surface separates free from solid tetrahedra; wide triangles
 bridge areas without points. COLMAP's mesher of this kind needs CGAL, which Debian's COLMAP lacks.
-
-Letters: N points, V cameras, K lines of sight, T tetrahedra, M triangles.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from datagen.multiview.compiled import compiled
 from model.reconstruction.captures.colmap import Sights
 
 SMOOTHNESS = 0.3
-"""Cost of a triangle of the surface, equal to that of this number of lines of sight that cross it."""
+"""Cost of each triangle of the surface, in lines of sight that cross it."""
 SPREAD_QUANTILE = 0.25
 """Quantile of the edges' lengths that is used as the standard deviation of the points."""
 _UNITS = 256  # integer capacity of a cost of 1
@@ -30,7 +28,7 @@ _FACETS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # opposite of 
 
 
 def sparse_surface(sights: Sights) -> Mesh:
-    """The surface as a mesh whose triangles face free space; it is empty if there are no points."""
+    """Compute the surface as a mesh whose triangles face free space; it is empty if there are no points."""
     from scipy.spatial import Delaunay
 
     if not len(sights.points):
@@ -71,8 +69,8 @@ def _cross(
     spread: Any,
     crossed: Any,
 ) -> None:
-    """Add to ``crossed`` (T, 4) the number of lines of sight through each facet, with less weight near their
-    points, whose positions are inexact.
+    """Add the lines of sight through each facet of T tetrahedra to ``crossed`` (T, 4), with less weight near
+    their points, whose positions are inexact.
     """
     for ray in range(len(origin)):
         tetrahedron = start[ray]
@@ -80,7 +78,7 @@ def _cross(
             if tetrahedron < 0:
                 break
             leaving, facet = np.inf, -1
-            last_at, last_step = 1.0, 0.0  # barycentric coordinates add up to 1
+            last_at, last_step = 1.0, 0.0  # of the last barycentric coordinate: 1 minus the others
             for k in range(4):
                 at, step = last_at, last_step
                 if k < 3:
@@ -129,7 +127,7 @@ def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray)
 def _boundary(
     vertices: NDArray, simplices: NDArray, neighbors: NDArray, is_free: NDArray[np.bool_], num_points: int
 ) -> Mesh:
-    """The facets between free and solid tetrahedra, without those at the corners of the box."""
+    """Mesh of the facets between free and solid tetrahedra, without those at the corners of the box."""
     tetrahedron, facet = np.nonzero(is_free[:, None] & (neighbors >= 0) & ~is_free[neighbors])
     faces = simplices[tetrahedron[:, None], _FACETS[facet]]
     a, b, c = np.moveaxis(vertices[faces], 1, 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps of views from a checkpoint: inputs by name, predictions in batches, then the bilateral solver.
+"""Predicts maps of views by a checkpoint: inputs by name, predictions in batches, then the bilateral solver.
 
 All views of a capture share one exposure, which maps the 95th percentile of the luminance of all their
 surface pixels to 0.9, so a surface has the same brightness in every view.
@@ -32,9 +32,9 @@ _EXPOSURE_STEP = 5  # every fifth pixel is enough for a percentile
 class PredictOptions:
     """Options of prediction.
 
-    ``precision``: "auto" is bfloat16 if the device supports it natively. ``batch``: number of views at a
-    time. ``is_filtered``: whether to run the bilateral solver, if the checkpoint has confidence networks.
-    ``has_confidence``: whether to return their output as well.
+    ``precision``: "auto" is bfloat16 if the device supports it natively, else float32. ``batch``: number of
+    views at a time. ``is_filtered``: whether to run the bilateral solver, if the checkpoint has confidence
+    networks. ``has_confidence``: whether to return the output of the confidence networks as well.
     """
 
     precision: Precision = "auto"
@@ -53,7 +53,7 @@ def has_fast_bfloat16(device: str) -> bool:
 
 
 def capture_exposure(views: Sequence[StatisticsView]) -> float:
-    """The common exposure of all views, which brings the 95th percentile of luminance to 0.9."""
+    """The factor for all views that brings the 95th percentile of their surfaces' luminance to 0.9."""
     samples = []
     for view in views:
         color = view.color.reshape(-1, 3)[::_EXPOSURE_STEP]
@@ -67,9 +67,10 @@ def view_tensors(
     statistics: dict[str, NDArray[np.float32]],
     light: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> dict[str, Tensor]:
-    """Network inputs of a view by name, (1, C, H, W); normals in camera space, 0 off the surface.
+    """Network inputs (1, C, H, W) of a view by name; normals are in camera space, 0 off the surface.
 
-    ``light``: buffers of :class:`~datagen.light.view_light.ViewLight`.
+    ``statistics`` are the view's buffers ``color_min`` etc. by name; ``light`` are the buffers of
+    :class:`~datagen.light.view_light.ViewLight`.
     """
     normal = view.normal_world.astype(np.float32) @ camera.world_from_camera[:3, :3].astype(np.float32)
     on_surface = (view.surface_mask > 0.5) & (view.depth_z_m > 0)
@@ -87,7 +88,7 @@ def view_tensors(
 
 
 class Predictor:
-    """A checkpoint prepared for the views of a capture.
+    """A checkpoint prepared for a capture; ``exposure`` is the result of :func:`capture_exposure`.
 
     Raises :class:`InputError` if confidence is requested from a checkpoint without confidence networks.
     """
@@ -113,15 +114,11 @@ class Predictor:
         """Whether the bilateral solver runs."""
         return self.options.is_filtered and self._confidence is not None
 
-    @property
-    def has_confidence(self) -> bool:
-        """Whether predictions include confidence."""
-        return self.options.has_confidence
-
     @torch.no_grad()
     def predict(self, batch: Sequence[dict[str, Tensor]]) -> list[dict[str, NDArray[np.float32]]]:
-        """Maps (H, W, 3 or 1) in [0, 1] of views of one size, from :func:`view_tensors`; with
-        ``has_confidence`` also ``confidence`` (H, W, 3) in [0, 1] of D (always 1), S and R."""
+        """Predict maps (H, W, 3 or 1) in [0, 1] of views of one size from their :func:`view_tensors`; with
+        ``has_confidence`` also ``confidence`` (H, W, 3) in [0, 1] of D (always 1), S and R.
+        """
         device = self.options.device
         names = list(batch[0])
         tensors = {name: torch.cat([view[name] for view in batch]).to(device) for name in names}
@@ -130,12 +127,12 @@ class Predictor:
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             maps = self._network(tensors, exposure, depth_max)
         maps = {name: value.float().contiguous() for name, value in maps.items()}
-        if self._confidence is not None and (self.is_filtered or self.has_confidence):
+        if self._confidence is not None and (self.is_filtered or self.options.has_confidence):
             image = encode_color(tensors["beauty"], self.exposure)
             confidences = self._confidence(image, maps)
             if self.is_filtered:
                 maps = filter_maps(maps, confidences, self._solver)
-            if self.has_confidence:
+            if self.options.has_confidence:
                 of_specular, of_roughness = (confidences[name] for name in FILTERED_MAPS)
                 of_diffuse = torch.ones_like(of_specular)
                 maps["confidence"] = torch.cat([of_diffuse, of_specular, of_roughness], dim=1)

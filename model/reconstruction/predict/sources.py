@@ -35,7 +35,7 @@ class CheckpointMaps:
             raise input_error(self.path, "", str(error), expected, "check the path") from None
 
     def prepare(self, options: InferOptions) -> None:
-        """Raise :class:`InputError` for an unreadable checkpoint or a missing device."""
+        """Raise :class:`InputError` for an unreadable checkpoint or an unavailable device."""
         from model.checkpoint import read_card
         from model.devices import parse_device
 
@@ -43,7 +43,7 @@ class CheckpointMaps:
         parse_device(options.device)
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Stored maps where available, and predictions for all other views."""
+        """Read the stored maps of an earlier run, and predict those of all other views."""
         # torch, which other sources do not need
         from model.reconstruction.predict.view_maps import predicted_maps
 
@@ -52,17 +52,17 @@ class CheckpointMaps:
 
 @dataclass(frozen=True)
 class GivenMaps:
-    """Maps of any method; ``read`` returns those of every view, in the capture's order."""
+    """Maps from another source: ``read`` returns those of every view, in the capture's order."""
 
     identity: str
     read: Callable[[TracedCapture], list[Maps]]
     is_predicted: bool = False
 
     def prepare(self, options: InferOptions) -> None:
-        """Accept all options: given maps need no preparation."""
+        """Do nothing: given maps need no preparation."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """The given maps."""
+        """Read the given maps."""
         with run.stage("read maps"):
             return self.read(traced)
 
@@ -76,4 +76,4 @@ def _truth(view: CaptureView) -> Maps:
 
 
 TRUTH = GivenMaps("truth", lambda traced: [_truth(view) for view in traced.capture.views])
-"""The ground truth of a rendered capture, with which only errors of later stages remain."""
+"""The ground truth of a rendered capture, for tests of the later stages alone."""

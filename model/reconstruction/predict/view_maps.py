@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps of a capture's views from a checkpoint, stored by view so that an interrupted run resumes."""
+"""Predicts the maps of a capture's views and stores them by view, so that an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ USUAL_PIXELS = 640 * 384
 
 
 def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> list[Maps]:
-    """Maps of all views: stored maps are read, missing maps are predicted and stored."""
+    """The maps of all views: stored ones are read, missing ones are predicted and stored."""
     capture, views, options, report = traced.capture, traced.statistics, run.options, run.report
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
@@ -44,7 +44,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
     report.is_filtered = predictor.is_filtered
     if options.is_filtered and not predictor.is_filtered:
         report.notes.append("the checkpoint has no confidence networks: maps are not filtered")
-    wants_confidence = predictor.has_confidence
+    wants_confidence = predict_options.has_confidence
     maps: list[Maps | None] = [_stored(run.out, view, wants_confidence) for view in capture.views]
     batches = _batches(capture, options.batch)
     pending = [batch for batch in batches if any(maps[index] is None for index in batch)]
@@ -71,16 +71,17 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
         with report.stage("write maps"):
             for index, view_maps in zip(batch, predicted, strict=True):
                 if maps[index] is None:
-                    maps[index] = _halves(view_maps)
+                    # rounded as stored, so that a resumed run equals an uninterrupted one
+                    maps[index] = {name: values.astype(np.float16) for name, values in view_maps.items()}
                     _store(run.out, capture.views[index], view_maps)
         run.tell("predict", sum(m is not None for m in maps), len(maps))
     return [view_maps for view_maps in maps if view_maps is not None]
 
 
 def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Batches of consecutive views of one size, at most ``size`` views, fewer for large ones.
+    """Indices of consecutive views of one size in batches of at most ``size``, or fewer for large views.
 
-    They do not depend on stored maps, since convolutions round differently for other batch sizes.
+    Batches do not depend on stored maps, since convolutions round differently for other batch sizes.
     """
     batches: list[list[int]] = []
     for index, camera in enumerate(capture.cameras):
@@ -94,29 +95,22 @@ def _batches(capture: Capture, size: int) -> list[list[int]]:
     return batches
 
 
-def _halves(maps: Maps) -> Maps:
-    """Maps rounded as stored, so that a resumed run equals an uninterrupted one."""
-    return {name: values.astype(np.float16) for name, values in maps.items()}
-
-
-def _map_path(out: Path, view: CaptureView) -> Path:
-    return out / "views" / f"{view.name}.exr"
-
-
-def _confidence_path(out: Path, view: CaptureView) -> Path:
-    return out / "views" / f"{view.name}.confidence.npy"
+def _paths(out: Path, view: CaptureView) -> tuple[Path, Path]:
+    """Files of a view's maps and of their confidence."""
+    return out / "views" / f"{view.name}.exr", out / "views" / f"{view.name}.confidence.npy"
 
 
 def _store(out: Path, view: CaptureView, maps: Maps) -> None:
+    path, confidence_path = _paths(out, view)
     if "confidence" in maps:
         stream = io.BytesIO()
         np.save(stream, maps["confidence"].astype(np.float16))
-        write_bytes_atomically(_confidence_path(out, view), stream.getvalue())
-    write_bytes_atomically(_map_path(out, view), encode_view({name: maps[name] for name in MATERIAL_MAPS}))
+        write_bytes_atomically(confidence_path, stream.getvalue())
+    write_bytes_atomically(path, encode_view({name: maps[name] for name in MATERIAL_MAPS}))
 
 
 def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> Maps | None:
-    path, confidence_path = _map_path(out, view), _confidence_path(out, view)
+    path, confidence_path = _paths(out, view)
     if not path.is_file() or (wants_confidence and not confidence_path.is_file()):
         return None
     try:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Brings photographs to one exposure and completes their clipped pixels.
 
-The value of a clipped pixel is a lower bound. The pixel gets the median of the views in which its surface is
-below the limit. Without any, it belongs to a source whose radiance is estimated from its illumination of
-other surfaces (``recovered``), unless the surface receives enough light to be as bright by reflection alone.
+The value of a clipped pixel is a lower bound. The pixel gets the median radiance of its surface in the views
+that do not clip it. A surface that all views clip is a source, whose radiance is estimated from its
+illumination of other surfaces (``recovered``).
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ from model.reconstruction.radiometry.sources import Sources, find_sources, sourc
 
 @dataclass(frozen=True)
 class Completed:
-    """Result of :func:`completed_views`.
+    """Views at one exposure with completed pixels, and how they were obtained.
 
-    ``views`` are completed, at one exposure; ``radiometry`` is the cameras' calibration. ``sources`` are
-    clipped in every view; ``radiance`` (S, 3) is their radiance and ``spread`` (S,) the standard deviation of
-    its logarithm. ``clipped_share``: share of the pixels that are clipped; ``doubt_at``: see
-    :class:`~model.reconstruction.stages.Found`.
+    ``radiometry`` is the cameras' calibration. ``sources`` are clipped in every view; ``radiance`` (S, 3) is
+    their radiance, ``spread`` (S,) the standard deviation of its logarithm. ``clipped_share``: share of the
+    pixels that are clipped; ``doubt_at``: see :class:`~model.reconstruction.stages.Found`.
     """
 
     views: list[TracedView]
@@ -51,8 +50,9 @@ def completed_views(
     *,
     is_evened: bool = True,
 ) -> Completed:
-    """``views`` at one exposure, with clipped pixels completed.
+    """Bring ``views`` to one exposure and complete their clipped pixels.
 
+    ``emits`` (M,): mask of triangles known to emit; ``region_of_face`` (M,): smooth region of each triangle;
     ``is_evened``: whether exposures are estimated. Raises ValueError if the views show no extended surface.
     """
     surfels = build_surfels(views)
@@ -86,7 +86,7 @@ def completed_views(
 def _filled(
     view: TracedView, source: NDArray, radiance: NDArray, surfels: Surfels, surfel: NDArray
 ) -> TracedView:
-    """A view whose clipped pixels have the radiance of their source or, without one, of their surfel."""
+    """Complete a view's clipped pixels with the radiance of their source or, without one, their surfel."""
     assert view.clipped_mask is not None
     color, clipped = view.color.reshape(-1, 3).copy(), view.clipped_mask.reshape(-1, 3)
     pixel = np.flatnonzero(clipped.any(axis=1))

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Estimates exposure and white balance of each photograph, vignetting and response from common surfaces.
 
-Surfel i of radiance L_i has, in view v at the squared image radius r2 (1 in the corners), the value
+A surfel i of radiance L_i is recorded in view v at the squared image radius r2 (1 in the corners) as the
+value
 
     f(exp(ln L_i + g_v - vignetting r2)),    f(x) = linear(e - c sin(2 pi e)),  e = sRGB(x),
 
-with values relative to the sensor's limit, g_v the view's ln gain by channel, and c the deviation of the
-response from sRGB; a power of the radiance cannot be determined from exposures and stays 1. Least squares of
-logarithms with Cauchy weights, with L_i eliminated, is robust to highlights and faults of the geometry. The
-undetermined common gain is chosen for a median gain of 1.
+relative to the sensor's limit, where g_v is the view's ln gain by channel and c the deviation of the response
+from sRGB; an exponent of the radiance cannot be determined from exposures and is assumed to be 1. Least
+squares of logarithms with Cauchy weights, with L_i eliminated, are robust to highlights and faults of the
+geometry. The undetermined common gain is chosen for a median gain of 1.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from datagen.light.surfels import Surfels
 MAX_SURFELS, MIN_VIEWS, MIN_SAMPLES = 8_000, 2, 10
 """Maximum number of surfels, and minimum numbers of views per surfel and of samples per view on average."""
 DARK, BRIGHT = 0.004, 0.9
-"""Range of usable values relative to the limit: noise below, clipping above."""
+"""Range of usable values relative to the limit, between noise and clipping."""
 MIN_GAIN, MIN_VIGNETTING = 0.03, 0.05
-"""Root mean square of ln gains, and of ln of the corners' factor, below which photographs stay unchanged,
+"""Root mean square of ln gains, and absolute ln of the factor in the corners, below which they are ignored,
 since highlights alone can cause as much."""
 MIN_EXPLAINED = 0.02
 """Minimum relative reduction of the cost by a response curve."""
@@ -49,7 +50,7 @@ class Radiometry:
     """Radiometric calibration of all photographs.
 
     ``gain`` (V, 3): each view's gain by channel. ``vignetting``: -ln of the factor in the image's corners.
-    ``curve``: the response's deviation c from sRGB.
+    ``curve``: deviation c of the response from sRGB.
     """
 
     gain: NDArray[np.float64]
@@ -58,11 +59,11 @@ class Radiometry:
 
     @property
     def changes(self) -> bool:
-        """True if the correction of at least one photograph is not the identity."""
+        """Whether the correction of any photograph is not the identity."""
         return bool((self.gain != 1).any()) or self.vignetting != 0 or self.curve != 0
 
     def undone(self, view: TracedView, index: int) -> TracedView:
-        """``view``, the view ``index``, with its radiance at the common exposure."""
+        """Convert the colours of ``view``, of the given ``index``, to radiance at the common exposure."""
         color = view.color.astype(np.float64)
         if self.curve and view.limit is not None:
             color = view.limit * unbent(color / view.limit, self.curve)
@@ -72,16 +73,15 @@ class Radiometry:
 
 
 def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Values that a camera whose response deviates from sRGB by ``curve`` records, decoded as sRGB.
-
-    ``value`` is linear; both are relative to the clipping limit.
+    """Values recorded by a camera whose response deviates from sRGB by ``curve``, decoded as sRGB, for the
+    linear ``value`` of the same shape; both are relative to the clipping limit.
     """
     encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
 
 
 def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """The inverse of :func:`shown`."""
+    """Inverse of :func:`shown`: linear values from recorded ones, relative to the clipping limit."""
     encoded = np.linspace(0, 1, 4096)
     bent = encoded - curve * np.sin(2 * np.pi * encoded)
     of_value = np.asarray(srgb_from_linear(np.clip(value, 0, 1)), np.float64)
@@ -89,7 +89,7 @@ def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
 
 
 def radius_squared(view: TracedView) -> NDArray[np.float64]:
-    """Squared distance (H, W) from the principal point, 1 in the farthest corner of the image."""
+    """Squared distance (H, W) of pixels from the principal point, 1 in the farthest corner of the image."""
     camera = view.camera
     x = np.arange(camera.width_px) + 0.5 - camera.cx_px
     y = np.arange(camera.height_px) + 0.5 - camera.cy_px
@@ -99,10 +99,10 @@ def radius_squared(view: TracedView) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class _Samples:
-    """Observations (M,) of chosen surfels.
+    """M observations of chosen surfels.
 
-    ``surfel``, ``view``, squared radius ``r2``, ``value`` (M, 3) relative to the ``limit`` (M,), and whether
-    each channel ``counts`` (M, 3).
+    Indices of ``surfel`` and ``view``, squared image radius ``r2``, ``value`` (M, 3) relative to ``limit``
+    (M,), and the mask ``counts`` (M, 3) of usable channels.
     """
 
     surfel: NDArray[np.int64]
@@ -114,7 +114,7 @@ class _Samples:
 
 
 def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
-    """Radiometric calibration of the cameras from surfels in several ``views``.
+    """Estimate the radiometric calibration from ``surfels`` that several ``views`` show.
 
     The response is estimated only if the clipping limit of all photographs is known.
     """
@@ -173,9 +173,9 @@ def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
 def _solved(
     samples: _Samples, num_views: int, *, has_curve: bool
 ) -> tuple[NDArray[np.float64], float, float, float]:
-    """ln gains (V, 3), vignetting, curve and cost, by Gauss-Newton steps.
+    """Estimate ln gains (V, 3), vignetting and curve by Gauss-Newton steps; returns them and the cost.
 
-    Residuals are of values, not of radiance, which a flattening curve would minimise.
+    Residuals are those of recorded values, since a flat curve would minimise those of radiance.
     """
     channels = [_Channel.of(samples, channel) for channel in range(3)]
     last = 3 * num_views
@@ -202,10 +202,10 @@ def _solved(
 
 @dataclass
 class _Channel:
-    """Samples (M,) of a channel.
+    """M samples of a channel.
 
-    ``surfel`` from 0 on, ``view``, ``r2``, logarithms of the ``shown`` value and of the ``limit``;
-    ``radiance``: logarithm of each surfel's radiance.
+    Indices of ``surfel`` (from 0) and ``view``, squared image radius ``r2``, ln of the ``shown`` value and of
+    the ``limit``, each (M,); ``radiance``: ln radiance of each surfel.
     """
 
     surfel: NDArray[np.int64]
@@ -226,20 +226,19 @@ class _Channel:
         return cls(surfel, samples.view[rows], samples.r2[rows], shown, limit, radiance)
 
     def predicted(self, state: NDArray, first: int, last: int) -> tuple[NDArray[np.float64], ...]:
-        """:func:`_log_shown` of the samples."""
+        """ln value of the samples and its derivatives (:func:`_log_shown`) for the unknowns ``state``."""
         fall_off = state[last] * self.r2
         arriving = self.radiance[self.surfel] + state[first + self.view] - fall_off - self.limit
         return _log_shown(arriving, state[last + 1])
 
     def cost(self, state: NDArray, first: int, last: int) -> float:
-        """Mean cost of Cauchy's distribution at the last scale."""
+        """Mean negative log likelihood of the residuals under Cauchy's distribution of the last scale."""
         rest = self.shown - self.predicted(state, first, last)[0]
         return float(np.log1p((rest / _SCALES[1]) ** 2).mean())
 
     def step(self, state: NDArray, first: int, last: int, scale: float) -> tuple[Any, ...]:
-        """Normal matrix and right side of the cameras' unknowns, with the surfels eliminated.
-
-        For back-substitution of the N surfels, also returns a matrix (N, unknowns) and a vector (N,).
+        """Normal matrix and right-hand side for the cameras' unknowns, with the N surfels eliminated; also a
+        matrix (N, unknowns) and a vector (N,) for back-substitution of the surfels.
         """
         predicted, slope, by_curve = self.predicted(state, first, last)
         rest = self.shown - predicted
@@ -259,8 +258,8 @@ class _Channel:
 
 
 def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ...]:
-    """Log of the value for the ln radiance ``arriving``, both relative to the limit, and its derivatives by
-    ``arriving`` and ``curve``.
+    """ln value for the ln radiance ``arriving`` (M,), both relative to the limit, and its derivatives by
+    ``arriving`` and ``curve``, each (M,).
     """
     if not curve:
         here, slope = arriving, np.ones_like(arriving)
@@ -271,7 +270,7 @@ def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ..
 
 
 def _group_medians(values: NDArray, group: NDArray) -> NDArray[np.float64]:
-    """Median (G,) of the ``values`` (N,) of each group."""
+    """Median (G,) of the ``values`` (N,) of each group, numbered from 0 in ``group`` (N,)."""
     order = np.lexsort((values, group))
     num = np.bincount(group)
     first = np.cumsum(num) - num

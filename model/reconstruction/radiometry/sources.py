@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Sources that all photographs clip: emitters, openings and surfaces.
+"""Finds sources that all photographs clip.
 
 Sources are clipped emitters, openings (connected parts of a face of the room's box with a clipped background)
-and patches of neighbouring surfels that no view shows below the limit. A source has one radiance by channel,
-unknown in the clipped channels.
+and patches of neighbouring surfels that are clipped in all views. A source has one radiance by channel, which
+is unknown in the clipped channels.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 CLIPPED_SHARE = 0.5
-"""Clipped share of the pixels of an emitter or bin above which a channel is unknown."""
+"""Clipped share of the pixels of an emitter or bin from which a channel is unknown."""
 SHUT = 0.9
-"""Clipped share of a surfel's pixels above which it counts as clipped in all views."""
+"""Clipped share of a surfel's pixels from which it counts as clipped in all views."""
 MIN_CELLS = 4
 """Minimum number of surfels of a patch."""
 MIN_BINS, MIN_PIXELS = 8, 0.03
-"""Minimum number of bins by position and direction of an opening, and its minimum share of all clipped pixels
-outside."""
+"""Minimum number of background bins of an opening, and its minimum share of the clipped background pixels."""
 MAX_SOURCES = 24
 """Maximum number of sources of each kind; the smallest are joined to the last."""
 
@@ -58,7 +57,7 @@ class Sources:
     def colored(
         self, values: NDArray, emitters: Emitters, background: Background, surfels: Surfels
     ) -> Colored:
-        """Radiance of the room with ``values`` (S, 3) in the channels of the sources that are open."""
+        """The room's radiance with ``values`` (S, 3) in the channels of the sources where ``is_open``."""
         return Colored(
             _put(emitters.radiance, self.of_emitter, values, self.is_open),
             _put(background.radiance, self.of_bin, values, self.is_open),
@@ -92,7 +91,10 @@ def find_sources(
     region_of_face: NDArray[np.int32],
     mesh: Mesh,
 ) -> Sources:
-    """The clipped sources in ``views``; ``emits`` (M,) is the mask of the triangles known to emit."""
+    """Find the clipped sources in ``views``.
+
+    ``emits`` (M,): mask of triangles known to emit; ``region_of_face`` (M,): smooth region of each triangle.
+    """
     marked = [replace(view, color=_mask_of(view).astype(np.float32)) for view in views]
     emitting = photographed_emitters(marked, mesh, emits, region_of_face).radiance
     low, high = background.low, background.high
@@ -115,7 +117,7 @@ def find_sources(
 
 
 def _label_means(values: NDArray, label: NDArray, count: int) -> NDArray[np.float64]:
-    """Means (count, 3) of the ``values`` (N, 3) of each label."""
+    """Means (count, 3) of the ``values`` (N, 3) with each ``label`` (N,) from 0; -1 is ignored."""
     found, mine = np.zeros((count, 3)), label >= 0
     num = np.maximum(np.bincount(label[mine], minlength=count), 1)
     for channel in range(3 if count else 0):
@@ -129,9 +131,7 @@ def _mask_of(view: TracedView) -> NDArray[np.bool_]:
 
 def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
-    label = np.full(len(share), -1, np.int64)
-    label[clipped] = np.minimum(np.arange(int(clipped.sum())), MAX_SOURCES - 1)
-    return label, share
+    return np.where(clipped, np.minimum(np.cumsum(clipped) - 1, MAX_SOURCES - 1), -1), share
 
 
 def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:
@@ -147,7 +147,7 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 
 
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
-    """Opening (B,) of each bin, -1 for none, and the bins' clipped ``share`` (B, 3).
+    """Index (B,) of each bin's opening, -1 for none, and the unchanged clipped ``share`` (B, 3) of the bins.
 
     An opening is a connected part of a face of the box with clipped bins. Openings with few clipped pixels,
     counted per bin in ``seen`` (B,), are joined to the largest.
@@ -170,9 +170,9 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
 
 
 def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[NDArray[np.int64], NDArray]:
-    """Patch (N,) of each surfel, -1 for none, and its clipped channels (N, 3), 0 or 1.
+    """Index (N,) of each surfel's patch, -1 for none, and its clipped channels (N, 3), 0 or 1.
 
-    A patch is a set of neighbouring surfels of one side that all views clip.
+    A patch consists of neighbouring surfels of one side that all views clip.
     """
     clipped, total = np.zeros((len(surfels), 3)), np.zeros(len(surfels))
     for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
@@ -197,7 +197,7 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
 
 
 def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
-    """``label`` renumbered by decreasing size, with at most :data:`MAX_SOURCES` labels.
+    """Renumber ``label`` (N,) by decreasing number of members, with at most :data:`MAX_SOURCES` labels.
 
     Labels with fewer than ``least`` members become -1.
     """
@@ -212,7 +212,7 @@ def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
 def source_of_pixels(
     view: TracedView, sources: Sources, emitters: Emitters, background: Background, surfel: NDArray
 ) -> NDArray[np.int64]:
-    """Source (P,) of each pixel of a view, -1 for none, given its ``surfel`` (P,)."""
+    """Index (P,) of the source that each pixel of a view shows, -1 for none, given its ``surfel`` (P,)."""
     face = view.geometry.face.ravel()
     found = np.full(len(face), -1, np.int64)
     on_mesh = np.flatnonzero(face >= 0)

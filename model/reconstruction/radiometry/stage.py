@@ -15,9 +15,9 @@ from model.reconstruction.stages import Run
 
 
 def completed(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with views of one exposure and completed clipped pixels.
+    """The capture with its views at one exposure and clipped pixels completed.
 
-    It is returned unchanged if an image has no clipping limit, as in renderings, which share one exposure.
+    It is unchanged if an image has no clipping limit, as in renderings, which have one exposure.
     """
     if any(view.limit is None for view in traced.views):
         return traced
@@ -40,7 +40,7 @@ def completed(traced: TracedCapture, run: Run) -> TracedCapture:
 
 
 def described(found: Completed) -> dict[str, Any]:
-    """Entry of the report: exposures, vignetting, response, and recovered sources."""
+    """The findings as data for the report: exposures, vignetting, response, and recovered sources."""
     stops = np.log2(found.radiometry.gain)
     return {
         "exposure_stops": [round(float(value), 3) for value in stops.mean(axis=1)],
@@ -62,7 +62,7 @@ def described(found: Completed) -> dict[str, Any]:
 
 
 def notes_of(found: Completed) -> list[str]:
-    """Messages about the calibration for the user."""
+    """Messages for the user about equalised exposures and clipped pixels."""
     notes = []
     stops = np.log2(found.radiometry.gain).mean(axis=1)
     if found.radiometry.changes:

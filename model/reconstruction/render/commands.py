@@ -13,17 +13,15 @@ import typer
 from datagen.foundation.bundled import object_package
 from datagen.foundation.command_line import QuietOption, with_options
 from datagen.foundation.progress import Bars
-from model.reconstruction.render.options import FilmOptions
+from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
 
 if TYPE_CHECKING:
     from model.reconstruction.render.relight import RelightOptions
 
-FILM_SUFFIXES = (".gif", ".mp4")
-
 
 @dataclass(frozen=True)
 class LightWords:
-    """Options of light, inserted objects and samples, before parsing."""
+    """Options for lights, inserted objects and samples as text."""
 
     sky: Annotated[
         str | None, typer.Option(help="Instead of the asset's lights: an environment map (EXR) or R,G,B.")
@@ -31,13 +29,13 @@ class LightWords:
     lamp: Annotated[
         tuple[str, ...],
         typer.Option(
-            help="Instead of the asset's lights: X,Y,Z, X,Y,Z,INTENSITY or X,Y,Z,R,G,B (W/sr), repeatable."
+            help="Point light instead of the asset's: X,Y,Z[,INTENSITY] or X,Y,Z,R,G,B (m, W/sr), repeatable."
         ),
     ] = ()
     insert: Annotated[
         tuple[str, ...],
         typer.Option(
-            help="Object to insert: PACKAGE@X,Y,Z[,DEGREES], repeatable; PACKAGE may be bundled:ID."
+            help="Object, position (m), yaw: PACKAGE@X,Y,Z[,DEGREES], repeatable; PACKAGE may be bundled:ID."
         ),
     ] = ()
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16
@@ -47,7 +45,7 @@ class LightWords:
     ] = 0.0
 
     def parse(self) -> RelightOptions:
-        """The parsed options. Raises ``typer.BadParameter`` for an invalid light, position or colour."""
+        """Parse the options. Raises ``typer.BadParameter`` for an invalid light, position or colour."""
         from model.reconstruction.render.relight import RelightOptions
 
         return RelightOptions(
@@ -73,8 +71,8 @@ def render(
     ] = (),
     quiet: QuietOption = False,
 ) -> None:
-    """Render an asset under its own or other light, with inserted objects, from its cameras or as an
-    animation.
+    """Render an asset from its cameras or as an animation, optionally under other light or with inserted
+    objects.
 
     An animation follows a path through the room and loops seamlessly.
 
@@ -110,7 +108,7 @@ def view(
         int, typer.Option(min=64, max=4096, help="Larger textures are averaged down.")
     ] = 4096,
 ) -> None:
-    """Write a page that shows an asset in 3D, with a movable light; it opens from disk in any browser.
+    """Write a web page that shows an asset in 3D, with a movable light, and opens from disk in any browser.
 
     Example: materials view room --out room-page
     """

@@ -10,6 +10,8 @@ import typer
 
 from datagen.foundation.errors import input_error
 
+FILM_SUFFIXES = (".gif", ".mp4")
+
 
 @dataclass(frozen=True)
 class FilmOptions:

@@ -27,7 +27,7 @@ from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance, photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.images import encode_png, quantized_bytes, read_image
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.progress import Progress
@@ -35,7 +35,7 @@ from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 
 SKY_ID = "relight-sky"
-_DARK = 1e-3  # mean radiance of a view, relative to the sky's, below which the sky does not light it
+_DARK = 1e-3  # mean luminance of a view, relative to the sky's, below which it counts as unlit
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Insertion:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A point light: ``intensity`` in W/sr per channel."""
+    """A point light with an ``intensity`` in W/sr per channel."""
 
     position_m: tuple[float, float, float]
     intensity: tuple[float, float, float] = (5.0, 5.0, 5.0)
@@ -57,11 +57,11 @@ class Lamp:
 
 @dataclass(frozen=True)
 class RelightOptions:
-    """Options of rendering an asset.
+    """Options for rendering an asset.
 
     ``sky``, an environment map (EXR) or a constant radiance, and ``lamps`` replace the asset's lights.
-    ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace the asset's, with the names
-    ``frame-000``, .... ``compensation`` is a factor of the exposure of PNG images and animations.
+    ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace the asset's cameras and are
+    named ``frame-000``, .... ``compensation`` is a factor of the exposure of PNG images and animations.
     """
 
     sky: Path | tuple[float, float, float] | None = None
@@ -85,9 +85,9 @@ class RenderedImage:
 
 
 def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[RenderedImage]:
-    """Rendered views of an environment package.
+    """Render the views of an environment package one by one.
 
-    Raises :class:`InputError` for unknown views, missing lights and bad packages.
+    Raises :class:`InputError` for unknown views, missing lights and invalid packages.
     """
     options = options or RelightOptions()
     package = open_package(path)
@@ -131,7 +131,12 @@ def _configuration(
             for k, lamp in enumerate(options.lamps)
         )
         if options.sky is not None:
-            lights = (_sky_light(options.sky), *lights)
+            lights = (
+                EnvironmentLight(name="sky", image="sky.exr", asset=SKY_ID)
+                if isinstance(options.sky, Path)
+                else EnvironmentLight(name="sky", radiance=options.sky),
+                *lights,
+            )
         lamps = [slot for slot, m in package.asset.materials.items() if m.emission is not None]
         emission = {slot: (0.0, 0.0, 0.0) for slot in lamps}
     elif not lights and not any(m.emission for m in package.asset.materials.values()):
@@ -143,7 +148,10 @@ def _configuration(
         if not isinstance(inserted.asset, ObjectAsset):
             raise input_error(insertion.package, "kind", inserted.asset.kind, "an object package")
         assets[inserted.id] = inserted.sha256
-        matrix = _placed_at(insertion)
+        matrix = np.eye(4)
+        c, s = np.cos(insertion.yaw_rad), np.sin(insertion.yaw_rad)
+        matrix[:2, :2] = [[c, -s], [s, c]]
+        matrix[:3, 3] = insertion.position_m
         objects.append(
             PlacedAsset(name=f"inserted-{number}", asset=inserted.id, world_from_asset=matrix4(matrix))
         )
@@ -158,20 +166,6 @@ def _configuration(
         "cameras": cameras,
     }
     return base.model_copy(update=changes), names
-
-
-def _placed_at(insertion: Insertion) -> NDArray[np.float64]:
-    matrix = np.eye(4)
-    c, s = np.cos(insertion.yaw_rad), np.sin(insertion.yaw_rad)
-    matrix[:2, :2] = [[c, -s], [s, c]]
-    matrix[:3, 3] = insertion.position_m
-    return matrix
-
-
-def _sky_light(sky: Path | tuple[float, float, float]) -> Light:
-    if isinstance(sky, Path):
-        return EnvironmentLight(name="sky", image="sky.exr", asset=SKY_ID)
-    return EnvironmentLight(name="sky", radiance=sky)
 
 
 @contextmanager
@@ -198,12 +192,12 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
 
 
 def lit_images(
-    path: Path, options: RelightOptions, warn: Callable[[str], None] | None = None
+    path: Path, options: RelightOptions, warn: Callable[[str], None] = lambda text: None
 ) -> Iterator[RenderedImage]:
-    """The images of :func:`render_asset`, with a fallback for dark rooms.
+    """The images of :func:`render_asset`, with other lights if the room would be dark.
 
-    If no light from the sky reaches the first view, the asset's own lights are used. If there are none, a
-    lamp in the middle of its cameras is used. ``warn`` is then called with an explanation.
+    If no light from the sky reaches the first view, the asset's lights replace the sky. An asset without
+    lights gets a lamp in the middle of its cameras. ``warn`` is called with an explanation in either case.
     """
     with open_package(path) as package:
         asset = package.asset
@@ -211,7 +205,7 @@ def lit_images(
     has_lights = bool(asset.lights) or any(any(m.emission or ()) for m in asset.materials.values())
     if options.sky is None and not options.lamps and not has_lights:
         options = _with_own_lamp(options, asset, path)
-        _say(warn, f"the asset has no light: {_OWN_LAMP}")
+        warn(f"the asset has no light: {_OWN_LAMP}")
     images = render_asset(path, options)
     first = next(images, None)
     if first is None:
@@ -219,7 +213,7 @@ def lit_images(
     if _is_unlit(first.color, options):
         options = replace(options, sky=None) if has_lights else _with_own_lamp(options, asset, path)
         instead = "its own lights are used" if has_lights else _OWN_LAMP
-        _say(warn, f"no light of the sky reaches {first.name}: the room is closed; {instead}")
+        warn(f"no light of the sky reaches {first.name}: the room is closed; {instead}")
         images = render_asset(path, options)
         first = next(images)
     yield first
@@ -230,20 +224,15 @@ _OWN_LAMP = "a lamp in the middle of its cameras is used (--lamp X,Y,Z sets othe
 
 
 def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path) -> RelightOptions:
-    """The options with a lamp in the middle of the asset's cameras."""
+    """The options with a lamp in the middle of the cameras. Raises :class:`InputError` without cameras."""
     if not asset.cameras:
         raise input_error(path, "lights", "none", "a light", "give one with --lamp or --sky")
     x, y, z = (float(v) for v in np.mean([c.camera().position_m for c in asset.cameras], axis=0))
     return replace(options, lamps=(Lamp((x, y, z)),))
 
 
-def _say(warn: Callable[[str], None] | None, text: str) -> None:
-    if warn is not None:
-        warn(text)
-
-
 def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
-    """Whether the only light is a sky and a view of radiance ``color`` is practically black."""
+    """Whether the only light is a sky and a view with the radiance ``color`` (H, W, 3) is almost black."""
     if options.sky is None or options.lamps:
         return False
     return float(luminance(color).mean()) < _DARK * _sky_luminance(options.sky)
@@ -260,15 +249,14 @@ def write_renders(
     path: Path,
     out: Path,
     options: RelightOptions | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] = lambda text: None,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Path]:
-    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all with the first view's exposure).
-
-    ``warn`` is called if the light differs from the requested one (:func:`lit_images`).
+    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all with the first view's exposure) in
+    the folder ``out``; returns the paths. ``warn`` is called if lights are replaced (:func:`lit_images`).
     """
     options = options or RelightOptions()
-    with open_package(path) as package:  # an unreadable file leaves no folder behind
+    with open_package(path) as package:  # before the folder is made, in case the file is unreadable
         total = len(options.views or getattr(package.asset, "cameras", ()))
     out.mkdir(parents=True, exist_ok=True)
     written = []
@@ -288,5 +276,5 @@ def write_renders(
 
 
 def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
-    """A linear image (H, W, 3) times ``exposure`` as 8-bit sRGB."""
-    return (np.clip(srgb_from_linear(color * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
+    """Encode a linear image (H, W, 3) times ``exposure`` as 8-bit sRGB."""
+    return quantized_bytes(srgb_from_linear(color * exposure))

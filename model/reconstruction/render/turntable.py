@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Animation of an asset: frames from cameras on a path through it, as a GIF or a video.
+"""Renders an animation of an asset from cameras on a path through it, as a GIF or a video.
 
 The path ``orbit`` is an ellipse about the middle of the asset's cameras, at their mean height; its cameras
 look across the room if most of the asset's do, else outwards. The path ``cameras`` passes through the asset's
@@ -22,17 +22,16 @@ from datagen.foundation.color import photographic_exposure
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Progress
-from model.reconstruction.render.options import FilmOptions
+from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
 from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
 
-SUFFIXES = (".gif", ".mp4")
 MIN_RADIUS_M = 0.15  # radius of a small circle for a capture from one position
 _GIF_COLORS = 255
 
 
 @dataclass(frozen=True)
 class TurntableOptions(FilmOptions):
-    """Options of an animation; views and cameras of ``render`` are not used."""
+    """Options of an animation; ``views`` and ``cameras`` of ``render`` are ignored."""
 
     render: RelightOptions = field(default_factory=RelightOptions)
 
@@ -42,15 +41,15 @@ def write_turntable(
     out: Path,
     options: TurntableOptions | None = None,
     progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> list[Camera]:
-    """Render an environment package along a path into ``out``; returns the cameras.
+    """Render an environment package along a path to the file ``out`` (.gif or .mp4); returns the cameras.
 
-    ``.mp4`` contains VP9, which browsers and common players support. All frames have the first frame's
-    exposure. Raises :class:`InputError` for other suffixes, bad packages and missing lights.
+    MP4 files contain VP9, which browsers and common players support. All frames have the first frame's
+    exposure. Raises :class:`InputError` for other suffixes, invalid packages and missing lights.
     """
     options = options or TurntableOptions()
-    if out.suffix.lower() not in SUFFIXES:
+    if out.suffix.lower() not in FILM_SUFFIXES:
         raise input_error(out, "", out.suffix or "no suffix", "a file .gif or .mp4", "rename it")
     with open_package(path) as package:
         asset = package.asset
@@ -77,9 +76,9 @@ def write_turntable(
 
 
 def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:
-    """The frames' cameras on the path ``options.way``, with the median focal length of ``cameras``.
+    """Cameras of the frames on the path ``options.way``, with the median field of view of ``cameras``.
 
-    The width and height are even, as video requires, in the first camera's aspect ratio.
+    Width and height are even, as video requires, and have about the first camera's aspect ratio.
     """
     lens = cameras[0]
     scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
@@ -101,10 +100,10 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
     poses = []
     for k in range(num):
         angle = 2 * np.pi * k / num
-        way = np.array([np.cos(angle), np.sin(angle)])
+        outward = np.array([np.cos(angle), np.sin(angle)])
         eye = center.copy()
-        eye[:2] += radii * way
-        ahead = np.append(-way if is_across else way, np.clip(slope, -1.0, 0.5))
+        eye[:2] += radii * outward
+        ahead = np.append(-outward if is_across else outward, np.clip(slope, -1.0, 0.5))
         poses.append(look_at(eye, eye + ahead))
     return poses
 
@@ -116,13 +115,13 @@ def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
     keys = np.array([np.concatenate([c.position_m, c.forward]) for c in cameras])
     closed = np.concatenate([keys, keys[:1]])
     at = np.linspace(0, len(keys), num, endpoint=False)
-    way = CubicSpline(np.arange(len(closed)), closed, bc_type="periodic") if len(keys) > 2 else None
+    spline = CubicSpline(np.arange(len(closed)), closed, bc_type="periodic") if len(keys) > 2 else None
     poses = []
     for t in at:
         before = int(t) % len(keys)
         share = t - int(t)
         straight = (1 - share) * closed[before] + share * closed[before + 1]
-        found = straight if way is None else way(t)
+        found = straight if spline is None else spline(t)
         forward = found[3:] if np.linalg.norm(found[3:]) > 1e-3 else keys[before, 3:]
         poses.append(look_at(found[:3], found[:3] + forward))
     return poses

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""UVs for an atlas."""
+"""Unwraps meshes: UVs for an atlas."""

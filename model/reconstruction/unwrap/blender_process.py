@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's Smart UV Project in a separate process, for pieces of a mesh on which xatlas fails.
+"""Runs Blender's Smart UV Project in a separate process, for pieces of a mesh on which xatlas fails.
 
 ``python -m model.reconstruction.unwrap.blender_process IN.npz OUT.npz``: files as for ``xatlas_process``.
-Needs the Python module bpy; exit code 3 if it is not installed.
+Needs the Python module bpy; the exit code is 3 if it is not installed.
 """
 
 from __future__ import annotations

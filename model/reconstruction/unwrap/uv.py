@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""UVs for an atlas: the mesh's own UVs if they are a valid unwrap, else new UVs by xatlas.
+"""Makes UVs for an atlas: the mesh's UVs if they are a valid unwrap, else new UVs by xatlas.
 
 UVs are valid if all are inside the unit square, none is missing and no two triangles cover one texel. xatlas
 runs in separate processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped
-by Blender's Smart UV Project, if bpy is installed; if that fails too, its triangles are placed individually,
-which always works. Pieces are packed so that a metre has the same length everywhere on the atlas.
+by Blender's Smart UV Project, if bpy is installed; if that fails too, its triangles are placed individually.
+Pieces are packed at the same scale.
 """
 
 from __future__ import annotations
@@ -44,11 +44,10 @@ _RANGE_SLACK = 1e-5
 class UvReport:
     """Quality of an unwrap.
 
-    ``source``: origin of the UVs; ``rejected``: fault of the mesh's own UVs, or ''; ``coverage``: share of
-    the atlas with a surface; ``metres_per_side``: median length of the atlas's side on the surface;
-    ``stretch``: ratio of the 95th to the 5th percentile of the texel density by area, ideally 1;
-    ``padding_texels``: gap between charts on an atlas of 1024 texels a side, 8 at most, None for too many
-    triangles; ``num_blender_faces``: triangles unwrapped by Blender after xatlas failed;
+    ``source``: origin of the UVs; ``rejected``: fault of the mesh's UVs, or ''; ``coverage``: share of the
+    atlas with a surface; ``metres_per_side``: median length of the atlas's side on the surface; ``stretch``:
+    ratio of the 95th to the 5th percentile of the texel density by area, ideally 1; ``padding_texels``: see
+    :func:`padding_texels`; ``num_blender_faces``: triangles unwrapped by Blender after xatlas failed;
     ``num_fallback_faces``: triangles placed individually.
     """
 
@@ -63,7 +62,7 @@ class UvReport:
 
     @property
     def notes(self) -> list[str]:
-        """Messages for the user."""
+        """Messages for the user about faults of the unwrap."""
         notes = [f"the mesh's own UVs are not used: {self.rejected}"] if self.rejected else []
         if self.num_blender_faces:
             notes.append(f"xatlas failed on {self.num_blender_faces} triangles; Blender unwrapped them")
@@ -79,7 +78,10 @@ class UvReport:
 
 
 def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
-    """The mesh with UVs for an atlas; triangles keep their order and corners, but vertices may be split."""
+    """Make UVs for an atlas; triangles keep their order and corners, but vertices may be split.
+
+    ``jobs`` is the number of processes.
+    """
     fault = "" if mesh.uv is None else own_uv_fault(mesh)
     if mesh.uv is not None and not fault:
         return mesh, _report(mesh, "mesh", "")
@@ -88,7 +90,7 @@ def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
 
 
 def own_uv_fault(mesh: Mesh) -> str:
-    """The reason why the mesh's UVs are not a valid unwrap; '' if they are."""
+    """Message why the mesh's UVs are not a valid unwrap; '' if they are."""
     assert mesh.uv is not None
     used = mesh.uv[np.unique(mesh.faces)]
     low, high = float(used.min()), float(used.max())
@@ -113,7 +115,7 @@ def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 def padding_texels(mesh: Mesh) -> int | None:
     """Number of texels between the two nearest charts on an atlas of 1024 texels a side, at most 8; None for
-    large meshes.
+    meshes of over a million triangles.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -131,11 +133,7 @@ def padding_texels(mesh: Mesh) -> int | None:
 
 
 def _report(
-    mesh: Mesh,
-    source: Literal["mesh", "xatlas"],
-    rejected: str,
-    num_fallback: int = 0,
-    num_blender: int = 0,
+    mesh: Mesh, source: Literal["mesh", "xatlas"], rejected: str, num_fallback: int = 0, num_blender: int = 0
 ) -> UvReport:
     areas, uv_areas = mesh.areas(), _uv_areas(mesh)
     usable = (areas > 0) & (uv_areas > 0)
@@ -183,14 +181,16 @@ def _unwrap(mesh: Mesh, jobs: int) -> tuple[Mesh, int, int]:
 
 
 def _pieces(mesh: Mesh) -> list[NDArray[np.int64]]:
-    """Triangles in groups of at most ``PIECE_FACES``, whole smooth regions as far as they fit."""
+    """Indices of triangles in groups of at most ``PIECE_FACES``, in the order of smooth regions."""
     order = np.argsort(smooth_regions(mesh), kind="stable")
     return [order[first : first + PIECE_FACES] for first in range(0, len(order), PIECE_FACES)]
 
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Corners (M, 3, 2) and size (2,) in metres; numbers of triangles placed by Blender and individually."""
+    """Layout of a piece: triangles' corners (M, 3, 2) and size (2,) in metres, and the numbers of triangles
+    placed by Blender and individually.
+    """
 
     corners: NDArray[np.float64]
     size_m: NDArray[np.float64]
@@ -222,7 +222,9 @@ def _unwrap_piece(positions: NDArray[np.float32], faces: NDArray[np.int64], stem
 def _run(
     module: str, source: Path, target: Path
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Corners, size and mask of placed triangles from a process; None if it failed or placed none."""
+    """Unwrap the file ``source`` by a process: corners, size and mask of placed triangles, as described in
+    ``xatlas_process``; None if it failed or placed none.
+    """
     command = [sys.executable, "-m", module, str(source), str(target)]
     root = Path(__file__).resolve().parents[3]
     try:
@@ -238,9 +240,9 @@ def _run(
 
 
 def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A layout of separate, undistorted triangles with their longest edges along shelves.
+    """Lay out separate, undistorted triangles in rows along their longest edges.
 
-    Returns corners (M, 3, 2) in metres and the sheet's size (2,).
+    Returns the corners (M, 3, 2) and the size of the layout (2,) in metres.
     """
     p = positions.astype(np.float64)[faces]
     lengths = np.stack([np.linalg.norm(p[:, (k + 1) % 3] - p[:, k], axis=1) for k in range(3)], axis=1)
@@ -264,8 +266,8 @@ def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float
 
 
 def shelf_packed(boxes: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Lower left corners (N, 2) of boxes of sizes (N, 2), packed in rows by decreasing height, and the side
-    of the square around them.
+    """Pack boxes of sizes (N, 2) in rows by decreasing height; returns their lower left corners (N, 2) and
+    the side of the square around them.
     """
     order = np.argsort(-boxes[:, 1], kind="stable")
     best: tuple[NDArray[np.float64], float] | None = None

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""xatlas in a separate process, since it may crash on large or broken meshes.
+"""Runs xatlas in a separate process, since it may crash on large or broken meshes.
 
 ``python -m model.reconstruction.unwrap.xatlas_process IN.npz OUT.npz``: IN contains ``positions`` (N, 3) and
 ``faces`` (M, 3); OUT contains ``corners`` (M, 3, 2), the triangles' corners on a sheet in metres, its size
 ``size_m`` (2,), and ``is_placed`` (M,), the mask of triangles that were unwrapped.
 
-xatlas drops edges below 1e-4 and triangles of less than 1.2e-7 in its unit; in metres, that would include
-every triangle of finely tessellated objects. The mesh is therefore passed in units of the median edge.
+xatlas drops edges shorter than 1e-4 and triangles smaller than 1.2e-7 in its units; in metres, these are all
+triangles of finely tessellated objects. The mesh is therefore passed in units of the median edge.
 """
 
 from __future__ import annotations

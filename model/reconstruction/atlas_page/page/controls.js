@@ -12,7 +12,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
   let mode = "orbit";
   const light = new Vector3();
 
-  // "fly" turns the camera about its own position: the point to turn around is just before the camera
+  // "fly" rotates the camera about its position: the centre of rotation is just in front of it
   function setMode(wanted) {
     mode = wanted;
     const ahead = camera.getWorldDirection(new Vector3());
@@ -43,7 +43,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
     changed();
   }
 
-  // by angles in radians; positive turns to the left and up
+  // angles in radians, positive to the left and up
   function turn(left, up) {
     const sign = mode === "fly" ? 1 : -1;
     const arm = mode === "fly" ? orbit.target.clone().sub(camera.position) : camera.position.clone().sub(orbit.target);
@@ -90,7 +90,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
 
   let onLight = () => {};
   function moveLight(to) {
-    light.copy(to).clamp(bounds[0].clone().subScalar(size), bounds[1].clone().addScalar(size)); // beyond, it lights nothing
+    light.copy(to).clamp(bounds[0].clone().subScalar(size), bounds[1].clone().addScalar(size)); // farther away, it illuminates nothing
     onLight();
     changed();
   }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // The project's BSDF (docs/bsdf.md, model/shading.py) for the movable light and the asset's own sources: (1-S) D/pi + F D_b G1 G1 / (4 cos cos)
 // with Beckmann's distribution, the exact Smith term and Schlick's Fresnel term; alpha = R^2 in [1e-3, 1].
-// Letters: n normal, o to the viewer, i to the light, h half vector. World space, metres, Z up.
+// n normal, o to the viewer, i to the light, h half vector. World space, metres, Z up.
 "use strict";
 
 VIEW.shader = {
@@ -25,7 +25,7 @@ VIEW.shader = {
     uniform sampler2D diffuseMap, specularMap, roughMap, colorMap;
     uniform sampler2DArray lightShadow, sourceShadow;
     uniform vec3 cameraPosition, lightPosition, lightIntensity, emission;
-    uniform float exposure, fill; // fill: radiance from all around, an approximation
+    uniform float exposure, fill; // fill: uniform incident radiance, an approximation
     uniform float range; // of the stored distances
     uniform bool hasShadows;
     // the asset's own lights (sources.py); numSources is 0 while they are off
@@ -47,8 +47,8 @@ VIEW.shader = {
 
     // G1 / cos: finite down to the horizon
     float smithOverCos(float cosine, float sine2, float alpha) {
-      float sine = sqrt(max(sine2, 1e-12)); // 0 at the pole would divide
-      float a = min(cosine / (alpha * sine), 1e4); // its square must not overflow
+      float sine = sqrt(max(sine2, 1e-12)); // avoids division by 0 at the pole
+      float a = min(cosine / (alpha * sine), 1e4); // avoids overflow of its square
       return 2.0 / (cosine * (1.0 + erfPositive(a)) + alpha * sine * exp(-a * a) / sqrt(PI));
     }
 
@@ -70,7 +70,7 @@ VIEW.shader = {
 
     vec3 fromLight(vec3 D, vec3 S, float R, vec3 n, vec3 o, vec3 plane) {
       vec3 toLight = lightPosition - point;
-      float distance2 = max(dot(toLight, toLight), 1e-8); // a light on the surface would divide by 0
+      float distance2 = max(dot(toLight, toLight), 1e-8); // avoids division by 0 for a light on the surface
       vec3 radiance = brdfCos(D, S, R, n, o, toLight * inversesqrt(distance2)) * lightIntensity / distance2;
       return hasShadows ? radiance * visibility(lightShadow, 0, lightPosition, point, plane, range) : radiance;
     }
@@ -103,7 +103,7 @@ VIEW.shader = {
       vec3 D = texture(diffuseMap, at).rgb, S = texture(specularMap, at).rgb;
       vec3 rough = texture(roughMap, at).rgb;
       vec3 o = normalize(cameraPosition - point), n = normalize(shadingNormal);
-      if (dot(n, o) < 0.0) n = -n; // seen from behind, a surface is its own mirror image
+      if (dot(n, o) < 0.0) n = -n; // surfaces are two-sided
       if (shown == 0) {
         vec3 radiance = fromLight(D, S, rough.r, n, o, plane) + fromSources(D, S, rough.r, n, o, plane);
         radiance += fill * ((1.0 - S) * D + S);

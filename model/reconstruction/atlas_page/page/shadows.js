@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 // Shadow maps of point lights: distances to the nearest surface through the six faces of a cube around each light.
-// Layer 6 k + f of an array of textures is face f of light k. Faces look along +x, -x, +y, -y, +z, -z, with +z up, or
+// Layer 6 k + f of the texture array is face f of light k. Faces look along +x, -x, +y, -y, +z, -z, with +z up, or
 // +y for the last two; the shader selects them by the same rule. Distances, divided by `range`, have 24 bits in RGB.
 "use strict";
 
@@ -36,7 +36,7 @@ VIEW.shadowShader = {
       return dot(bytes, vec3(65536.0, 256.0, 1.0)) / 16777215.0 * range;
     }
 
-    // share of a light at 'from' that reaches 'point': bilinear between four texels
+    // share in [0, 1] of a light at 'from' that reaches 'point', interpolated bilinearly between four texels
     float visibility(sampler2DArray maps, int light, vec3 from, vec3 point, vec3 n, float range) {
       vec3 way = point - from, size = abs(way);
       float far = length(way);
@@ -63,7 +63,7 @@ VIEW.shadowShader = {
     }`,
 };
 
-// Maps of `count` lights, `side` texels a side. They are drawn from the meshes of `world` that `render` leaves visible.
+// Maps of `count` lights with `side` texels a side, of those meshes of `world` that `render` leaves visible.
 VIEW.makeShadows = (renderer, world, count, side, near, range) => {
   const T = THREE;
   const target = new T.WebGLArrayRenderTarget(side, side, 6 * count, { minFilter: T.NearestFilter, magFilter: T.NearestFilter, generateMipmaps: false });

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Loads the asset, draws it when something has changed, and puts the controls beside it.
+// Loads the asset, draws it after every change, and adds the controls.
 "use strict";
 
 (async () => {
@@ -83,7 +83,7 @@
   }
 
   const lamps = [];
-  const holders = new Map(); // image name -> uniform that takes it
+  const holders = new Map(); // uniform of each image, by name
   for (const material of data.materials) {
     const geometry = new T.BufferGeometry();
     for (const [name, values, size] of [["position", material.positions, 3], ["normal", material.normals, 3], ["uv", material.uv, 2]]) {
@@ -102,7 +102,7 @@
   const bulb = new T.Mesh(new T.SphereGeometry(1, 16, 12), new T.MeshBasicMaterial({ color: 0xffe08a }));
   world.add(bulb);
 
-  // The light's shadow map is drawn again when the light has moved. Its ball and the lamps cast no shadows.
+  // The light's shadow map is redrawn when the light has moved. Its ball and the lamps cast no shadows.
   let shadowsFrom = null;
   function drawShadows() {
     bulb.visible = false;
@@ -189,7 +189,7 @@
     $("spoken").textContent = mode === "fly" ? "camera turns about its position" : "camera turns around the asset";
   }
 
-  // A view of the room from its edge: from the camera farthest from the others, towards the cameras' middle.
+  // A view from the edge of the room: from the camera farthest from the others, towards the cameras' centre.
   const OUTSIDE = -1, ROOM = -2;
   function wholeRoom() {
     const at = data.cameras.map((c) => new T.Vector3(...c.position));
@@ -210,7 +210,7 @@
       setMode("fly");
     } else { // from outside, or where an asset has no cameras
       const at = controls.center.clone().add(new T.Vector3(-0.75, -1, 0.6).normalize().multiplyScalar(1.3 * controls.size));
-      setMode("orbit"); // before the camera moves, since the mode keeps the point to turn around
+      setMode("orbit"); // before the camera moves, since setMode preserves the centre of rotation
       controls.look(at.toArray(), controls.center.toArray(), 50);
     }
     ui.camera.value = from ? number : OUTSIDE;
@@ -296,7 +296,7 @@
     performance.mark("preview");
     document.documentElement.dataset.ready = "preview";
     for (const material of data.materials) for (const [name, , width, height] of material.images) {
-      if (Math.max(width, height) <= 1024) continue; // the preview is all there is
+      if (Math.max(width, height) <= 1024) continue; // the preview is the full image
       await loadScript(`data/${name}.js`);
       const text = VIEW.images[name];
       delete VIEW.images[name];
@@ -310,7 +310,7 @@
   document.title = `${data.title}: 3D`;
   build();
   new ResizeObserver(changed).observe(canvas);
-  // for tests, and for whoever scripts the page
+  // for tests and scripts
   Object.assign(VIEW, {
     state: () => ({ ...settings, shown: shared.shown.value, light: controls.light.toArray(), camera: camera.position.toArray(), target: controls.target().toArray(), fov: camera.fov, intensity: shared.lightIntensity.value.x, shadows: ui.shadows.get(), sources: ui.sources.get() }),
     set(wanted) {
@@ -320,7 +320,7 @@
       for (const name of ["exposure", "power", "fill", "shadows", "sources"]) if (wanted[name] !== undefined) ui[name].apply(wanted[name]);
       draw();
     },
-    // colours (RGBA, rows from the top) of pixels as the screen shows them
+    // displayed colours of pixels (RGBA, rows from the top)
     read(x, y, width = 1, height = 1) {
       draw();
       const gl = renderer.getContext(), bytes = new Uint8Array(4 * width * height);
