@@ -421,4 +421,5 @@ def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
     else:
         odd = k % 2
         corners = indices[k + odd], indices[k + 1 - odd], indices[k + 2]
-    return np.stack(corners, axis=1).astype(np.int32)
+    triangles: NDArray[np.int32] = np.stack(corners, axis=1).astype(np.int32)
+    return triangles

@@ -80,7 +80,7 @@ def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> 
     def columns(*names: str) -> NDArray[np.float32] | None:
         if not all(name in vertex for name in names):
             return None
-        return np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
+        return np.stack([vertex[name] for name in names], axis=1, dtype=np.float32, casting="unsafe")
 
     positions = columns(*"xyz")
     if positions is None:
