@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import functools
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -274,6 +275,38 @@ def test_every_imported_name_exists() -> None:
                     continue
                 missing.append(f"{_module(path)}:{node.lineno}: {node.module}.{alias.name}")
     assert missing == []
+
+
+def _private(tree: ast.Module) -> list[str]:
+    """Private members that code accesses as an attribute, an import, or a name given to ``setattr``."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "os"):
+            found.append(node.attr)
+        elif isinstance(node, ast.ImportFrom):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.Call) and re.search("(tr|patch|object)$", ast.unparse(node.func)):
+            found += [str(a.value).split(".")[-1] for a in node.args if isinstance(a, ast.Constant)]
+    return [name for name in found if re.match("_(?!_|replace$|asdict$|fields$)", name)]
+
+
+def test_tests_access_no_private_member() -> None:
+    found = {_module(path): _private(_tree(path)) for path in sorted((REPOSITORY / "tests").rglob("*.py"))}
+    assert {module: names for module, names in found.items() if names} == {}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "module._name",
+        "self.thing._name()",
+        "from module import _name",
+        "monkeypatch.setattr(module, '_name', 1)",
+        "mock.patch('module._name')",
+    ],
+)
+def test_a_private_member_is_found(code: str) -> None:
+    assert _private(ast.parse(code)) == ["_name"]
 
 
 def test_the_ground_floor_needs_little() -> None:

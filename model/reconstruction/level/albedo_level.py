@@ -120,7 +120,7 @@ def find_level(
 
 
 def fit_level(
-    points: _Points,
+    points: Points,
     irradiance: Floats,
     coverage: Floats,
     num_regions: int,
@@ -183,7 +183,7 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 
 @dataclass(frozen=True)
-class _Points:
+class Points:
     """N points on non-emitting surfaces: position, normal, radiance and predicted D + S (N, 3), and smooth
     region (N,).
     """
@@ -200,7 +200,7 @@ def _draw_points(
     views: Sequence[TracedView],
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
-) -> _Points:
+) -> Points:
     """Draw at most one pixel per cube, so points are distributed by area, not by number of views."""
     pixels, random = cache.pixels, np.random.default_rng(0)
     is_surface = np.zeros(len(pixels.view), dtype=bool)
@@ -218,7 +218,7 @@ def _draw_points(
             reflected[here] += view_maps[name].reshape(-1, 3)[at]
         region[here] = region_of_face[view.geometry.face.ravel()[at]]
     position, normal = pixels.position_m[chosen], pixels.normal[chosen]
-    return _Points(position, normal, cache.at(position, normal)[0], reflected, region)
+    return Points(position, normal, cache.at(position, normal)[0], reflected, region)
 
 
 def _irradiance(
