@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.buffers import LIGHT_BUFFERS, MIRROR_ROUGHNESS
+from datagen.foundation.buffers import LIGHT_BUFFERS, MIRROR_ROUGHNESS, split_channels
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
 from datagen.light.lighting import MIN_KNOWN, MIN_SHADING, GatherOptions, light_surfels
@@ -42,7 +42,7 @@ class ViewLight:
         self._lit = light_surfels(self._views, traced, emits, smooth_regions(traced.mesh), GATHERING)
         photographed = self._lit.irradiance.photographed[:, None]
         self._of_surfel = np.concatenate([self._lit.diffuse, photographed], axis=1)
-        mirrors = [self._mirrored(MIRROR_ROUGHNESS[name]) for name in LIGHT_BUFFERS[2:]]
+        mirrors = [self._mirrored(roughness) for roughness in MIRROR_ROUGHNESS.values()]
         self._of_observation = np.concatenate(mirrors, axis=1)
         self._min_diffuse = MIN_SHADING * float(np.median(self._lit.diffuse))
 
@@ -85,11 +85,11 @@ class ViewLight:
             self._of_surfel,
             self._of_observation,
         ).reshape(*shape, -1)
-        diffuse = values[..., :3]
+        found = split_channels(values, LIGHT_BUFFERS)
+        diffuse = found["reflectance"]  # Ld, by which the colour is divided
         is_lit = (diffuse > self._min_diffuse).all(axis=2, keepdims=True)
         reflectance = np.where(is_lit, color_median / np.where(is_lit, diffuse, 1), 0).astype(np.float32)
-        parts = (reflectance, values[..., 3:4], values[..., 4:7], values[..., 7:])
-        return dict(zip(LIGHT_BUFFERS, parts, strict=True))
+        return {**found, "reflectance": reflectance}
 
 
 @compiled
