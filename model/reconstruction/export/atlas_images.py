@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -74,7 +75,13 @@ def mask_png(atlas: Atlas) -> bytes:
     return encode_png(mask)
 
 
-def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
+def write_atlas_images(
+    folder: Path,
+    atlas: Atlas,
+    *,
+    has_exr: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; returns the paths.
 
     If the confidence is known, ``confidence.png`` and ``.exr`` contain that of D, S and R as R, G and B.
@@ -99,7 +106,11 @@ def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> l
     if has_exr:
         names += [f"{name}.exr" for name in values]
     with ThreadPoolExecutor(num_threads()) as pool:
-        return list(pool.map(write, names))
+        paths = []
+        for path in pool.map(write, names):
+            paths.append(path)
+            progress(len(paths), len(names))
+        return paths
 
 
 def _half(atlas: Atlas, name: str) -> NDArray[np.float16]:

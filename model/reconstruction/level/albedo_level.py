@@ -99,6 +99,7 @@ def find_level(
     region_of_face: NDArray[np.int32],
     clipped_share: float = 0.0,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> AlbedoLevel:
     """The albedo scale of the views' ``maps``; with too little evidence, gains are 1.
 
@@ -110,7 +111,7 @@ def find_level(
     except ValueError as error:
         return _unchanged(num_regions, str(error), clipped_share=clipped_share)
     points = _draw_points(cache, views, maps, region_of_face)
-    irradiance, coverage = _irradiance(cache, traced, points.position_m, points.normal)
+    irradiance, coverage = _irradiance(cache, traced, points.position_m, points.normal, progress)
     sure = np.ones(len(coverage))
     if doubt_at is not None:
         arriving = irradiance @ LUMINANCE_WEIGHTS / np.maximum(coverage, 1e-3)
@@ -222,7 +223,11 @@ def _draw_points(
 
 
 def _irradiance(
-    cache: RadianceCache, traced: TracedGeometry, position_m: Floats, normal: Floats
+    cache: RadianceCache,
+    traced: TracedGeometry,
+    position_m: Floats,
+    normal: Floats,
+    progress: Callable[[int, int], None],
 ) -> tuple[Floats, Floats]:
     """Irradiance (N, 3) from known directions, and their cosine-weighted share (N,) of the hemisphere."""
     random = np.random.default_rng(1)
@@ -239,6 +244,7 @@ def _irradiance(
         radiance[~hit], is_known[~hit] = cache.beyond(start[~hit], direction[~hit])
         irradiance[part] = np.pi * radiance.reshape(-1, NUM_RAYS, 3).mean(axis=1)
         coverage[part] = is_known.reshape(-1, NUM_RAYS).mean(axis=1)
+        progress(min(part.stop, len(position_m)), len(position_m))
     return irradiance, coverage
 
 

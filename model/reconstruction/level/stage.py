@@ -17,7 +17,7 @@ def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
     """The maps with corrected albedo scale, or unchanged if evidence is weak; files on disk keep the
     prediction.
     """
-    with run.stage("level"):
+    with run.stage("level") as advance:
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(
             traced.views,
@@ -26,6 +26,7 @@ def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
             region_of_face,
             clipped_share(traced.views),
             run.found.doubt_at,
+            advance,
         )
         run.report.albedo_level = asdict(level.report)
         if not level.report.is_applied:
