@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A planned configuration for another renderer, and our own converged images of it (see bench_cycles.py).
 
-    python -m benchmarks.cycles_scene export FOLDER OUT              one package, lights, cameras, a sky
-    python -m benchmarks.cycles_scene reference FOLDER OUT VIEW... --samples 256
+    python -m benchmarks.studies.cycles_scene export FOLDER OUT    one package, lights, cameras, a sky
+    python -m benchmarks.studies.cycles_scene reference FOLDER OUT VIEW... --samples 256
 
 ``export`` writes the whole room as one asset package: every placed part with its assigned material,
 variations applied, UVs scaled, so readers of packages get exactly the scene that our renderer renders.
