@@ -40,7 +40,8 @@ from mitsuba_plugins.variant import select_variant
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import CheckpointMaps
 from oracles.textured_room import room_capture

@@ -31,7 +31,8 @@ from model.checkpoint import bundled_checkpoint
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.room import prepare_scene
 from model.evaluation.suite import read_suite
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit

@@ -64,9 +64,7 @@ MATRIX = {
         "model.publish": "datagen.foundation model.checkpoint",
         "model.training": f"{_GROUND} {_NETWORKS} model.bilateral_solver model.checkpoint model.events "
         "model.shading",
-        "model.reconstruction.capture_options": "datagen.foundation",
-        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder datagen.rendering.capture_geometry "
-        "model.reconstruction.capture_options",
+        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder datagen.rendering.capture_geometry",
         "model.reconstruction.atlas": "datagen.foundation datagen.multiview.compiled",
         "model.reconstruction.check": f"{_GROUND} mitsuba_plugins datagen.geometry "
         "model.reconstruction.captures",
@@ -94,14 +92,10 @@ MATRIX = {
         "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins {_ATLAS} "
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
-        "model.reconstruction.export "
-        "model.reconstruction.infer_options model.reconstruction.pose_stage model.reconstruction.report_page "
-        "model.reconstruction.stages",
-        "model.reconstruction.pose_mending": "datagen.foundation datagen.geometry",
-        "model.reconstruction.pose_stage": "datagen.geometry model.reconstruction.pose_mending "
-        "model.reconstruction.stages",
-        "model.reconstruction.photos": f"{_GROUND} datagen.multiview.compiled "
-        "model.reconstruction.capture_options model.reconstruction.captures "
+        "model.reconstruction.export model.reconstruction.infer_options model.reconstruction.poses "
+        "model.reconstruction.report_page model.reconstruction.stages",
+        "model.reconstruction.poses": "datagen.foundation datagen.geometry model.reconstruction.stages",
+        "model.reconstruction.photos": f"{_GROUND} datagen.multiview.compiled model.reconstruction.captures "
         "model.reconstruction.infer model.reconstruction.infer_options model.reconstruction.render "
         "model.reconstruction.stages",
         "model.reconstruction.commands": "datagen.foundation datagen.library model.checkpoint model.events "

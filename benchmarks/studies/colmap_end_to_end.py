@@ -55,8 +55,9 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from model.evaluation.camera_faults import PRESETS, photographed
-from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.colmap import read_sights
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.photos.colmap_run import MAX_POINT_ERROR_PX
 from model.reconstruction.photos.sparse_mesh import sparse_surface
 

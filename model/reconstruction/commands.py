@@ -12,7 +12,7 @@ import typer
 from datagen.foundation.command_line import QuietOption, with_options
 from datagen.foundation.progress import Bars
 from model.events import Event, ListenerOption, load_listeners
-from model.reconstruction.capture_options import CaptureOptions, FrameOptions
+from model.reconstruction.captures.options import CaptureOptions, FrameOptions
 from model.reconstruction.infer_options import AssetOptions, InferOptions
 from model.reconstruction.photos.options import PhotosOptions
 
@@ -35,7 +35,7 @@ CheckpointOption = Annotated[
 
 def _opened(path: Path, reading: CaptureOptions) -> Capture:
     from datagen.library import resolve_library_paths
-    from model.reconstruction.captures import read_capture
+    from model.reconstruction.captures.read import read_capture
 
     library = resolve_library_paths([str(name) for name in reading.library], Path())
     return read_capture(path, replace(reading, library=library))

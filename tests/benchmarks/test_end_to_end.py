@@ -25,7 +25,8 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from model.checkpoint import bundled_checkpoint
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.rendered_capture import make_shard

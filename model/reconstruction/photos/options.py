@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from model.reconstruction.capture_options import CaptureOptions
+from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.infer_options import InferOptions
 
 

@@ -17,9 +17,8 @@ from typing import Any
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.foundation.errors import InputError, Problem, input_error
-from model.reconstruction.captures import read_capture
 from model.reconstruction.captures.photograph_files import KNOWN_SUFFIXES, can_read, is_raw, unread_problems
-from model.reconstruction.captures.read import has_cameras
+from model.reconstruction.captures.read import has_cameras, read_capture
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferReport, Progress
 from model.reconstruction.photos.colmap_run import ColmapRun, missing_program
