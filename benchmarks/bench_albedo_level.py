@@ -28,7 +28,8 @@ from mitsuba_plugins.variant import select_variant
 from model.checkpoint import load_checkpoint
 from model.evaluation.room import TestScene, prepare_scene
 from model.evaluation.suite import NetworkMethod, read_suite
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 
 COLUMNS = (

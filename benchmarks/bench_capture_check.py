@@ -25,7 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from datagen.formats.capture import Capture, CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, without_degenerate
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.check.capture_check import CheckReport, check_capture
 
 

@@ -145,8 +145,8 @@ class Comparison:
         if not blend.is_file():
             shutil.rmtree(export, ignore_errors=True)
             log = self.folder / "export.log"
-            timed("benchmarks.cycles_scene", "export", str(plan), str(export), log=log)
-            timed("benchmarks.cycles_baseline", "build", str(export), str(blend), log=log)
+            timed("benchmarks.studies.cycles_scene", "export", str(plan), str(export), log=log)
+            timed("benchmarks.studies.cycles_baseline", "build", str(export), str(blend), log=log)
 
     def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
         """Render ``views`` with Cycles into ``folder/name``; returns the seconds by view and of the rest."""
@@ -155,7 +155,7 @@ class Comparison:
         def make() -> dict[str, Any]:
             command = ["render", str(self.folder / "room.blend"), str(out), *map(str, views)]
             command += ["--samples", str(samples), "--max-depth", self.depth, *options]
-            run = timed("benchmarks.cycles_baseline", *command, log=self.folder / f"{name}.log")
+            run = timed("benchmarks.studies.cycles_baseline", *command, log=self.folder / f"{name}.log")
             times = json.loads((out / "times.json").read_text(encoding="utf-8"))
             finished = times["finished"]
             seconds = np.diff([times["loaded"], *finished]).round(4).tolist()
@@ -179,7 +179,7 @@ class Comparison:
         if not all((out / f"view_{int(v):03}.npz").is_file() for v in views):
             plan = str(self.folder / "plan")
             command = ("reference", plan, str(out), *views, "--samples", samples)
-            timed("benchmarks.cycles_scene", *command, log=self.folder / "references.log")
+            timed("benchmarks.studies.cycles_scene", *command, log=self.folder / "references.log")
         pairs: dict[str, Any] = {"ours": {}, "cycles": {}}
         for view in self.error_views:
             with np.load(out / f"view_{view:03}.npz") as data:

@@ -16,10 +16,11 @@ import json
 import statistics
 import tarfile
 import tempfile
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+from benchmarks.timing import timed
 from datagen.assembly.plan import configuration_id
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, UnitManifest
@@ -137,7 +138,7 @@ def time_real_folders(sizes: list[int], repeats: int) -> list[dict]:
             }
             row: dict[str, float] = {"units": size}
             for name, step in steps.items():
-                times = [_timed(step, size) for _ in range(repeats)]
+                times = [timed(partial(_run, step, size)) for _ in range(repeats)]
                 row[f"{name}_s"], row[f"{name}_cpu_s"] = (
                     round(statistics.median(values), 3) for values in zip(*times, strict=True)
                 )
@@ -147,10 +148,8 @@ def time_real_folders(sizes: list[int], repeats: int) -> list[dict]:
     return rows
 
 
-def _timed(step: Callable[[], int], expected: int) -> tuple[float, float]:
-    start, cpu = time.perf_counter(), time.process_time()
+def _run(step: Callable[[], int], expected: int) -> None:
     assert step() == expected
-    return time.perf_counter() - start, time.process_time() - cpu
 
 
 def main() -> None:

@@ -20,7 +20,6 @@ import argparse
 import json
 import tempfile
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -32,13 +31,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bench_merge_quality import looked_up, open_room, pixel_uv
+from benchmarks.timing import Stopwatch
 from datagen.formats.capture import Capture, CaptureView, ColorImage
 from datagen.foundation.cameras import Camera
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import CheckpointMaps
 from oracles.textured_room import room_capture
@@ -160,10 +161,11 @@ def main() -> None:
         capture = room_capture(arguments.views or 24, (width, height))
     atlas: Any = "auto" if arguments.atlas == "auto" else int(arguments.atlas)
     options = InferOptions(atlas=atlas, precision=arguments.precision, has_exr=not arguments.no_exr)
-    memory, start = MemoryWatch(), time.process_time()
-    report = measure(capture, options, arguments.checkpoint, arguments.scratch)
+    memory, watch = MemoryWatch(), Stopwatch()
+    with watch.stage("infer"):
+        report = measure(capture, options, arguments.checkpoint, arguments.scratch)
     memory.stop()
-    cpu_s = time.process_time() - start
+    (cpu_s,) = watch.cpu["infer"]
     print(f"{report.num_views} views, {report.num_triangles} triangles, atlas {report.atlas_size}")
     print(report.table())
     for name, stages in STAGES.items():

@@ -15,12 +15,14 @@ holes in 5 % of the area. ``--ablate`` adds a row for each omitted step.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import srgb_from_linear
 from datagen.geometry.views import TracedCapture, trace_capture
 from mitsuba_plugins.variant import select_variant
@@ -28,7 +30,8 @@ from model.checkpoint import bundled_checkpoint
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.room import prepare_scene
 from model.evaluation.suite import read_suite
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
@@ -36,7 +39,6 @@ from model.reconstruction.light.options import LightOptions
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import Maps, Run
 
-NAMES = ("diffuse_albedo", "specular_albedo", "roughness")
 ABLATIONS = {
     "no prior of the network": LightOptions(has_prior=False),
     "no correction of the shading": LightOptions(is_corrected=False),
@@ -56,23 +58,23 @@ ALONG = 3
 
 def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
     """Table cells: mean squared errors of D, S and R by kind of surface."""
-    stacks = [
-        np.concatenate([np.concatenate([m[n][::ALONG, ::ALONG].reshape(-1, m[n].shape[2]) for n in NAMES], 1)
-                        for m in of]).astype(np.float64)
-        for of in (maps, truth)
-    ]  # fmt: skip
     on_surface = np.concatenate([t["surface_mask"][::ALONG, ::ALONG].ravel() for t in truth]) > 0.5
-    found, true = (stack[on_surface] for stack in stacks)
+
+    def stacked(of: Sequence[dict[str, NDArray]], name: str) -> NDArray[np.float64]:
+        parts = [m[name][::ALONG, ::ALONG].reshape(-1, m[name].shape[2]) for m in of]
+        return np.concatenate(parts).astype(np.float64)[on_surface]
+
+    diffuse, specular, roughness = true = [stacked(truth, name) for name in MATERIAL_MAPS]
+    errors = [(stacked(maps, name) - wanted) ** 2 for name, wanted in zip(MATERIAL_MAPS, true, strict=True)]
     kinds = {
-        "all": np.ones(len(true), dtype=bool),
-        "metal": true[:, 3:6].mean(axis=1) > 0.2,
-        "white": true[:, :3].mean(axis=1) > 0.6,
-        "glossy": true[:, 6] < 0.4,
+        "all": np.ones(len(diffuse), dtype=bool),
+        "metal": specular.mean(axis=1) > 0.2,
+        "white": diffuse.mean(axis=1) > 0.6,
+        "glossy": roughness[:, 0] < 0.4,
     }
     cells = []
     for chosen in kinds.values():
-        error = (found[chosen] - true[chosen]) ** 2
-        parts = [error[:, a:b].mean() if len(error) else np.nan for a, b in ((0, 3), (3, 6), (6, 7))]
+        parts = [error[chosen].mean() if chosen.any() else np.nan for error in errors]
         cells.append(" ".join(f"{part:.4f}" for part in parts))
     return " | ".join(cells)
 
@@ -83,10 +85,10 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
 
     def tile(maps: dict[str, NDArray], name: str) -> NDArray:
         values = np.clip(np.asarray(maps[name][::2, ::2], np.float64), 0, 1)
-        shown = srgb_from_linear(values) if name == NAMES[0] else np.repeat(values, 3, axis=2)
+        shown = srgb_from_linear(values) if values.shape[2] == 3 else np.repeat(values, 3, axis=2)
         return np.round(255 * shown).astype(np.uint8)
 
-    diffuse, _, roughness = NAMES
+    diffuse, _, roughness = MATERIAL_MAPS
     lines = []
     for k in (len(truth) // 4, len(truth) // 2, 3 * len(truth) // 4):
         shown = [
@@ -102,8 +104,8 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
 
 
 def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, ablates: bool) -> None:
-    """Print the table rows of a room, with ``ablates`` also those without single steps."""
-    truth = [view.source.read_maps((*NAMES, "surface_mask")) for view in traced.capture.views]
+    """Print the rows of a room."""
+    truth = [view.source.read_maps((*MATERIAL_MAPS, "surface_mask")) for view in traced.capture.views]
     name = f"{traced.capture.name} | {len(truth)}"
     source = CheckpointMaps(checkpoint)
     source.prepare(run.options)

@@ -16,7 +16,6 @@ import gc
 import json
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.timing import Stopwatch
 from datagen.formats.asset import Material, SlotMaterial, Texture
 from datagen.formats.configuration import (
     ColorAdjustment,
@@ -153,8 +153,9 @@ def main() -> None:
     parser.add_argument("--warm-up", type=int, default=3)
     parser.add_argument("--out", type=Path, default=RESULTS / "bench_memory.json")
     arguments = parser.parse_args()
-    start = time.perf_counter()
-    memory = measure(arguments.configurations, arguments.views, tuple(arguments.size))
+    watch = Stopwatch()
+    with watch.stage("all"):
+        memory = measure(arguments.configurations, arguments.views, tuple(arguments.size))
     growth = memory[-1] - memory[min(arguments.warm_up, len(memory)) - 1]
     result = {
         "views": arguments.configurations * arguments.views,
@@ -162,7 +163,7 @@ def main() -> None:
         "resident_mb": memory,
         "growth_mb": round(growth, 1),
         "limit_mb": LIMIT_MB,
-        "seconds": round(time.perf_counter() - start, 1),
+        "seconds": round(watch.wall["all"][0], 1),
     }
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -35,7 +35,8 @@ from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer import map_stages
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.merge.fill import fill_unseen

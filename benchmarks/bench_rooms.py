@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.timing import Stopwatch
 from datagen.parametric.kinds import KINDS
 from datagen.parametric.packing import package_of
 from datagen.parametric.room import make_room
@@ -25,27 +25,26 @@ from datagen.parametric.shell import Shell
 
 
 def measure(num_seeds: int) -> dict[str, Any]:
-    """Generate ``num_seeds`` rooms of each kind; returns figures over all, and each kind's slowest room."""
-    seconds: dict[str, list[float]] = {kind: [] for kind in sorted(KINDS)}
+    """Figures over all kinds, and the slowest room of each kind."""
+    watch = Stopwatch()
     tries, num_bytes, pieces = [], [], []
     shells: list[Shell] = []
     dressing: Counter[str] = Counter()
-    for kind in seconds:
+    for kind in sorted(KINDS):
         for seed in range(num_seeds):
-            start = time.process_time()
-            room = make_room(kind, f"bench/{seed}")
-            data, _ = package_of(room)
-            seconds[kind].append(time.process_time() - start)
+            with watch.stage(kind):
+                room = make_room(kind, f"bench/{seed}")
+                data, _ = package_of(room)
             tries.append(room.tries)
             num_bytes.append(len(data))
             pieces.append(len(room.furnished.items))
             shells.append(room.furnished.shell)
             dressing.update(p.item.name for p in room.furnished.items)
-    every = np.concatenate([np.array(values) for values in seconds.values()])
+    every = np.concatenate([np.array(values) for values in watch.cpu.values()])
     windows = [window for shell in shells for window in shell.windows]
     return {
         "rooms": len(every),
-        "kinds": len(seconds),
+        "kinds": len(watch.cpu),
         "seconds_median": round(float(np.median(every)), 3),
         "seconds_95": round(float(np.percentile(every, 95)), 3),
         "seconds_max": round(float(every.max()), 3),
@@ -62,7 +61,7 @@ def measure(num_seeds: int) -> dict[str, Any]:
             name: round(dressing[name] / max(len(windows), 1), 2)
             for name in ("curtains", "blind", "radiator")
         },
-        "slowest": {kind: round(max(values), 3) for kind, values in seconds.items()},
+        "slowest": {kind: round(max(values), 3) for kind, values in watch.cpu.items()},
     }
 
 

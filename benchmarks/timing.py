@@ -24,12 +24,6 @@ class Seconds(NamedTuple):
     cpu: float
 
 
-def cpu_seconds() -> float:
-    """User and system seconds of all threads of this process."""
-    times = os.times()
-    return times.user + times.system
-
-
 def timed(action: Action) -> Seconds:
     """Time of one call of ``action``, which must wait for its device."""
     wall, cpu = time.perf_counter(), time.process_time()
@@ -74,11 +68,11 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str, share: int = 1) -> Iterator[None]:
-        """Context whose times, divided by ``share``, are recorded under ``name``."""
-        wall, cpu = time.perf_counter(), cpu_seconds()
+        """Time a block; its times divided by ``share`` are recorded."""
+        wall, cpu = time.perf_counter(), time.process_time()
         yield
         self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)
-        self.cpu.setdefault(name, []).append((cpu_seconds() - cpu) / share)
+        self.cpu.setdefault(name, []).append((time.process_time() - cpu) / share)
 
     def result(self) -> dict[str, Any]:
         """Medians and interquartile ranges by stage."""

@@ -227,7 +227,7 @@ def _conv(num_in: int, num_out: int, stride: int) -> nn.Conv2d:
     return layer
 
 
-class _Layer(nn.Module):
+class Layer(nn.Module):
     """Base of the layers, which applies affine instance norm and adds the global track in a single pass."""
 
     def __init__(self, num_out: int, global_channels: int, *, has_norm: bool, has_update: bool):
@@ -258,7 +258,7 @@ class _Layer(nn.Module):
         return _zero_padding(y, valid), self.link.next(g, mean)
 
 
-class _Down(_Layer):
+class _Down(Layer):
     """LeakyReLU, 4x4 stride-2 convolution, norm, global track."""
 
     def __init__(self, num_in: int, num_out: int, global_channels: int, *, has_norm: bool):
@@ -275,7 +275,7 @@ def _strip_rows(x: Tensor) -> int:
     return x.shape[2] if count <= STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // (4 * count))
 
 
-class _Up(_Layer):
+class _Up(Layer):
     """LeakyReLU, nearest x2, two 4x4 stride-1 convolutions (pad 1 before, 2 after), norm, global track."""
 
     def __init__(self, num_in: int, num_out: int, global_channels: int, *, has_norm: bool, dropout: float):

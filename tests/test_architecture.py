@@ -6,8 +6,10 @@ from __future__ import annotations
 import ast
 import functools
 import json
+import re
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -20,9 +22,9 @@ SOURCES = (*PACKAGES, "oracles", "benchmarks", "tests", "scenes/sources")
 _GROUND = "datagen.foundation datagen.formats"
 _LIBRARY = f"{_GROUND} datagen.library"
 _TRACED = "datagen.multiview datagen.geometry"
-_RENDER = f"{_LIBRARY} {_TRACED} datagen.light datagen.rendering mitsuba_plugins"
-_NETWORKS = "model.networks model.own_network model.confidence model.bilateral_solver"
-_ATLAS = "model.reconstruction.atlas datagen.geometry datagen.multiview.compiled"
+_RENDER = f"{_LIBRARY} datagen.multiview datagen.rendering mitsuba_plugins"
+_NETWORKS = "model.networks model.own_network model.confidence"
+_ATLAS = "model.reconstruction.atlas datagen.geometry"
 
 # Package -> what it may import of the project, besides itself. A name is a module or all of a package.
 MATRIX = {
@@ -39,7 +41,7 @@ MATRIX = {
         "datagen.assembly": f"{_LIBRARY} datagen.parametric mitsuba_plugins",
         "datagen.rendering": f"{_LIBRARY} mitsuba_plugins",
         "datagen.importers": f"{_LIBRARY} datagen.asset_check datagen.rendering mitsuba_plugins",
-        "datagen.farm": f"{_RENDER} datagen.assembly",
+        "datagen.farm": f"{_RENDER} datagen.assembly datagen.geometry datagen.light",
         "datagen.inspection": f"{_RENDER} datagen.farm",
         "datagen.tradeoff": f"{_RENDER} datagen.farm",
         "datagen.exports": f"{_LIBRARY} datagen.farm.folder",
@@ -52,18 +54,17 @@ MATRIX = {
         "model.devices": "datagen.foundation",
         "model.shading": "",
         "model.networks": _GROUND,
-        "model.bilateral_solver": _GROUND,
+        "model.bilateral_solver": "datagen.formats",
         "model.confidence": "model.bilateral_solver",
-        "model.checkpoint": f"{_GROUND} {_NETWORKS}",
+        "model.checkpoint": f"{_GROUND} {_NETWORKS} model.bilateral_solver",
         "model.loading": _GROUND,
         "model.named_code": "",
         "model.own_network": "datagen.foundation model.named_code model.networks",
         "model.events": "datagen.foundation model.named_code",
         "model.publish": "datagen.foundation model.checkpoint",
-        "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.events model.shading",
-        "model.reconstruction.capture_options": "datagen.foundation",
-        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder datagen.rendering.capture_geometry "
-        "model.reconstruction.capture_options",
+        "model.training": f"{_GROUND} {_NETWORKS} model.bilateral_solver model.checkpoint model.events "
+        "model.shading",
+        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder datagen.rendering.capture_geometry",
         "model.reconstruction.atlas": "datagen.foundation datagen.multiview.compiled",
         "model.reconstruction.check": f"{_GROUND} mitsuba_plugins datagen.geometry "
         "model.reconstruction.captures",
@@ -71,45 +72,44 @@ MATRIX = {
         "model.reconstruction.stages": "datagen.geometry model.reconstruction.infer_options "
         "model.reconstruction.found_lights",
         "model.reconstruction.predict": f"{_GROUND} {_TRACED} datagen.light {_NETWORKS} model.checkpoint "
-        f"model.devices {_ATLAS} model.reconstruction.infer_options model.reconstruction.stages",
-        "model.reconstruction.level": f"{_GROUND} datagen.multiview model.reconstruction.captures "
-        "datagen.geometry model.reconstruction.stages",
-        "model.reconstruction.light": f"{_RENDER} {_NETWORKS} model.checkpoint model.reconstruction.captures "
-        f"{_ATLAS} model.reconstruction.level model.reconstruction.found_lights model.reconstruction.stages "
-        "model.reconstruction.radiometry",
-        "model.reconstruction.radiometry": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.stages",
-        "model.reconstruction.unwrap": f"{_GROUND} {_ATLAS}",
-        "model.reconstruction.merge": f"{_GROUND} datagen.multiview {_ATLAS} model.reconstruction.unwrap",
-        "model.reconstruction.export": f"{_GROUND} {_ATLAS} mitsuba_plugins "
+        "model.devices model.reconstruction.infer_options model.reconstruction.stages",
+        "model.reconstruction.level": f"datagen.foundation {_TRACED} model.reconstruction.stages",
+        "model.reconstruction.light": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.found_lights "
+        "model.reconstruction.stages model.reconstruction.radiometry",
+        "model.reconstruction.radiometry": "datagen.foundation datagen.geometry datagen.light "
+        "model.reconstruction.stages",
+        "model.reconstruction.unwrap": f"datagen.foundation {_ATLAS}",
+        "model.reconstruction.merge": f"datagen.foundation datagen.multiview {_ATLAS} "
+        "model.reconstruction.unwrap",
+        "model.reconstruction.export": f"{_GROUND} {_ATLAS} datagen.multiview.compiled mitsuba_plugins "
         "model.reconstruction.found_lights",
         "model.reconstruction.report_page": "datagen.foundation model.reconstruction.infer_options "
         "model.reconstruction.stages",
         "model.reconstruction.atlas_page": f"{_GROUND} model.reconstruction.export",
         "model.reconstruction.render": f"{_LIBRARY} datagen.rendering model.reconstruction.atlas_page",
-        "model.reconstruction.infer_options": f"{_GROUND} datagen.multiview model.reconstruction.merge "
+        "model.reconstruction.infer_options": "datagen.foundation model.reconstruction.merge "
         "model.reconstruction.found_lights",
         "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins {_ATLAS} "
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
-        "model.reconstruction.export "
-        "model.reconstruction.infer_options model.reconstruction.pose_stage model.reconstruction.report_page "
-        "model.reconstruction.stages",
-        "model.reconstruction.pose_mending": "datagen.foundation datagen.geometry",
-        "model.reconstruction.pose_stage": "datagen.geometry model.reconstruction.pose_mending "
-        "model.reconstruction.stages",
+        "model.reconstruction.export model.reconstruction.infer_options model.reconstruction.poses "
+        "model.reconstruction.report_page model.reconstruction.stages",
+        "model.reconstruction.poses": "datagen.foundation datagen.geometry model.reconstruction.stages",
         "model.reconstruction.photos": f"{_GROUND} datagen.multiview.compiled model.reconstruction.captures "
         "model.reconstruction.infer model.reconstruction.infer_options model.reconstruction.render "
         "model.reconstruction.stages",
-        "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.events model.reconstruction",
-        "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "
-        "model.checkpoint model.training model.reconstruction",
+        "model.reconstruction.commands": "datagen.foundation datagen.library model.checkpoint model.events "
+        "model.reconstruction",
+        "model.evaluation": f"{_LIBRARY} datagen.assembly datagen.farm datagen.geometry datagen.importers "
+        "datagen.rendering mitsuba_plugins model.own_network model.checkpoint model.training "
+        "model.reconstruction",
         "model.schemas": f"{_GROUND} model.evaluation model.training",
-        "model.cli": f"{_GROUND} model",
+        "model.cli": "datagen.foundation model",
         "oracles": _RENDER,
-        "benchmarks": "datagen mitsuba_plugins model blender_addon scenes oracles",
+        "benchmarks": "datagen mitsuba_plugins model blender_addon oracles",
         "scenes": f"{_GROUND} blender_addon",
-        "tests": "datagen mitsuba_plugins model blender_addon scenes oracles",
-        "tests.benchmarks": "datagen mitsuba_plugins model blender_addon scenes oracles benchmarks tests",
+        "tests": "datagen mitsuba_plugins model blender_addon oracles",
+        "tests.benchmarks": "datagen model oracles benchmarks tests",
     }.items()
 }
 FORBIDDEN = {
@@ -238,6 +238,24 @@ def test_the_matrix_can_fail(package: str, withdrawn: str) -> None:
         assert _is_in(importer, package) and _is_in(imported, withdrawn), line
 
 
+def test_every_permission_is_used() -> None:
+    unused = {(package, name) for package, allowed in MATRIX.items() for name in allowed}
+    for path in _sources():
+        package = _row(_module(path), MATRIX)
+        for name in _imports(path):
+            unused -= {(package, a) for p, a in unused if p == package and _is_in(name, a)}
+    assert unused == set()
+
+
+def test_modules_import_each_other_in_no_circle() -> None:
+    """Not even in functions; ``static_order`` raises at a circle."""
+    imported = {_module(path): _imports(path) & _modules() for path in _sources()}
+    assert set(TopologicalSorter(imported).static_order()) == _modules()
+    module, (name, *_) = next((m, sorted(names)) for m, names in imported.items() if names)
+    with pytest.raises(CycleError):
+        list(TopologicalSorter({**imported, name: {module}}).static_order())
+
+
 def test_a_package_without_a_row_is_found() -> None:
     found = _outside({package: allowed for package, allowed in MATRIX.items() if package != "datagen.farm"})
     assert "datagen.farm.folder has no row in the matrix" in found
@@ -274,6 +292,38 @@ def test_every_imported_name_exists() -> None:
                     continue
                 missing.append(f"{_module(path)}:{node.lineno}: {node.module}.{alias.name}")
     assert missing == []
+
+
+def _private(tree: ast.Module) -> list[str]:
+    """Private members that code accesses as an attribute, an import, or a name given to ``setattr``."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "os"):
+            found.append(node.attr)
+        elif isinstance(node, ast.ImportFrom):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.Call) and re.search("(tr|patch|object)$", ast.unparse(node.func)):
+            found += [str(a.value).split(".")[-1] for a in node.args if isinstance(a, ast.Constant)]
+    return [name for name in found if re.match("_(?!_|replace$|asdict$|fields$)", name)]
+
+
+def test_tests_access_no_private_member() -> None:
+    found = {_module(path): _private(_tree(path)) for path in sorted((REPOSITORY / "tests").rglob("*.py"))}
+    assert {module: names for module, names in found.items() if names} == {}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "module._name",
+        "self.thing._name()",
+        "from module import _name",
+        "monkeypatch.setattr(module, '_name', 1)",
+        "mock.patch('module._name')",
+    ],
+)
+def test_a_private_member_is_found(code: str) -> None:
+    assert _private(ast.parse(code)) == ["_name"]
 
 
 def test_the_ground_floor_needs_little() -> None:

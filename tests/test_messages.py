@@ -22,9 +22,9 @@ from datagen.importers.dispatch import import_asset
 from datagen.inspection.library_table import print_library
 from datagen.library import describe_library
 from model.checkpoint import DataRecord, read_card
-from model.reconstruction.captures import read_capture
 from model.reconstruction.captures.mesh_file import load_mesh
 from model.reconstruction.captures.photograph_files import read_photograph
+from model.reconstruction.captures.read import read_capture
 from model.training.config import resolve_config
 from model.training.run_state import RunRecord, check_same_run
 

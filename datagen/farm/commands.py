@@ -12,6 +12,9 @@ from datagen.farm.job_options import SlurmOptions
 from datagen.foundation.command_line import group_with, with_options
 
 FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
+EngineOption = Annotated[
+    str, typer.Option(help="Queue of the jobs: slurm, pbs, or shell (a list of commands, only for submit).")
+]
 
 farm = typer.Typer(
     help="Run a plan on a cluster: submit, status, retry, cancel.",
@@ -26,7 +29,7 @@ farm = typer.Typer(
 def submit(
     folder: FolderArgument,
     options: SlurmOptions,
-    engine: Annotated[str, typer.Option(help="slurm, pbs, or shell (a list of commands).")] = "slurm",
+    engine: EngineOption = "slurm",
     space_check: Annotated[
         bool, typer.Option(help="Submit only if the disk has space for the estimated need.")
     ] = True,
@@ -76,7 +79,7 @@ def retry(folder: FolderArgument) -> None:
 @farm.command()
 def cancel(
     folder: FolderArgument,
-    engine: Annotated[str, typer.Option(help="Queue of the jobs: slurm or pbs.")] = "slurm",
+    engine: EngineOption = "slurm",
 ) -> None:
     """Cancel this folder's jobs in the queue; finished units are kept.
 

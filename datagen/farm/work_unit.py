@@ -135,7 +135,7 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
     try:
         run.work.mkdir(parents=True, exist_ok=True)
         for stage in stages:
-            _STAGES[stage](run, configuration)
+            STAGES[stage](run, configuration)
     except (OSError, InputError):
         if run.folder.is_done(run.unit):  # another process has committed it and cleaned up meanwhile
             return False
@@ -353,4 +353,5 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
         partial.unlink(missing_ok=True)
 
 
-_STAGES = {"render": _render, "stats": _gather_statistics, "pack": _pack}
+STAGES = {"render": _render, "stats": _gather_statistics, "pack": _pack}
+"""The function of each stage."""

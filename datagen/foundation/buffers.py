@@ -7,7 +7,7 @@ the top of the image.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -144,8 +144,8 @@ _ALL = (
 BUFFERS: dict[str, Buffer] = {buffer.name: buffer for buffer in _ALL}
 
 
-def _names(*stages: Stage) -> tuple[str, ...]:
-    return tuple(b.name for b in _ALL if b.stage in stages and not b.is_optional)
+def _names(*stages: Stage, is_optional: bool = False) -> tuple[str, ...]:
+    return tuple(b.name for b in _ALL if b.stage in stages and b.is_optional == is_optional)
 
 
 GROUND_TRUTH_BUFFERS = _names("ground_truth")
@@ -153,7 +153,7 @@ RENDERED_BUFFERS = _names("radiance", "ground_truth")
 STATISTICS_BUFFERS = _names("statistics")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 """Buffers of a complete view; ``beauty_noisy`` and :data:`LIGHT_BUFFERS` are optional."""
-LIGHT_BUFFERS = ("reflectance", "known_share", "mirror_sharp", "mirror_broad")
+LIGHT_BUFFERS = _names("statistics", is_optional=True)
 """Buffers of the light that a configuration's views record, enabled by ``statistics.light`` of the recipe."""
 MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}
 """R of the hypothetical surface whose reflected radiance a buffer stores."""
@@ -167,6 +167,13 @@ def get_buffer(name: str) -> Buffer:
         return BUFFERS[name]
     except KeyError:
         raise KeyError(f"unknown buffer {name!r}; known: {', '.join(BUFFERS)}") from None
+
+
+def split_channels(values: NDArray[Any], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Views into ``values`` (..., C) by buffer; C is the sum of the buffers' numbers of channels."""
+    ends = np.cumsum([get_buffer(name).num_channels for name in names])
+    assert values.shape[-1] == ends[-1], (values.shape, names)
+    return dict(zip(names, np.split(values, ends[:-1], axis=-1), strict=True))
 
 
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:

@@ -8,8 +8,12 @@ since Blender and Mitsuba cannot share one.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from datagen.foundation.command_line import run_function
 
 
 def render_package(
@@ -46,20 +50,18 @@ def _write_rgb(path: Path, pixels: object) -> None:
         file.write(str(path))
 
 
-def main() -> None:
-    """Run the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("packages", type=Path, nargs="+")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--samples", type=int, default=64)
-    parser.add_argument("--max-depth", type=int, default=8)
-    parser.add_argument("--denoise", action="store_true")
-    arguments = parser.parse_args()
-    for package in arguments.packages:
-        out = arguments.out / package.name
-        options = (arguments.samples, arguments.max_depth, arguments.denoise)
-        print(*render_package(package, out, *options), sep="\n")
+def main(
+    packages: Annotated[list[Path], typer.Argument(help="Environment packages.")],
+    out: Annotated[Path, typer.Option(help="Folder of the result, with a folder for each package.")],
+    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 64,
+    max_depth: Annotated[int, typer.Option(min=1, help="Maximum number of segments of a light path.")] = 8,
+    denoise: Annotated[bool, typer.Option("--denoise", help="Denoise the images.")] = False,
+) -> None:
+    """Render environment packages with their own materials, lights and cameras."""
+    for package in packages:
+        for path in render_package(package, out / package.name, samples, max_depth, denoise):
+            typer.echo(path)
 
 
 if __name__ == "__main__":
-    main()
+    run_function(main)

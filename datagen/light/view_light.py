@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.buffers import LIGHT_BUFFERS, MIRROR_ROUGHNESS
+from datagen.foundation.buffers import LIGHT_BUFFERS, MIRROR_ROUGHNESS, split_channels
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
 from datagen.light.lighting import MIN_KNOWN, MIN_SHADING, GatherOptions, light_surfels
@@ -42,7 +42,7 @@ class ViewLight:
         self._lit = light_surfels(self._views, traced, emits, smooth_regions(traced.mesh), GATHERING)
         photographed = self._lit.irradiance.photographed[:, None]
         self._of_surfel = np.concatenate([self._lit.diffuse, photographed], axis=1)
-        mirrors = [self._mirrored(MIRROR_ROUGHNESS[name]) for name in LIGHT_BUFFERS[2:]]
+        mirrors = [self._mirrored(roughness) for roughness in MIRROR_ROUGHNESS.values()]
         self._of_observation = np.concatenate(mirrors, axis=1)
         self._min_diffuse = MIN_SHADING * float(np.median(self._lit.diffuse))
 
@@ -67,17 +67,25 @@ class ViewLight:
         rows = np.flatnonzero(surfels.observations.view == place)
         row_of = np.full(len(surfels), -1, np.int64)
         row_of[surfels.surfel_of_observation()[rows]] = rows
-        grid, depth, own = surfels.grid, view.geometry.depth_z_m.ravel(), surfels.pixel_surfel[place]
-        normal = np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3))
-        cells = grid.low, grid.cell_m, grid.shape, grid.surfel
-        sources = row_of, self._of_surfel, self._of_observation
-        values = _interpolated(depth, normal, own, camera_row(view), *cells, *sources)
-        values = values.reshape(*view.color.shape[:2], -1)
-        diffuse = values[..., :3]
+        shape = view.color.shape[:2]
+        values = _interpolated(
+            view.geometry.depth_z_m.ravel(),
+            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
+            surfels.pixel_surfel[place],
+            camera_row(view),
+            surfels.grid.low,
+            surfels.grid.cell_m,
+            surfels.grid.shape,
+            surfels.grid.surfel,
+            row_of,
+            self._of_surfel,
+            self._of_observation,
+        ).reshape(*shape, -1)
+        found = split_channels(values, LIGHT_BUFFERS)
+        diffuse = found["reflectance"]  # Ld, by which the colour is divided
         is_lit = (diffuse > self._min_diffuse).all(axis=2, keepdims=True)
         reflectance = np.where(is_lit, color_median / np.where(is_lit, diffuse, 1), 0).astype(np.float32)
-        parts = (reflectance, values[..., 3:4], values[..., 4:7], values[..., 7:])
-        return dict(zip(LIGHT_BUFFERS, parts, strict=True))
+        return {**found, "reflectance": reflectance}
 
 
 @compiled

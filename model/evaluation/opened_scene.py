@@ -25,7 +25,8 @@ from model.evaluation.room import PreparedScene, TestScene
 from model.evaluation.scenery import Scenery, added_lights, level_place, true_scenery
 from model.evaluation.suite import ModifiedLight, Suite
 from model.evaluation.surface_kinds import SurfaceFinder, ViewSurfaces
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"

@@ -89,8 +89,8 @@ class TestScene(StrictModel):
 class PreparedScene:
     """A rendered test scene.
 
-    ``capture`` is a shard for :func:`model.reconstruction.captures.read_capture`, with the true maps of every
-    view; ``library`` its asset folders, ``package`` the room with its true materials and lights.
+    ``capture`` is a shard for :func:`model.reconstruction.captures.read.read_capture`, with the true maps of
+    every view; ``library`` its asset folders, ``package`` the room with its true materials and lights.
     ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: hashes of the packages,
     by id, and of their files, by ``<id>/<file>``, none of which may occur in a checkpoint's training data.
     """

@@ -13,8 +13,9 @@ import typer
 from datagen.foundation.command_line import QuietOption, with_options
 from datagen.foundation.progress import Bars
 from model.events import Event, ListenerOption, load_listeners
-from model.reconstruction.capture_options import CaptureOptions, FrameOptions
+from model.reconstruction.captures.options import CaptureOptions, FrameOptions
 from model.reconstruction.infer_options import AssetOptions, InferOptions
+from model.reconstruction.photos.options import PhotosOptions
 
 if TYPE_CHECKING:
     from datagen.formats.capture import Capture
@@ -34,7 +35,7 @@ CheckpointOption = Annotated[
 
 def _opened(path: Path, reading: CaptureOptions) -> Capture:
     from datagen.library import resolve_library_paths
-    from model.reconstruction.captures import read_capture
+    from model.reconstruction.captures.read import read_capture
 
     library = resolve_library_paths([str(name) for name in reading.library], Path())
     return read_capture(path, replace(reading, library=library))
@@ -106,10 +107,8 @@ def photos(
     out: OutOption,
     frame: FrameOptions,
     options: AssetOptions,
+    steps: PhotosOptions,
     checkpoint: CheckpointOption = None,
-    colmap: Annotated[str, typer.Option(help="Command that runs COLMAP.")] = "colmap",
-    frames: Annotated[int, typer.Option(min=2, help="Frames of the turntable.")] = 24,
-    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel of the turntable.")] = 8,
     quiet: QuietOption = False,
 ) -> None:
     """Turn a folder of photographs into an asset: COLMAP's cameras and mesh, materials, a turntable.
@@ -117,11 +116,11 @@ def photos(
     After an interruption, the same command continues. Example: materials photos kitchen --out kitchen-asset
     """
     from model.checkpoint import bundled_checkpoint
-    from model.reconstruction.photos.pipeline import PhotosOptions, make_asset
+    from model.reconstruction.photos.pipeline import make_asset
     from model.reconstruction.predict.sources import CheckpointMaps
 
     reading, inference = CaptureOptions(**asdict(frame)), InferOptions(**asdict(options))
-    wanted = PhotosOptions(colmap, reading, inference, frames, samples)
+    wanted = replace(steps, reading=reading, inference=inference)
     source = CheckpointMaps(checkpoint or bundled_checkpoint())
     say = partial(typer.echo, err=True)
     try:

@@ -52,7 +52,7 @@ from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
-from model.reconstruction.pose_stage import mended
+from model.reconstruction.poses.stage import mended
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import MapSource, MapStage, Run
@@ -116,10 +116,10 @@ def infer(
         report.notes += capture.notes
         _claim(capture, source, run)
         with ExitStack() as files:
-            atlas, mesh = _merged(_packed(_final_views(capture, source, run), run), run, files)
-            with run.stage("fill"):
-                fill_unseen(atlas, mesh)
-            _export(capture, atlas, mesh, run)
+            merged = _merged(_packed(_final_views(capture, source, run), run), run, files)
+            with run.stage("fill") as advance:
+                fill_unseen(merged.atlas, merged.mesh, advance)
+            _export(capture, merged, run)
         write_bytes_atomically(out / "report.html", report_html(report, run.found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
@@ -190,8 +190,8 @@ def _check(traced: TracedCapture, run: Run) -> None:
         for view in traced.views:
             run.report.warnings += view_warnings(view.name, view.color, view.geometry)
         return
-    with run.stage("check"):
-        found = check_traced(traced, run.out / "check")
+    with run.stage("check") as advance:
+        found = check_traced(traced, run.out / "check", advance)
     if found.better:
         remedy = f"use {found.better}, or skip the check with --no-check"
         got, expected = found.warnings[-1], "a mesh in the cameras' frame"
@@ -202,21 +202,24 @@ def _check(traced: TracedCapture, run: Run) -> None:
 def _packed(final: FinalViews, run: Run) -> PackedMaps:
     """Unwrap the mesh, and pack the views' maps for the merge."""
     report, options = run.report, run.options
-    with run.stage("unwrap"):
-        mesh, unwrap = unwrapped(final.geometry.mesh, options.jobs)
+    with run.stage("unwrap") as advance:
+        mesh, unwrap = unwrapped(final.geometry.mesh, options.jobs, advance)
         size = options.atlas
         if size == "auto":
             size = atlas_size(final.footprint_m, unwrap.metres_per_side)
         report.atlas_size = size
         report.unwrap = {**asdict(unwrap), "texels_per_m": size / unwrap.metres_per_side}
         report.notes += unwrap.notes
+    run.tell("pack", 0, 1)
     with report.stage("merge"):
         merge_options = MergeOptions(
             visibility=VisibilityOptions(mode=options.visibility), weights=options.weights
         )
         scene = final.geometry.scene if options.visibility == "trace" else None
         merger = MapMerger(final.views, merge_options, scene, smooth_regions(final.geometry.mesh))
-        return PackedMaps(merger, mesh, face_normals(mesh, final.sides), size, final.can_be_seen)
+        packed = PackedMaps(merger, mesh, face_normals(mesh, final.sides), size, final.can_be_seen)
+    run.tell("pack", 1, 1)
+    return packed
 
 
 def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> tuple[Atlas, Mesh]:
@@ -269,12 +272,13 @@ def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
     return replace(reconstruction, lights=balance.lights)
 
 
-def _export(capture: Capture, atlas: Atlas, mesh: Mesh, run: Run) -> None:
-    out = run.out
-    capture = replace(capture, geometry=CaptureGeometry(mesh, capture.geometry.parts))
-    reconstruction = Reconstruction(capture, mesh, atlas, out / "atlas", run.found.lights)
-    with run.stage("images"):
-        write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr)
+def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
+    geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
+    capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
+    out, atlas = run.out, merged.atlas
+    reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
+    with run.stage("images") as advance:
+        write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr, progress=advance)
     reconstruction = _balanced(reconstruction, run)
     with run.stage("export") as advance:
         write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()

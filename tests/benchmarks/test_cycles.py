@@ -14,7 +14,7 @@ import OpenEXR
 import pytest
 
 from benchmarks.bench_cycles import agrees, extrapolated, interpolated, rank
-from benchmarks.cycles_scene import sky_image
+from benchmarks.studies.cycles_scene import sky_image
 from datagen.formats.lights import SkyLight
 from datagen.library import Library
 from tests.conftest import REPOSITORY

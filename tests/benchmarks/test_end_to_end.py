@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Photographs without ground truth: rendered, with noise, as JPEGs; true cameras, or those that COLMAP finds.
 
-The whole way with Cycles and its figures: `python -m benchmarks.colmap_end_to_end` (docs/measurements.md).
+The whole way with Cycles and its figures: `python -m benchmarks.studies.colmap_end_to_end`
+(docs/measurements.md).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.colmap_end_to_end import EndToEnd, developed, jpeg, walk
+from benchmarks.studies.colmap_end_to_end import EndToEnd, developed, jpeg, walk
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera
@@ -24,7 +25,8 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from model.checkpoint import bundled_checkpoint
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.rendered_capture import make_shard

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.data_extremes import (
+from benchmarks.studies.data_extremes import (
     HALF_VALUES,
     RADIANCES,
     alike_views,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.compare_references import compare_scene, table
+from benchmarks.studies.compare_references import compare_scene, table
 from datagen.importers.reference import agreement
 
 MIN_CORRELATION = 0.95

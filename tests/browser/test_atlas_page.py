@@ -390,8 +390,9 @@ def test_every_control_has_a_name(page: Page) -> None:
 
 def test_large_textures_come_after_a_small_picture(browser: Page, tmp_path: Path) -> None:
     large = make_quad(tmp_path / "large", side=1152)
-    result = write_view(large.asset, tmp_path / "page")
-    assert result.notes == ()
+    told: list[tuple[int, int]] = []
+    result = write_view(large.asset, tmp_path / "page", progress=lambda *step: told.append(step))
+    assert result.notes == () and told == [(1, 3), (2, 3), (3, 3)]
     assert sorted(p.name for p in (tmp_path / "page" / "data").iterdir()) == [
         "0-diffuse.js", "0-rough.js", "0-specular.js", "preview.js", "scene.js",
     ]  # fmt: skip

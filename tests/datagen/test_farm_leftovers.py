@@ -156,7 +156,7 @@ def test_a_second_process_on_a_unit_leaves_nothing(
         run.progress("render", 1, 3)
         (run.complete_path / "view-000.exr").write_bytes(b"the folder is gone")
 
-    monkeypatch.setitem(work_unit._STAGES, "render", overtaken)
+    monkeypatch.setitem(work_unit.STAGES, "render", overtaken)
     assert not run_unit(second, ("render",))
     assert list((folder.root / "work").iterdir()) == []
     assert collect(folder.root).is_complete

@@ -234,10 +234,10 @@ def test_a_unit_that_another_committed_meanwhile_is_no_failure(
     def broken(run: UnitRun, configuration: Any) -> None:
         raise OSError("disk")
 
-    monkeypatch.setitem(work_unit._STAGES, "pack", broken)
+    monkeypatch.setitem(work_unit.STAGES, "pack", broken)
     with pytest.raises(OSError, match="disk"):
         run_unit(made.attempt(folder), ["pack"])
-    monkeypatch.setitem(work_unit._STAGES, "pack", committed_by_another)
+    monkeypatch.setitem(work_unit.STAGES, "pack", committed_by_another)
     assert run_unit(made.attempt(folder), ["pack"]) is False
 
 

@@ -21,9 +21,11 @@ from datagen.foundation.buffers import (
     BUFFERS,
     LIGHT_BUFFERS,
     MATERIAL_MAPS,
+    MIRROR_ROUGHNESS,
     RENDERED_BUFFERS,
     VIEW_BUFFERS,
     get_buffer,
+    split_channels,
 )
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view, to_storage
@@ -216,4 +218,16 @@ def test_a_buffer_says_its_stage() -> None:
         "color_min", "color_median", "color_max", "observation_count",
     )  # fmt: skip
     assert set(BUFFERS) - set(VIEW_BUFFERS) == {"beauty_noisy", *LIGHT_BUFFERS}
+    assert LIGHT_BUFFERS == ("reflectance", "known_share", "mirror_sharp", "mirror_broad")
+    assert set(MIRROR_ROUGHNESS) < set(LIGHT_BUFFERS)
     assert [BUFFERS[name].num_channels for name in MATERIAL_MAPS] == [3, 3, 1]
+
+
+def test_channels_are_split_by_the_registry() -> None:
+    values = np.arange(14).reshape(2, 7)
+    parts = split_channels(values, MATERIAL_MAPS)
+    assert list(parts) == list(MATERIAL_MAPS)
+    np.testing.assert_array_equal(np.concatenate(list(parts.values()), axis=1), values)
+    assert parts["roughness"].tolist() == [[6], [13]] and np.shares_memory(parts["roughness"], values)
+    with pytest.raises(AssertionError):
+        split_channels(values[:, 1:], MATERIAL_MAPS)

@@ -150,7 +150,7 @@ def lit_shard(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) ->
 
 def test_shards_hold_what_a_reconstruction_computes(lit_shard: Path) -> None:
     """The same code on the capture that the shard is: equal but for the rounding of half floats."""
-    from model.reconstruction.captures import read_capture
+    from model.reconstruction.captures.read import read_capture
 
     views = list(ShardReader(lit_shard))
     assert all(set(LIGHT_BUFFERS) <= set(view.record.buffers) for view in views)
@@ -177,7 +177,7 @@ def test_a_network_is_fed_with_what_it_was_trained_on(lit_shard: Path, tmp_path:
     from model.checkpoint import CheckpointCard, save_checkpoint
     from model.networks import MAX_REFLECTANCE, NetworkConfig
     from model.own_network import make_network
-    from model.reconstruction.captures import read_capture
+    from model.reconstruction.captures.read import read_capture
     from model.reconstruction.infer_options import InferOptions, InferReport
     from model.reconstruction.predict.view_maps import predicted_maps
     from model.reconstruction.stages import Run

@@ -12,6 +12,7 @@ import typer
 
 from datagen.cli import app as datagen
 from datagen.formats.schemas import main as schemas
+from datagen.inspection.render_package import main as render_package
 from datagen.tradeoff.command import tradeoff
 from model.cli import app as materials
 from model.publish import main as publish
@@ -23,6 +24,7 @@ _TARGETS = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(),
 _APPS = {"datagen": datagen, "materials": materials}
 MODULES = {
     "datagen.formats.schemas": schemas,
+    "datagen.inspection.render_package": render_package,
     "datagen.tradeoff": tradeoff,
     "model.publish": publish,
     "model.schemas": schemas_of_model,

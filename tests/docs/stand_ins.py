@@ -101,7 +101,7 @@ def _photographs(out: Path) -> None:
 
     from datagen.foundation.color import exposure_for, srgb_from_linear
     from datagen.foundation.meshes.ply import encode_ply
-    from model.reconstruction.captures import read_capture
+    from model.reconstruction.captures.read import read_capture
     from tests.model.test_reconstruction_captures import quaternion_of
 
     rooms = out.parent / "rooms"

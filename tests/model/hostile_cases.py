@@ -26,9 +26,10 @@ from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
 from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
-from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.mesh_file import load_mesh, sound_mesh
+from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.photographs import PhotographSource, relative_exposure
+from model.reconstruction.captures.read import read_capture
 from model.training.dataset import load_view
 from model.training.run_state import RunProgress, load_state, save_state
 from tests.datagen.small_library import box, with_uv

@@ -14,8 +14,9 @@ import numpy as np
 from datagen.foundation.budget import Budget
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
-from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.mesh_file import load_mesh
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from tests.datagen.hostile_graphs import Scale, gltf_document, size
 from tests.datagen.small_library import box, with_uv
 from tests.hostile import Case, CaseMaker, write_fresh

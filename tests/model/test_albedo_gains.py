@@ -31,10 +31,10 @@ def leaving(reflected: float = 0.4) -> NDArray[np.float64]:
     return reflected * WANTED[np.arange(NUM) % 3] * ARRIVING / np.pi
 
 
-def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_level._Points:
+def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_level.Points:
     """Points of the three regions in turn, from which ``radiance`` leaves."""
     nowhere, which = np.zeros_like(radiance), np.arange(len(radiance)) % 3
-    return albedo_level._Points(nowhere, nowhere, radiance, np.full_like(radiance, reflected), REGIONS[which])
+    return albedo_level.Points(nowhere, nowhere, radiance, np.full_like(radiance, reflected), REGIONS[which])
 
 
 def fit(
@@ -53,7 +53,7 @@ def fit(
         "reflected": np.full((num, 3), reflected),
         "region": REGIONS[which],
     }
-    points = albedo_level._Points(**{**fields, **changes})
+    points = albedo_level.Points(**{**fields, **changes})
     return albedo_level.fit_level(points, arriving * known[:, None], known, 4, 0.01)
 
 

@@ -13,8 +13,8 @@ from PIL import Image
 
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.images import encode_png
-from model.reconstruction.capture_options import CaptureOptions
 from model.reconstruction.captures.brackets import BracketSource
+from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.read import read_capture
 from tests.model.test_reconstruction_captures import SIZE, write_mesh

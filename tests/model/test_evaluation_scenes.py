@@ -32,7 +32,8 @@ from model.evaluation.room import (
 )
 from model.evaluation.suite import read_suite
 from model.networks import NetworkConfig
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from tests.conftest import REPOSITORY
 
 ROOM = REPOSITORY / "scenes" / "suites" / "small_room"

@@ -79,7 +79,7 @@ def test_inference_tells_its_stages(
         return InferReport("room", 2, 1, seconds={"trace": 1.5, "merge": 2.5})
 
     monkeypatch.setattr("model.reconstruction.infer.infer", infer)
-    monkeypatch.setattr("model.reconstruction.captures.read_capture", lambda *arguments: None)
+    monkeypatch.setattr("model.reconstruction.captures.read.read_capture", lambda *arguments: None)
     HEARD.clear()
     command = ["infer", "room", "--out", str(tmp_path), "--truth", "--listener", f"{__name__}:hear", *quiet]
     CliRunner().invoke(app, command, catch_exceptions=True)

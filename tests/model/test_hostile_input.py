@@ -26,9 +26,10 @@ from datagen.foundation.exr import encode_view
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
 from model.checkpoint import load_checkpoint
-from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.mesh_file import load_mesh
+from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.photographs import PhotographSource
+from model.reconstruction.captures.read import read_capture
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import box, with_uv
 from tests.hostile import attack, set_traps

@@ -20,7 +20,8 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.paths import fault_of, named_file
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import import_asset
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from tests.datagen.hostile_cases import valid_documents
 from tests.datagen.small_library import box, with_uv
 from tests.model.hostile_cases import capture_texts

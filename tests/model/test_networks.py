@@ -59,7 +59,7 @@ def test_padding_changes_nothing():
 
 def test_receptive_field(monkeypatch):
     """Gradient support of one output pixel through the convolutions alone, over all phases of the grid."""
-    monkeypatch.setattr(networks._Layer, "modulate", lambda self, x, g, valid: (x, g))
+    monkeypatch.setattr(networks.Layer, "modulate", lambda self, x, g, valid: (x, g))
     torch.manual_seed(0)
     config = NetworkConfig(base_channels=1, global_channels=1, dropout=0.0)
     track = Track(1, 1, config).double().eval()

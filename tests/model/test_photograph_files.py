@@ -17,10 +17,11 @@ from PIL import Image
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.errors import InputError
-from model.reconstruction.captures import photograph_files, read_capture
+from model.reconstruction.captures import photograph_files
 from model.reconstruction.captures.photograph_files import photograph_size, read_photograph
 from model.reconstruction.captures.photographs import PhotographSource, exif_orientation, relative_exposure
 from model.reconstruction.captures.posed import ImageFinder
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.photos.pipeline import photographs_in
 from tests.model.test_reconstruction_captures import make_cameras, write_colmap, write_mesh
 

@@ -21,9 +21,8 @@ from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
-from model.reconstruction.capture_options import Exposure
-from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
 from model.reconstruction.captures.colmap import MODELS, read_colmap
+from model.reconstruction.captures.options import CaptureOptions, Exposure
 from model.reconstruction.captures.photographs import (
     PhotographSource,
     fit_orientation,
@@ -32,6 +31,7 @@ from model.reconstruction.captures.photographs import (
     undistorted,
     upright,
 )
+from model.reconstruction.captures.read import capture_file, read_capture, write_capture
 from tests.datagen.small_library import box, with_uv
 
 SIZE = (64, 40)

@@ -22,9 +22,10 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
-from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.frames import AXES, judged_unit, judged_up, level_rotation, z_up_from
+from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.photographs import PhotographSource, lens_pixels
+from model.reconstruction.captures.read import read_capture
 from tests.datagen.small_library import box, with_uv
 
 SIZE = (600, 400)

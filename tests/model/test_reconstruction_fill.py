@@ -52,7 +52,9 @@ def test_every_texel_gets_a_value_from_where_it_belongs() -> None:
     mesh, atlas = seen_atlas(seen, [6, 7])
     count, face = atlas.count.copy(), atlas.face.copy()
     known = {name: array[count > 0].copy() for name, array in atlas.maps.items()}
-    fill_unseen(atlas, mesh)
+    told: list[tuple[int, int]] = []
+    fill_unseen(atlas, mesh, lambda *progress: told.append(progress))
+    assert told == sorted(told) and told[-1] == (400, 400) and len(told) > 4
     np.testing.assert_array_equal(atlas.count, count)
     np.testing.assert_array_equal(atlas.face, face)
     for name, array in atlas.maps.items():

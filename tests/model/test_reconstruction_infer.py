@@ -32,7 +32,8 @@ from datagen.rendering.renderer import SceneRenderer
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
-from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.export.metallic_textures import as_read, metallic_channels
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps

@@ -61,6 +61,7 @@ def test_traced_views_and_maps_are_freed_before_the_merge(tmp_path: Path) -> Non
     """Nobody empties another's lists: what a stage held goes when it returns."""
     held: dict[str, list[weakref.ref]] = {"traced": [], "maps": []}
     alive: list[str] = []
+    told: set[tuple[str, int]] = set()
 
     def read(traced: TracedCapture) -> list[Maps]:
         maps = TRUTH.read(traced)
@@ -69,8 +70,10 @@ def test_traced_views_and_maps_are_freed_before_the_merge(tmp_path: Path) -> Non
         return maps
 
     def tell(stage: str, done: int, total: int) -> None:
+        told.add((stage, total))
         if stage == "merge":
             alive.extend(name for name, refs in held.items() if any(ref() is not None for ref in refs))
 
     infer(room_capture(2, (32, 24)), tmp_path, GivenMaps("kept", read), OPTIONS, tell)
     assert len(held["traced"]) == len(held["maps"]) == 2 and alive == []
+    assert {("unwrap", 1), ("pack", 1), ("fill", 400), ("images", 4)} <= told

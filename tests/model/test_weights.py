@@ -86,7 +86,7 @@ def test_other_values_and_other_shapes_are_refused(tmp_path):
 
     layers = _random_layers()
     tensors = {}
-    for name, layer in zip(weights._TORCHVISION_LAYERS, layers, strict=True):
+    for name, layer in zip(weights.TORCHVISION_LAYERS, layers, strict=True):
         tensors[f"features.{name}.weight"] = layer.weight
         tensors[f"features.{name}.bias"] = layer.bias
     path = tmp_path / "vgg.safetensors"

@@ -87,8 +87,8 @@ class SceneEmitters:
         """Transmittance (Color3f) of the surfaces between ``si`` and the emitter sample ``ds``."""
         ray = si.spawn_ray_to(ds.p)
         transmittance = dr.select(active, mi.Color3f(1.0), mi.Color3f(0.0))
-        num_crossed = mi.UInt32(0)
-        distance = mi.Float(ray.maxt)
+        num_crossed = mi.UInt32(0)  # surfaces passed through so far
+        distance = mi.Float(ray.maxt)  # remaining distance to the emitter sample
         while active:
             hit = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
             is_hit = active & hit.is_valid()

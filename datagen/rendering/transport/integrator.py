@@ -240,14 +240,15 @@ class PathTracer:
         scene, emitters, ctx = self.scene, self.emitters, mi.BSDFContext()
         cache: Any = self.irradiance
         walk = Walk(ray)  # current segment and previous vertex
-        direct, indirect = mi.Color3f(0.0), mi.Color3f(0.0)
-        throughput = mi.Color3f(1.0)
+        direct = mi.Color3f(0.0)  # radiance by at most one bounce
+        indirect = mi.Color3f(0.0)  # radiance by two or more bounces
+        throughput = mi.Color3f(1.0)  # product of the BSDF weights and roulette factors of the path
         record = mi.UInt32(0)  # this vertex's record in the irradiance cache
         spread_m = mi.Float(0.0)  # side in metres of the area to which the path has spread
         is_cached = mi.Bool(False)  # whether the path may end in the cache here
         cached = mi.Color3f(0.0)  # mean incident radiance from the cache
         narrow_pdf: Any = mi.Float(NARROW_PDF)  # paths continue in directions of at least this density
-        active = mi.Bool(True)
+        active = mi.Bool(True)  # lanes whose path continues
         while active:
             si = walk.intersect(scene, active)
 

@@ -147,12 +147,12 @@ def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
     launch: Any = dr.opaque(mi.UInt32, (seed + 1) & 0xFFFFFFFF)
     lane: Any = dr.arange(mi.UInt32, dr.width(ray))
     numbers = OwenSobol(dr.zeros(mi.UInt32, dr.width(ray)), mi.sample_tea_32(lane, launch)[0])
-    points, active = [], mi.Bool(True)
+    walk, points, active = Walk(ray), [], mi.Bool(True)
     for _ in range(BOUNCES):
-        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
+        si = walk.intersect(scene, active)
         active &= si.is_valid()
-        direction, _pdf = cosine_bounce(facing_normal(si, ray.d), numbers.next_2d())
-        ray = si.spawn_ray(direction)
+        direction, pdf = cosine_bounce(facing_normal(si, walk.ray.d), numbers.next_2d())
+        walk.advance(si, True, False, direction, pdf)
         points.append(np.array(si.p).T[np.array(active)])
     return np.concatenate(points).astype(np.float64)
 
@@ -167,15 +167,16 @@ def _walk(
     The light from the next vertex is reflectance x cached irradiance if ``is_warm`` and this is known, else
     that of the rest of the path.
     """
-    walk = Walk(ray)
-    cells: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
-    is_found: list[Any] = [mi.Bool(False) for _ in range(BOUNCES + 1)]
-    irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
-    techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
-    contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]
-    # factors from radiosity at the end of the segment to irradiance at each earlier vertex
+    walk = Walk(ray)  # current segment and previous vertex
+    # One entry per recorded vertex:
+    cells: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # cell of the irradiance cache
+    is_found: list[Any] = [mi.Bool(False) for _ in range(BOUNCES + 1)]  # whether it is inside the grid
+    irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]  # accumulated so far
+    techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # of the shadow ray
+    contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]  # of the shadow ray
+    # Factor from radiosity at the end of the segment to irradiance at the vertex
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
-    active = mi.Bool(True)
+    active = mi.Bool(True)  # lanes whose path continues
     while active:
         si = walk.intersect(scene, active)
         hits = active & si.is_valid()

@@ -85,14 +85,16 @@ def _walk(scene: Any, is_hidden: Any, ray: Any, numbers: Any) -> tuple[list[tupl
     """Trace paths. Returns origin, direction, luminance of the environment and kind of end of the segment
     after each bounce, and the sums over all vertices of irradiance from the environment and other lights.
     """
-    walk = Walk(ray)
+    walk = Walk(ray)  # current segment and previous vertex
     environment: Any = mi.EmitterPtr(scene.environment())
-    from_sky, from_others = mi.Float(0.0), mi.Float(0.0)
+    from_sky = mi.Float(0.0)  # luminance of the irradiance from the environment, summed over vertices
+    from_others = mi.Float(0.0)  # the same from other lights
+    # One entry per segment after a bounce:
     origins: list[Any] = [mi.Point3f(0.0) for _ in range(BOUNCES)]
     directions: list[Any] = [mi.Vector3f(0.0) for _ in range(BOUNCES)]
-    luminances: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES)]
-    ends: list[Any] = [mi.UInt32(_NO_RAY) for _ in range(BOUNCES)]
-    active = mi.Bool(True)
+    luminances: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES)]  # of the environment, if the ray leaves
+    ends: list[Any] = [mi.UInt32(_NO_RAY) for _ in range(BOUNCES)]  # _NO_RAY, _HIT or _LEFT
+    active = mi.Bool(True)  # lanes whose path continues
     while active:
         si = walk.intersect(scene, active)
         is_null = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Null)

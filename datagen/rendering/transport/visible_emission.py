@@ -60,8 +60,10 @@ def _summed(
 def _emission_ahead(emitters: Any, ray: Array) -> Array:
     """Emitted radiance along a camera ray, through surfaces of partial opacity."""
     scene = emitters.scene
-    result, throughput = mi.Color3f(0.0), mi.Color3f(1.0)
-    num_crossed, active = mi.UInt32(0), mi.Bool(True)
+    result = mi.Color3f(0.0)  # emitted radiance so far
+    throughput = mi.Color3f(1.0)  # transmittance of the surfaces passed through so far
+    num_crossed = mi.UInt32(0)  # number of those surfaces
+    active = mi.Bool(True)  # lanes whose ray continues
     while active:
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
         is_seen = active & ~emitters.is_hidden(si, mi.UInt32(0))

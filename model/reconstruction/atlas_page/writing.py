@@ -12,6 +12,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -49,9 +50,13 @@ class ViewResult:
     notes: tuple[str, ...]
 
 
-def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
-    """Write the page of an asset package, or of an output folder of ``materials infer``, to the folder
-    ``out``.
+def write_view(
+    source: Path,
+    out: Path,
+    max_side: int = MAX_SIDE,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ViewResult:
+    """Write the page of an asset package, or of an output folder of ``materials infer``, into ``out``.
 
     The mask of observed texels and the confidence are read from the folder ``atlas`` next to the package, if
     present. Raises :class:`InputError` for other input, and if ``out`` contains other files.
@@ -83,6 +88,7 @@ def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
                     name = f"{number}-{image.kind}"
                     described["images"].append([name, image.kind, *image.pixels.shape[1::-1]])
                     previews[name] = _text(image.png(PREVIEW_SIDE))
+                    progress(len(previews), 3 * len(shown))
                     if max(image.pixels.shape) > PREVIEW_SIDE:
                         _write_script(out / "data" / f"{name}.js", f'images["{name}"]', _text(image.png()))
                     if image.original_side > max_side:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.foundation.cameras import Camera
-from model.reconstruction.capture_options import Axis
+from model.reconstruction.captures.options import Axis
 
 AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)

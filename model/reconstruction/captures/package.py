@@ -20,8 +20,8 @@ from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
 from datagen.rendering.capture_geometry import package_geometry
-from model.reconstruction.capture_options import Exposure
 from model.reconstruction.captures.exposures import exposure_scales
+from model.reconstruction.captures.options import Exposure
 from model.reconstruction.captures.photograph_files import unread_problems
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import ImageFinder

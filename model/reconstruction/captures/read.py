@@ -36,7 +36,6 @@ from datagen.foundation.errors import InputError, Problem, input_error, raise_pr
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
-from model.reconstruction.capture_options import DEFAULT_MAX_WIDTH_PX, CaptureOptions, Exposure
 from model.reconstruction.captures import (
     bundler,
     colmap,
@@ -57,6 +56,11 @@ from model.reconstruction.captures.frames import (
     z_up_from,
 )
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
+from model.reconstruction.captures.options import (
+    DEFAULT_MAX_WIDTH_PX,
+    CaptureOptions,
+    Exposure,
+)
 from model.reconstruction.captures.package import is_package, read_package
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import Calibration, ImageFinder

@@ -9,7 +9,7 @@ whether another up axis or unit fits better. Every warning names its views and a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,21 +52,33 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
     return check_looks(capture, looks, out)
 
 
-def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
-    """Like :func:`check_capture`, for a capture that has been read and traced."""
+def check_traced(
+    traced: TracedCapture,
+    out: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> CheckReport:
+    """As :func:`check_capture`, for a capture that has been read and traced."""
     looks = [
         Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
         for view in traced.views
     ]
-    return check_looks(traced.capture, looks, out)
+    return check_looks(traced.capture, looks, out, progress)
 
 
-def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None) -> CheckReport:
-    """Like :func:`check_capture`, for views that have been read and traced."""
+def check_looks(
+    capture: Capture,
+    looks: Sequence[Look],
+    out: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> CheckReport:
+    """As :func:`check_capture`, for views that have been read and traced in the selected Mitsuba variant."""
     if not any((look.geometry.face >= 0).any() for look in looks):
         raise _nothing_seen(capture, looks)
     sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
-    report = CheckReport(capture.name, [look.checked(sides) for look in looks], notes=list(capture.notes))
+    report = CheckReport(capture.name, [], notes=list(capture.notes))
+    for look in looks:
+        report.views.append(look.checked(sides))
+        progress(len(report.views), len(looks))
     judge(report, looks)
     if report.fit * float(np.median([view.coverage for view in report.views])) < _MIN_FIT:
         _try_other_frames(report, capture, looks)

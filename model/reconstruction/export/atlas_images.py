@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -68,7 +69,13 @@ def mask_png(atlas: Atlas) -> bytes:
     return encode_png(mask)
 
 
-def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
+def write_atlas_images(
+    folder: Path,
+    atlas: Atlas,
+    *,
+    has_exr: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; returns the paths.
 
     If known, the confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B.
@@ -93,7 +100,11 @@ def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> l
     if has_exr:
         names += [f"{name}.exr" for name in values]
     with ThreadPoolExecutor(num_threads()) as pool:
-        return list(pool.map(write, names))
+        paths = []
+        for path in pool.map(write, names):
+            paths.append(path)
+            progress(len(paths), len(names))
+        return paths
 
 
 def _half(atlas: Atlas, name: str) -> NDArray[np.float16]:

@@ -98,6 +98,7 @@ def find_level(
     region_of_face: NDArray[np.int32],
     clipped_share: float = 0.0,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> AlbedoLevel:
     """Estimate the albedo scale of the views' ``maps``; gains are 1 if the evidence is too weak.
 
@@ -110,7 +111,7 @@ def find_level(
     except ValueError as error:
         return _unchanged(num_regions, str(error), clipped_share=clipped_share)
     points = _draw_points(cache, views, maps, region_of_face)
-    irradiance, coverage = _irradiance(cache, traced, points.position_m, points.normal)
+    irradiance, coverage = _irradiance(cache, traced, points.position_m, points.normal, progress)
     sure = np.ones(len(coverage))
     if doubt_at is not None:
         arriving = irradiance @ LUMINANCE_WEIGHTS / np.maximum(coverage, 1e-3)
@@ -120,7 +121,7 @@ def find_level(
 
 
 def fit_level(
-    points: _Points,
+    points: Points,
     irradiance: Floats,
     coverage: Floats,
     num_regions: int,
@@ -182,9 +183,9 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 
 @dataclass(frozen=True)
-class _Points:
-    """N points on non-emitting surfaces: position, normal, radiance and predicted D + S, each (N, 3), and
-    smooth region (N,).
+class Points:
+    """N points on non-emitting surfaces: position, normal, radiance and predicted D + S (N, 3), and smooth
+    region (N,).
     """
 
     position_m: Floats
@@ -199,8 +200,8 @@ def _draw_points(
     views: Sequence[TracedView],
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
-) -> _Points:
-    """Draw at most one pixel per cube, which distributes points by area, not by number of views."""
+) -> Points:
+    """Draw at most one pixel per cube, so points are distributed by area, not by number of views."""
     pixels, random = cache.pixels, np.random.default_rng(0)
     is_surface = np.zeros(len(pixels.view), dtype=bool)
     for index, view in enumerate(views):
@@ -217,11 +218,15 @@ def _draw_points(
             reflected[here] += view_maps[name].reshape(-1, 3)[at]
         region[here] = region_of_face[view.geometry.face.ravel()[at]]
     position, normal = pixels.position_m[chosen], pixels.normal[chosen]
-    return _Points(position, normal, cache.at(position, normal)[0], reflected, region)
+    return Points(position, normal, cache.at(position, normal)[0], reflected, region)
 
 
 def _irradiance(
-    cache: RadianceCache, traced: TracedGeometry, position_m: Floats, normal: Floats
+    cache: RadianceCache,
+    traced: TracedGeometry,
+    position_m: Floats,
+    normal: Floats,
+    progress: Callable[[int, int], None],
 ) -> tuple[Floats, Floats]:
     """Irradiance (N, 3) of points from directions of known radiance, and the cosine-weighted share (N,) of
     these directions in the hemisphere.
@@ -240,6 +245,7 @@ def _irradiance(
         radiance[~hit], is_known[~hit] = cache.beyond(start[~hit], direction[~hit])
         irradiance[part] = np.pi * radiance.reshape(-1, NUM_RAYS, 3).mean(axis=1)
         coverage[part] = is_known.reshape(-1, NUM_RAYS).mean(axis=1)
+        progress(min(part.stop, len(position_m)), len(position_m))
     return irradiance, coverage
 
 

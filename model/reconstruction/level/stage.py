@@ -14,8 +14,10 @@ from model.reconstruction.stages import Maps, Run
 
 
 def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
-    """The maps with corrected albedo scale, or unchanged if evidence is weak; stored maps stay unchanged."""
-    with run.stage("level"):
+    """The maps with corrected albedo scale, or unchanged if evidence is weak; files on disk keep the
+    prediction.
+    """
+    with run.stage("level") as advance:
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(
             traced.views,
@@ -24,6 +26,7 @@ def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
             region_of_face,
             clipped_share(traced.views),
             run.found.doubt_at,
+            advance,
         )
         run.report.albedo_level = asdict(level.report)
         if not level.report.is_applied:

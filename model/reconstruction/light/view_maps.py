@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.buffers import MATERIAL_MAPS, split_channels
 from datagen.geometry.views import TracedView
 from datagen.light.lighting import MIN_SHADING
 from datagen.light.surfels import NUM_SIDES, Surfels, camera_row, cell_of, place_pixel, surfels_around
@@ -63,8 +64,7 @@ def view_materials(
     row_of = np.full(len(surfels), -1, np.int64)
     row_of[surfel] = rows
     height, width = view.color.shape[:2]
-    names = ("diffuse_albedo", "specular_albedo", "roughness")
-    prior = np.concatenate([predicted[name].reshape(height * width, -1) for name in names], axis=1)
+    prior = np.concatenate([predicted[name].reshape(height * width, -1) for name in MATERIAL_MAPS], axis=1)
     floor = max(MIN_SHADING * float(np.median(solved.diffuse)), _DARK)
     packed = _pixels(
         np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
@@ -88,13 +88,10 @@ def view_materials(
         surfels.radiance,
         prior.astype(np.float32),
         np.float32(floor),
-    ).reshape(height, width, 10)
-    return {
-        "diffuse_albedo": packed[..., :3].astype(np.float16),
-        "specular_albedo": packed[..., 3:6].astype(np.float16),
-        "roughness": packed[..., 6:7].astype(np.float16),
-        "confidence": packed[..., 7:].astype(np.float16),
-    }
+    ).reshape(height, width, -1)
+    maps, confidence = np.split(packed, [-len(MATERIAL_MAPS)], axis=2)
+    found = {**split_channels(maps, MATERIAL_MAPS), "confidence": confidence}
+    return {name: values.astype(np.float16) for name, values in found.items()}
 
 
 @compiled

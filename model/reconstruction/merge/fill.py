@@ -10,7 +10,7 @@ value of the nearest texel with a surface, which avoids artefacts of filtering a
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -23,6 +23,7 @@ from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces
 
+Progress = Callable[[int, int], None]
 BAND = 1024
 """Number of rows processed at a time."""
 GUTTER = 128
@@ -31,31 +32,37 @@ MAX_CHARTS = 20_000  # more charts are so small that filling by triangle is as g
 _LARGE_WINDOW = 2**22  # number of texels of a chart above which memory is released after it
 
 
-def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
-    """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh.
+def fill_unseen(
+    atlas: Atlas, mesh: Mesh, progress: Callable[[int, int], None] = lambda done, total: None
+) -> None:
+    """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh."""
 
-    If no texel is observed, nothing is filled.
-    """
-    means, num_seen = _face_means(atlas, len(mesh.faces))
+    def part(number: int) -> Progress:
+        """The progress of one of the four parts, in percent of it."""
+        return lambda done, total: progress(100 * number + 100 * done // total, 400)
+
+    means, num_seen = _face_means(atlas, len(mesh.faces), part(0))
     if not num_seen.any():
         return
     charts = chart_of_faces(mesh)
-    is_filled = _fill_charts(atlas, mesh, charts, num_seen)
+    is_filled = _fill_charts(atlas, mesh, charts, num_seen, part(1))
     nearest = _nearest_means(mesh, means, num_seen).astype(np.float16).view(np.uint16)
     needs = ~is_filled[charts]
-    for rows in _bands(atlas):
+    for rows in _bands(atlas, part(2)):
         first = 0
         for values in _bits(atlas, rows):
             _put_means(values, atlas.face[rows], atlas.count[rows], needs, nearest, first)
             first += values.shape[2]
-    _fill_gutters(atlas)
+    _fill_gutters(atlas, part(3))
 
 
-def _bands(atlas: Atlas) -> Iterator[slice]:
-    """Yield the rows of each band; the memory of a finished band is released."""
+def _bands(atlas: Atlas, progress: Progress) -> Iterator[slice]:
+    """Row ranges, band after band; finished bands are released from memory."""
     for top in range(0, atlas.size, BAND):
-        yield slice(top, min(top + BAND, atlas.size))
+        bottom = min(top + BAND, atlas.size)
+        yield slice(top, bottom)
         atlas.release()
+        progress(bottom, atlas.size)
 
 
 def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
@@ -63,10 +70,12 @@ def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
     return [array[rows].view(np.uint16) for array in atlas.maps.values()]
 
 
-def _face_means(atlas: Atlas, num_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Mean D, S and R (M, 7) of the observed texels of each triangle, and their number (M,)."""
+def _face_means(
+    atlas: Atlas, num_faces: int, progress: Progress
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Mean (M, 7) of each triangle's observed texels, and their number (M,)."""
     sums, num_seen = np.zeros((num_faces, NUM_CHANNELS)), np.zeros(num_faces, np.int64)
-    for rows in _bands(atlas):
+    for rows in _bands(atlas, progress):
         face, count = atlas.face[rows], atlas.count[rows]
         _count_seen(face, count, num_seen)
         column = 0
@@ -113,10 +122,10 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
     return means[known[index]]
 
 
-def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -> NDArray[np.bool_]:
-    """Fill partly observed charts; returns the mask (C,) of all charts with an observed texel, or of none if
-    there are too many.
-    """
+def _fill_charts(
+    atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, progress: Progress
+) -> NDArray[np.bool_]:
+    """Fill partly observed charts; returns a mask (C,) of the charts that need no other filling."""
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
     seen_in_chart = np.bincount(charts, num_seen, num_charts) > 0
@@ -142,7 +151,8 @@ def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -
             atlas.release()
 
     with ThreadPoolExecutor(num_threads()) as pool:
-        deque(pool.map(fill, partly), maxlen=0)
+        for done, _ in enumerate(pool.map(fill, partly), start=1):
+            progress(done, len(partly))
     atlas.release()
     return is_filled
 
@@ -207,7 +217,7 @@ def _copy_labelled(values: Any, labels: Any, places: Any, target: Any) -> None:
                     values[row, column, channel] = values[place // width, place % width, channel]
 
 
-def _fill_gutters(atlas: Atlas) -> None:
+def _fill_gutters(atlas: Atlas, progress: Progress) -> None:
     def fill(rows: slice) -> None:
         start, stop = max(rows.start - GUTTER, 0), min(rows.stop + GUTTER, atlas.size)
         covered = atlas.face[start:stop] >= 0
@@ -223,3 +233,4 @@ def _fill_gutters(atlas: Atlas) -> None:
             group = [slice(top, min(top + BAND, atlas.size)) for top in tops[first : first + num_threads()]]
             deque(pool.map(fill, group), maxlen=0)
             atlas.release()
+            progress(group[-1].stop, atlas.size)

@@ -11,39 +11,24 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.foundation.errors import InputError, Problem, input_error
-from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.photograph_files import KNOWN_SUFFIXES, can_read, is_raw, unread_problems
-from model.reconstruction.captures.read import has_cameras
+from model.reconstruction.captures.read import has_cameras, read_capture
 from model.reconstruction.infer import infer
-from model.reconstruction.infer_options import InferOptions, InferReport, Progress
+from model.reconstruction.infer_options import InferReport, Progress
 from model.reconstruction.photos.colmap_run import ColmapRun, missing_program
+from model.reconstruction.photos.options import PhotosOptions
 from model.reconstruction.render.relight import RelightOptions
 from model.reconstruction.render.turntable import TurntableOptions, write_turntable
 from model.reconstruction.stages import MapSource
 
 MIN_PHOTOGRAPHS = 3
 TURNTABLE = "turntable.gif"
-
-
-@dataclass(frozen=True)
-class PhotosOptions:
-    """Options of ``materials photos``.
-
-    ``program`` is the COLMAP executable; ``reading`` and ``inference`` are options of ``materials infer``.
-    The turntable has ``frames`` frames with ``samples`` light paths per pixel.
-    """
-
-    program: str = "colmap"
-    reading: CaptureOptions = field(default_factory=CaptureOptions)
-    inference: InferOptions = field(default_factory=InferOptions)
-    frames: int = 24
-    samples: int = 8
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
     )
     light = None
     if pending and set(LIGHT_BUFFERS) & set(network_inputs(checkpoint.card.network)):
-        with report.stage("light for the network"):
+        with run.stage("light for the network"):
             light = ViewLight(traced.views, traced.geometry, capture.geometry.emitter_mask())
     run.tell("predict", sum(m is not None for m in maps), len(maps))
     for batch in pending:

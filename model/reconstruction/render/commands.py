@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -107,6 +108,7 @@ def view(
     max_side: Annotated[
         int, typer.Option(min=64, max=4096, help="Larger textures are averaged down.")
     ] = 4096,
+    quiet: QuietOption = False,
 ) -> None:
     """Write a web page that shows an asset in 3D, with a movable light, and opens from disk in any browser.
 
@@ -114,7 +116,8 @@ def view(
     """
     from model.reconstruction.atlas_page.writing import write_view
 
-    result = write_view(asset, out, max_side)
+    with Bars("images", is_quiet=quiet) as bars:
+        result = write_view(asset, out, max_side, partial(bars.tell, "view"))
     for note in result.notes:
         typer.echo(f"note: {note}", err=True)
     size = f"{result.num_bytes / 1e6:,.0f} MB"

@@ -12,6 +12,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -77,15 +78,14 @@ class UvReport:
         return notes
 
 
-def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
-    """Make UVs for an atlas; triangles keep their order and corners, but vertices may be split.
-
-    ``jobs`` is the number of processes.
-    """
+def unwrapped(
+    mesh: Mesh, jobs: int = 2, progress: Callable[[int, int], None] = lambda done, total: None
+) -> tuple[Mesh, UvReport]:
+    """The mesh with UVs for an atlas; triangles keep their order and corners, but vertices may be split."""
     fault = "" if mesh.uv is None else own_uv_fault(mesh)
     if mesh.uv is not None and not fault:
         return mesh, _report(mesh, "mesh", "")
-    made, num_blender, num_fallback = _unwrap(mesh, jobs)
+    made, num_blender, num_fallback = _unwrap(mesh, jobs, progress)
     return made, _report(made, "xatlas", fault, num_fallback, num_blender)
 
 
@@ -154,17 +154,19 @@ def _report(
     )
 
 
-def _unwrap(mesh: Mesh, jobs: int) -> tuple[Mesh, int, int]:
+def _unwrap(mesh: Mesh, jobs: int, progress: Callable[[int, int], None]) -> tuple[Mesh, int, int]:
     positions, vertex = welded(mesh)
     faces = vertex[mesh.faces]
     pieces = _pieces(mesh)
     with tempfile.TemporaryDirectory(prefix="unwrap-") as folder, ThreadPoolExecutor(max(1, jobs)) as pool:
-        sheets = list(
-            pool.map(
-                lambda item: _unwrap_piece(positions, faces[item[1]], Path(folder) / f"{item[0]}"),
-                enumerate(pieces),
-            )
-        )
+
+        def unwrap(number: int) -> _Sheet:
+            return _unwrap_piece(positions, faces[pieces[number]], Path(folder) / f"{number}")
+
+        sheets = []
+        for sheet in pool.map(unwrap, range(len(pieces))):
+            sheets.append(sheet)
+            progress(len(sheets), len(pieces))
     places, side = shelf_packed(np.array([sheet.size_m for sheet in sheets]))
     corners = np.empty((len(faces), 3, 2))
     for sheet, piece, place in zip(sheets, pieces, places, strict=True):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bpy part of colmap_end_to_end.py: renders a room's views with Cycles, and simplifies its mesh.
 
-    python -m benchmarks.cycles_photographs render BLEND OUT --samples 32 --f-stop 4 --focus 2.5
-    python -m benchmarks.cycles_photographs retopology BLEND OUT.ply --triangles 20000
+    python -m benchmarks.studies.cycles_photographs render BLEND OUT --samples 32 --f-stop 4 --focus 2.5
+    python -m benchmarks.studies.cycles_photographs retopology BLEND OUT.ply --triangles 20000
 
 ``render`` writes one linear EXR (half) per camera of the .blend of ``cycles_baseline build``, with the depth
 of field of a full-frame camera; existing files are kept. ``retopology`` joins the contents of the room, welds
@@ -16,7 +16,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.cycles_baseline import Sampling, look_through, set_up
+from benchmarks.studies.cycles_baseline import Sampling, look_through, set_up
 
 OUTSIDE = "room/outside"  # lawn and hedge, which no user would model
 _WELD_M = 2e-4

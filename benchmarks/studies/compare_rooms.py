@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Generated rooms compared with imported ones: distributions, exposures and pictures.
 
-    python -m benchmarks.compare_rooms DATASET --imported SHARD [SHARD ...] --out DIR [--views 8] [--page 24]
+    python -m benchmarks.studies.compare_rooms DATASET --imported SHARD [SHARD ...]
+        --out DIR [--views 8] [--page 24]
 
 DATASET is a dataset folder; an imported SHARD is the tar of a capture with ground truth, such as `materials
 evaluate` renders for the scenes of a suite. Surface pixels of ``--views`` evenly spaced views per room are

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """The whole pipeline without true input: photographs by Cycles, cameras by COLMAP, `materials infer`.
 
-    python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/measurements.md: 20 minutes
-    python -m benchmarks.colmap_end_to_end --out DIR --cameras true    with the true cameras, without COLMAP
-    python -m benchmarks.colmap_end_to_end --out DIR --faults phone --mesh colmap    without true input
+    python -m benchmarks.studies.colmap_end_to_end --out DIR     as in docs/measurements.md: 20 minutes
+    python -m benchmarks.studies.colmap_end_to_end --out DIR --cameras true    true cameras, no COLMAP
+    python -m benchmarks.studies.colmap_end_to_end --out DIR --faults phone --mesh colmap    no true input
 
 1. The study of the bundled library, which is not in the training data of the bundled checkpoint, with
    objects, ceiling light and daylight; cameras on a walk around its middle, looking across.
-2. Cycles (benchmarks/cycles_photographs.py) renders the views with depth of field; :func:`developed` adds
+2. Cycles (cycles_photographs.py) renders the views with depth of field; :func:`developed` adds
    shot and read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone
    mapping.
 3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmarks.cycles_scene import export
+from benchmarks.studies.cycles_scene import export
 from datagen.formats.base import canonical_json, read_json
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.package import open_package
@@ -55,12 +55,13 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from model.evaluation.camera_faults import PRESETS, photographed
-from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.colmap import read_sights
+from model.reconstruction.captures.options import CaptureOptions
+from model.reconstruction.captures.read import read_capture
 from model.reconstruction.photos.colmap_run import MAX_POINT_ERROR_PX
 from model.reconstruction.photos.sparse_mesh import sparse_surface
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 FOV_X_DEG = 72.0
 FULL_WELL, READ_NOISE = 12000.0, 8.0  # electrons: a small sensor at base ISO
 JPEG_QUALITY = 92
@@ -168,14 +169,21 @@ class EndToEnd:
         if not blend.is_file():
             shutil.rmtree(self.out / "export", ignore_errors=True)
             export(configuration, Library([bundled_library()]), self.out / "export")
-            run("benchmarks.cycles_baseline", "build", str(self.out / "export"), str(blend), log=log)
+            run("benchmarks.studies.cycles_baseline", "build", str(self.out / "export"), str(blend), log=log)
         mesh = self.out / "retopology.ply"
         if not mesh.is_file():
             options = ("--triangles", str(self.triangles))
-            run("benchmarks.cycles_photographs", "retopology", str(blend), str(mesh), *options, log=log)
+            run(
+                "benchmarks.studies.cycles_photographs",
+                "retopology",
+                str(blend),
+                str(mesh),
+                *options,
+                log=log,
+            )
         rendered, images = self.out / "cycles", self.images
         options = ("--samples", str(self.samples))
-        run("benchmarks.cycles_photographs", "render", str(blend), str(rendered), *options, log=log)
+        run("benchmarks.studies.cycles_photographs", "render", str(blend), str(rendered), *options, log=log)
         images.mkdir(exist_ok=True)
         linear = {
             view.name: read_image(rendered / f"{view.name}.exr")[..., :3].astype(np.float32)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from datagen.geometry.views import TracedCapture
-from model.reconstruction.pose_mending import mended_poses
+from model.reconstruction.poses.mending import mended_poses
 from model.reconstruction.stages import Run
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Accuracy of the BSDF for extreme inputs: the figures of docs/measurements.md.
 
-    python -m benchmarks.bsdf_extremes density      three ways to compute D in float32, in eps
-    python -m benchmarks.bsdf_extremes slopes       Newton steps of the sampler: error and time
-    python -m benchmarks.bsdf_extremes energy       directional albedo, and energy over multiple bounces
-    python -m benchmarks.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
+    python -m benchmarks.studies.bsdf_extremes density      three ways to compute D in float32, in eps
+    python -m benchmarks.studies.bsdf_extremes slopes       Newton steps of the sampler: error and time
+    python -m benchmarks.studies.bsdf_extremes energy       directional albedo, and energy over bounces
+    python -m benchmarks.studies.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
 
 Each prints a Markdown table. Inputs of ``evaluations``: roughness in [0, 1] and NaN, -0.5, 1.5; albedos 0, 1
 and between, and NaN, -1, 2, also with D + S > 1; wi and wo at any angle down to 1e-6 rad above the

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Export of a planned configuration for another renderer, and our converged images (see bench_cycles.py).
 
-    python -m benchmarks.cycles_scene export FOLDER OUT              one package, lights, cameras, a sky
-    python -m benchmarks.cycles_scene reference FOLDER OUT VIEW... --samples 256
+    python -m benchmarks.studies.cycles_scene export FOLDER OUT    one package, lights, cameras, a sky
+    python -m benchmarks.studies.cycles_scene reference FOLDER OUT VIEW... --samples 256
 
 ``export`` writes the room as one asset package, exactly as our renderer renders it: every placed part with
 its assigned material, variations applied and UVs scaled. ``setup.json`` next to it contains the lights (skies

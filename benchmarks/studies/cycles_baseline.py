@@ -2,8 +2,8 @@
 """Baseline of bench_cycles.py: Cycles from pip's bpy, set up as in BlenderProc. The module must not share a
 process with mitsuba.
 
-    python -m benchmarks.cycles_baseline build EXPORT OUT.blend
-    python -m benchmarks.cycles_baseline render BLEND OUT VIEW... --samples 32 --max-depth 8 [--noisy]
+    python -m benchmarks.studies.cycles_baseline build EXPORT OUT.blend
+    python -m benchmarks.studies.cycles_baseline render BLEND OUT VIEW... --samples 32 --max-depth 8 [--noisy]
 
 ``build`` converts an export of cycles_scene.py to a .blend; ``render`` writes one multi-layer EXR per view
 (half, zip: beauty, depth, normal, diffuse and glossy colour, object and material index) and ``times.json``

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Accuracy of statistics, projection, encodings and rendering for extreme inputs: tables of measurements.
 
-    python -m benchmarks.data_extremes            all tables as Markdown
+    python -m benchmarks.studies.data_extremes            all tables as Markdown
 
 ``tests/benchmarks/test_extremes.py`` checks the tables; both call the functions below. The scene of boxes is
 in ``oracles``.

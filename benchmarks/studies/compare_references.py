@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Imported scenes compared with their reference images: Mitsuba's own BSDFs, and the converted materials.
 
-    python -m benchmarks.compare_references                     all scenes, JSON and a table
-    python -m benchmarks.compare_references --scenes staircase --width 160 --samples 64
+    python -m benchmarks.studies.compare_references                     all scenes, JSON and a table
+    python -m benchmarks.studies.compare_references --scenes staircase --width 160 --samples 64
 
 Every scene is imported into a temporary library, rendered from its own camera at the reference's aspect with
 the original BSDFs and with the project's, and compared with its author's ``reference.exr``. The third column
@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import cv2
 
@@ -106,7 +106,7 @@ def table(results: list[dict]) -> str:
 
 
 def main() -> None:
-    default = Path(__file__).resolve().parents[2] / "shared" / "data" / "scenes"
+    default = Path(__file__).resolve().parents[3] / "shared" / "data" / "scenes"
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=default, help="folder that contains the scenes")
     parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
