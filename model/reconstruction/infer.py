@@ -116,10 +116,10 @@ def infer(
         report.notes += capture.notes
         _claim(capture, source, run)
         with ExitStack() as files:
-            merged = _merged(_packed(_final_views(capture, source, run), run), run, files)
+            atlas, mesh = _merged(_packed(_final_views(capture, source, run), run), run, files)
             with run.stage("fill") as advance:
-                fill_unseen(merged.atlas, merged.mesh, advance)
-            _export(capture, merged, run)
+                fill_unseen(atlas, mesh, advance)
+            _export(capture, atlas, mesh, run)
         write_bytes_atomically(out / "report.html", report_html(report, run.found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
@@ -272,11 +272,10 @@ def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
     return replace(reconstruction, lights=balance.lights)
 
 
-def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
-    geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
-    capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
-    out, atlas = run.out, merged.atlas
-    reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
+def _export(capture: Capture, atlas: Atlas, mesh: Mesh, run: Run) -> None:
+    out = run.out
+    capture = replace(capture, geometry=CaptureGeometry(mesh, capture.geometry.parts))
+    reconstruction = Reconstruction(capture, mesh, atlas, out / "atlas", run.found.lights)
     with run.stage("images") as advance:
         write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr, progress=advance)
     reconstruction = _balanced(reconstruction, run)
