@@ -261,7 +261,7 @@ def test_a_package_without_a_row_is_found() -> None:
     assert "datagen.farm.folder has no row in the matrix" in found
 
 
-def test_the_matrix_has_no_circle() -> None:
+def test_the_matrix_has_no_cycle() -> None:
     """Packages can be put in an order in which each imports only what comes before it; but for ``model`` and
     ``tests``, whose rows name whole packages, an import back would be a circle."""
     left = {package: _rows_of(allowed) - {package} for package, allowed in MATRIX.items()}
@@ -326,7 +326,7 @@ def test_a_private_member_is_found(code: str) -> None:
     assert _private(ast.parse(code)) == ["_name"]
 
 
-def test_the_ground_floor_needs_little() -> None:
+def test_the_foundation_has_few_dependencies() -> None:
     found = [
         f"{_module(path)} imports {name}"
         for path in _sources()
@@ -338,7 +338,7 @@ def test_the_ground_floor_needs_little() -> None:
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)
-def test_packages_do_without(package: str) -> None:
+def test_packages_import_nothing_forbidden(package: str) -> None:
     found = [
         f"{_module(path)} imports {name}"
         for path in _sources()

@@ -55,7 +55,7 @@ def _keys_are_known(schema: dict, node: object, root: dict) -> list[str]:
 
 
 @pytest.mark.parametrize("path", WRITTEN, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_every_file_names_the_schema_that_knows_its_keys(path: Path) -> None:
+def test_every_file_names_the_schema_with_its_keys(path: Path) -> None:
     lines = path.read_text().splitlines()
     (line,) = [line for line in lines[:2] if line.startswith(HEADER)]
     schema = json.loads((path.parent / line.removeprefix(HEADER)).read_text())
@@ -83,7 +83,7 @@ def test_faults_have_line_and_column(tmp_path: Path) -> None:
     ]
 
 
-def test_faults_in_lists_choices_and_merged_keys(tmp_path: Path) -> None:
+def test_faults_in_lists_choices_and_merged_keys_have_positions(tmp_path: Path) -> None:
     text = (
         "name: x\nscenes:\n  - &room\n    name: a\n    source: here\n    resolution: [0, 64]\n"
         "  - {<<: *room, name: b}\nmethods:\n  - {name: n, kind: network}\n"
@@ -102,14 +102,14 @@ def test_faults_in_lists_choices_and_merged_keys(tmp_path: Path) -> None:
         ("name: x\n\tviews: 2\n", "r.yaml:2:1: .*valid YAML"),
     ],
 )
-def test_what_is_no_yaml_has_a_place(tmp_path: Path, text: str, expected: str) -> None:
+def test_invalid_yaml_has_a_position(tmp_path: Path, text: str, expected: str) -> None:
     import re
 
     (line,) = _problems(tmp_path, text)
     assert re.match(expected, line), line
 
 
-def test_four_questions_make_a_recipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_four_answers_give_a_recipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(app, ["recipe", "new", "Küche.yaml"], input="3\n4\n64 x 48\nstandard\n")
     assert result.exit_code == 0, result.output
@@ -122,7 +122,7 @@ def test_four_questions_make_a_recipe(tmp_path: Path, monkeypatch: pytest.Monkey
     assert "properties" in json.loads((tmp_path / SCHEMA_FILE).read_text())
 
 
-def test_answers_that_cannot_be_write_nothing(tmp_path: Path) -> None:
+def test_invalid_answers_write_nothing(tmp_path: Path) -> None:
     for answers, expected in (
         ((3, 4, "64", "draft"), "WIDTHxHEIGHT"),
         ((3, 4, "64x48", "best"), "render.quality = 'best'"),
@@ -136,7 +136,7 @@ def test_answers_that_cannot_be_write_nothing(tmp_path: Path) -> None:
         write_recipe(tmp_path / "r.yaml", 1, 2, "64x48", "draft")
 
 
-def test_a_setting_of_training_has_its_place(tmp_path: Path) -> None:
+def test_faults_of_training_settings_have_a_position(tmp_path: Path) -> None:
     path = tmp_path / "t.yaml"
     path.write_text("batch_size: [2\n")
     with pytest.raises(InputError, match=r"t\.yaml:2:1: "):

@@ -38,5 +38,5 @@ def test_graphs_and_sizes_are_read_or_refused(module: str, name: str, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("module", "name"), READERS)
-def test_five_thousand_graphs_and_sizes(module: str, name: str, tmp_path: Path) -> None:
+def test_five_thousand_graphs_and_sizes_are_read_or_refused(module: str, name: str, tmp_path: Path) -> None:
     attack(module, name, tmp_path / "case", 5000, MAX_BYTES)

@@ -64,30 +64,30 @@ def test_an_empty_file_is_called_empty(tmp_path: Path, name: str, read: Callable
 
 
 @pytest.mark.parametrize("data", [b"glTF", b"glTF\x02\0\0\0\x0c\0\0\0"])
-def test_a_glb_that_ends_after_its_head(tmp_path: Path, data: bytes) -> None:
+def test_a_glb_that_ends_after_its_header_is_truncated(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.glb").write_bytes(data)
     with pytest.raises(InputError, match=r"a \.glb without its JSON chunk"):
         load_mesh(tmp_path / "a.glb")
 
 
-def test_an_empty_glb_is_no_fault_of_json(tmp_path: Path) -> None:
+def test_an_empty_glb_is_not_reported_as_json(tmp_path: Path) -> None:
     (tmp_path / "a.glb").touch()
     with pytest.raises(InputError, match=r"a\.glb: an empty file; expected an intact \.glb file; export"):
         load_mesh(tmp_path / "a.glb")
 
 
-def test_fields_of_an_empty_file_stay(tmp_path: Path) -> None:
+def test_fields_of_an_empty_file_are_kept(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").touch()
     error = InputError(Problem(tmp_path / "a.yaml", "name"), Problem("here", "", "nothing"))
     assert [problem.got for problem in error.problems] == ["", "nothing"]
 
 
-def test_what_many_share_is_said_once() -> None:
+def test_repeated_problems_are_reported_once() -> None:
     error = InputError(Problem("a", "b", "c"), Problem("a", "b", "d"), Problem("a", "b", "c"))
     assert [problem.got for problem in error.problems] == ["c", "d"]
 
 
-def test_differences_are_leaves() -> None:
+def test_differences_are_reported_per_leaf() -> None:
     """Whole dictionaries had been printed."""
     old = {"name": "a", "render": {"path_samples": 4, "quality": None, "error": {"a": 1}}, "sizes": [1, 2]}
     new = {"name": "a", "render": {"path_samples": 8, "quality": "draft", "error": {"a": 1}}, "sizes": [1, 3]}
@@ -102,7 +102,7 @@ def test_differences_are_leaves() -> None:
     assert len(long[0][1]) < 200
 
 
-def test_another_run_of_training_names_the_fields(tmp_path: Path) -> None:
+def test_another_run_of_training_names_the_differing_fields(tmp_path: Path) -> None:
     """It had named "config" alone."""
     data = DataRecord(name="d", index_sha256="a", num_views=1, assets={"mug": "1"})
     record = RunRecord(config=resolve_config("smoke"), folders=("d",), data=(data,), loss="l", num_ranks=1)
@@ -117,7 +117,7 @@ def test_another_run_of_training_names_the_fields(tmp_path: Path) -> None:
     assert "config.seed = 7; expected 0 as at its start" in str(caught.value)
 
 
-def test_the_library_is_printed_whole_into_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
+def test_ids_are_not_truncated_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
     """Ids were cut at 80 columns."""
     assert print_library(["bundled"], check=False, as_json=False) == 0
     text = capsys.readouterr().out

@@ -31,7 +31,7 @@ EXPECTED = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_it_ends_soon_and_says_which_limit_to_raise(name: str, tmp_path: Path) -> None:
+def test_reading_ends_soon_and_names_the_limit_to_raise(name: str, tmp_path: Path) -> None:
     folder = tmp_path / "case"
     folder.mkdir()
     reading = run(name, folder)
@@ -66,7 +66,7 @@ def test_a_limit_is_raised_by_the_environment(tmp_path: Path) -> None:
     assert passed.code == 0, passed.text
 
 
-def test_what_the_environment_says_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(LIMITS_VARIABLE, " frames=7, nodes=9 ")
     assert (Limits.from_environment().frames, Limits.from_environment().nodes) == (7, 9)
     assert Limits.from_environment().depth == Limits().depth
@@ -76,7 +76,7 @@ def test_what_the_environment_says_is_checked(monkeypatch: pytest.MonkeyPatch) -
             Limits.from_environment()
 
 
-def test_what_a_file_holds_raises_its_limits(tmp_path: Path) -> None:
+def test_the_size_of_a_file_raises_its_limits(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(bytes(800))
     budget = Budget(path, Limits(triangles=10, instances=10))
@@ -89,7 +89,7 @@ def test_what_a_file_holds_raises_its_limits(tmp_path: Path) -> None:
         budget.spend("instances", 11)
 
 
-def test_deep_things_are_read_where_the_limit_is_raised(tmp_path: Path) -> None:
+def test_deep_nesting_is_read_where_the_limit_is_raised(tmp_path: Path) -> None:
     """The readers call themselves: the limit and the interpreter's stack go together."""
     from datagen.importers.common import ImportOptions
     from datagen.importers.mitsuba_xml import import_mitsuba_scene

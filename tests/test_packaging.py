@@ -81,7 +81,7 @@ def test_every_import_is_a_dependency() -> None:
         assert BROUGHT_ALONG.get(top, top) in modules, f"{path} imports {name}, which no dependency brings"
 
 
-def test_the_doctor_looks_for_what_is_required() -> None:
+def test_the_doctor_checks_the_requirements() -> None:
     assert set(REQUIRED) == _names(PROJECT["dependencies"]) | {"drjit"}
     for extra, (_, names) in OPTIONAL.items():
         assert set(names) <= _names(PROJECT["optional-dependencies"][extra])
@@ -123,7 +123,7 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
         resolve_bundled(Path("scenes/recipes/smoke.yaml"), "recipes")
 
 
-def test_what_is_installed_without_its_data_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The doctor, too: a package without the library had passed."""
     from datagen.foundation import bundled
     from datagen.inspection import doctor
@@ -141,7 +141,7 @@ def test_what_is_installed_without_its_data_says_so(tmp_path: Path, monkeypatch:
     assert bundled_names("recipes") == []
 
 
-def test_the_doctor_prints_the_extra_that_a_remedy_names(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_doctor_prints_the_extra_of_a_remedy(capsys: pytest.CaptureFixture[str]) -> None:
     """Square brackets are styles to rich."""
     from datagen.inspection.doctor import Finding, print_report
 
@@ -150,7 +150,7 @@ def test_the_doctor_prints_the_extra_that_a_remedy_names(capsys: pytest.CaptureF
     assert remedy in capsys.readouterr().out
 
 
-def test_the_doctor_names_a_command_for_each_lack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_names_a_command_per_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from datagen.inspection import doctor
 
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -164,7 +164,7 @@ def test_the_doctor_names_a_command_for_each_lack(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize(("version", "is_fine"), [("3.4.1", False), ("4.5.0", True), ("5.0.1", True)])
-def test_the_doctor_knows_an_old_blender(
+def test_the_doctor_detects_an_old_blender(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str, is_fine: bool
 ) -> None:
     from datagen.inspection import doctor
@@ -177,7 +177,7 @@ def test_the_doctor_knows_an_old_blender(
     assert finding.is_fine == is_fine and bool(finding.remedy) != is_fine
 
 
-def test_the_doctor_sees_absent_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_detects_absent_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
     from datagen.inspection import doctor
 
     assert doctor.checkpoint_finding().is_fine

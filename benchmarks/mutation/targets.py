@@ -40,7 +40,7 @@ TARGETS = {
         ),
         (
             "tests/datagen/test_rendering_irradiance_cache.py",
-            "tests/datagen/test_rendering_light_sampler.py::test_places_choose_the_light_that_they_see",
+            "tests/datagen/test_rendering_light_sampler.py::test_cells_choose_visible_lights",
         ),
         30,
     ),
@@ -52,7 +52,7 @@ TARGETS = {
         ("datagen/rendering/transport/light_sampler.py",),
         (
             "tests/datagen/test_rendering_light_sampler.py",
-            "tests/datagen/test_rendering_sky_guide.py::test_points_outside_of_the_box_are_left_to_the_lights_own_sampling",
+            "tests/datagen/test_rendering_sky_guide.py::test_points_outside_of_the_box_use_emitter_sampling",
         ),
         20,
     ),

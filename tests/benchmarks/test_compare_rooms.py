@@ -37,7 +37,7 @@ def lit_sill(view: View) -> View:
     return View(view.record.model_copy(update={"instances": names}), buffers)
 
 
-def test_clipping_is_told_with_and_without_windows(dataset: Path) -> None:
+def test_clipping_is_counted_with_and_without_windows(dataset: Path) -> None:
     view = lit_sill(next(iter(Dataset(dataset).views())))
     rows = is_window(view).mean()
     assert 0.03 < rows < 0.09

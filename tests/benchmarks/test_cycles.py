@@ -39,20 +39,20 @@ def test_total_is_the_fixed_part_and_the_median_of_a_view() -> None:
     assert (complete["total_wall_s"], complete["is_extrapolated"]) == (44.0, False)
 
 
-def test_two_that_show_different_rooms_are_not_compared() -> None:
+def test_renders_of_different_rooms_are_not_compared() -> None:
     same = {"ratio_of_means": [0.96, 1.1], "correlation": [0.95, 0.99]}
     assert agrees(same)
     assert not agrees({**same, "ratio_of_means": [0.96, 0.12]})
     assert not agrees({**same, "correlation": [0.99, 0.6]})
 
 
-def test_the_baseline_is_the_fastest_that_reaches_the_error_or_the_nearest() -> None:
+def test_the_baseline_is_the_fastest_at_the_error_or_the_nearest() -> None:
     fast, slow = ({"reached": True, "total_cpu_s": seconds, "rel_mse": 0.01} for seconds in (10.0, 20.0))
     near, far = ({"reached": False, "total_cpu_s": 1.0 / error, "rel_mse": error} for error in (0.02, 0.1))
     assert sorted([far, slow, near, fast], key=rank) == [fast, slow, near, far]
 
 
-def test_cycles_gets_the_sky_that_is_rendered(tmp_path: Path, mitsuba_variant: str) -> None:
+def test_cycles_gets_the_rendered_sky(tmp_path: Path, mitsuba_variant: str) -> None:
     light = SkyLight(name="sky", sun_direction=(0.5, -0.7, 0.5), turbidity=5.0, sky_scale=3.0, sun_scale=1.0)
     image = sky_image(light, Library([]))
     with OpenEXR.File({}, {"RGB": image}) as file:

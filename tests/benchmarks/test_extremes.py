@@ -63,7 +63,7 @@ def test_constant_colours_are_their_own_statistics(value: float) -> None:
             np.testing.assert_allclose(result[name], value, rtol=3 * EPS)
 
 
-def test_views_that_are_all_alike_agree() -> None:
+def test_identical_views_agree() -> None:
     # a projection back into the own pixel errs by some 1e-5 px; white noise has a gradient of up to 1 a px
     assert spread_of_alike_views(1) == 0.0
     assert spread_of_alike_views(12) < 1e-4
@@ -106,7 +106,7 @@ def test_depth_test_includes_equality_and_ends_at_its_tolerance() -> None:
     assert exact.visible_mask[0].tolist() == [True, False]
 
 
-def test_borders_belong_to_the_image_on_the_left_and_above_only() -> None:
+def test_only_left_and_upper_borders_belong_to_the_image() -> None:
     packed, camera = wall_camera()
     inside = [(0.0, 5.0), (5.0, 0.0), (0.0, 0.0), (np.nextafter(10.0, 0, dtype=np.float32), 5.0)]
     outside = [(10.0, 5.0), (5.0, 10.0), (-1e-5, 5.0), (5.0, -1e-5)]
@@ -129,7 +129,7 @@ def test_points_at_the_camera_and_in_its_plane_are_not_seen() -> None:
 # ---- encodings
 
 
-def test_files_clip_what_halves_do_not_hold() -> None:
+def test_files_clip_values_beyond_half_floats() -> None:
     for value in HALF_VALUES:
         stored = stored_as_half(value)
         if value >= 65504:

@@ -56,7 +56,7 @@ def test_points_of_two_datasets(
     assert json.loads((tmp_path / "results.json").read_text())["results"] == report["results"]
 
 
-def test_a_dataset_without_validation_views_is_judged_by_another(
+def test_a_dataset_without_validation_views_uses_those_of_another(
     datasets: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good, cheap = datasets
@@ -115,7 +115,7 @@ def test_checkpoints_with_and_without_light_are_compared(
     assert found == pytest.approx(np.concatenate(errors).mean(), rel=0.02)
 
 
-def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_part_has_the_requested_shards(datasets: tuple[Path, Path], tmp_path: Path) -> None:
     good, cheap = datasets
     part = bench_learning_curve.part_of(cheap, 2, good, tmp_path / "part")
     index = Dataset(part).index
@@ -129,7 +129,7 @@ def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: 
         bench_learning_curve.part_of(cheap, 9, good, tmp_path / "more")
 
 
-def test_more_training_data_leaves_out_what_validation_shows() -> None:
+def test_added_training_data_excludes_validation_assets() -> None:
     """`checkpoint.yaml` and `pale.yaml` add to `learning.yaml`: no room, thing or material of its validation
     split; `pale_validation.yaml` judges by nothing else."""
     recipes = {

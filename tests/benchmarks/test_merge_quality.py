@@ -35,7 +35,7 @@ def test_a_step_inside_a_footprint_counts_as_inside() -> None:
     assert found["inside"][0] == pytest.approx(0.25 * SIDE)
 
 
-def test_true_edges_and_unseen_texels_are_left_out() -> None:
+def test_true_edges_and_unseen_texels_are_excluded() -> None:
     truth = halves(0.25, 0.5)
     assert steps(halves(0.25, 0.5), truth)["border"] == (0.0, 0)
     merged = halves(0.25, 0.5)

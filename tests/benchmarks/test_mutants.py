@@ -75,7 +75,7 @@ def test_operators_constants_statements_and_axes_are_mutated() -> None:
     assert removed.kind == "removal" and removed.first_line == removed.last_line
 
 
-def test_words_types_and_imports_are_left_alone() -> None:
+def test_text_types_and_imports_are_not_mutated() -> None:
     lines = SOURCE.splitlines()
     for mutant in changes().values():
         line = lines[mutant.first_line - 1]
@@ -84,7 +84,7 @@ def test_words_types_and_imports_are_left_alone() -> None:
         assert "list[int]" not in mutant.text
 
 
-def test_a_mutant_is_known_again_where_other_code_has_changed() -> None:
+def test_a_mutant_is_recognised_after_changes_elsewhere() -> None:
     before = {mutant.key: mutant.first_line for mutant in find_mutants("folder/m.py", SOURCE)}
     moved = SOURCE.replace("LIMIT, GUARD", "OTHER = 5\n\n\nLIMIT, GUARD")
     after = {mutant.key: mutant.first_line for mutant in find_mutants("other/m.py", moved)}
@@ -101,7 +101,7 @@ def test_a_mutant_is_known_again_where_other_code_has_changed() -> None:
         ("import time; time.sleep(99)", 0.2, -9),
     ],
 )
-def test_tests_that_do_not_end_are_ended(code: str, timeout_s: float, ended: int) -> None:
+def test_endless_tests_are_stopped(code: str, timeout_s: float, ended: int) -> None:
     """Time limits: processor time for computing tests, wall time for sleeping ones."""
     process = subprocess.Popen([sys.executable, "-S", "-c", code], start_new_session=True)
     assert warm.outcome_of(process.pid, timeout_s) == ended

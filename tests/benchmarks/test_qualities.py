@@ -15,7 +15,7 @@ from tests.datagen.small_plan import plan_small
 from tests.datagen.test_tradeoff import OPTIONS, point
 
 
-def test_excess_of_qualities_is_held_against_fixed_counts() -> None:
+def test_excess_of_qualities_is_compared_with_fixed_counts() -> None:
     fixed = [replace(point(k, 0.1 / k, path_samples=k), path_samples=float(k)) for k in (2, 8, 32)]
     clever = replace(point(6.0, 0.1 / 8, quality="standard"), path_samples=4.0)
     assert excesses([*fixed, clever]) == {
@@ -24,7 +24,7 @@ def test_excess_of_qualities_is_held_against_fixed_counts() -> None:
 
 
 @pytest.mark.slow
-def test_qualities_lie_on_the_front_of_two_rooms_that_differ(tmp_path: Path) -> None:
+def test_qualities_are_on_the_front_of_two_different_rooms(tmp_path: Path) -> None:
     """In light paths: at this size a view's time is that of starting kernels, not of tracing."""
     folder = plan_small(tmp_path / "plan", tmp_path / "library", num_units=2, num_views=3).root
     options = replace(

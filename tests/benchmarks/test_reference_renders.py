@@ -21,7 +21,7 @@ def assert_agrees(result: dict) -> None:
         assert abs(result[pair]["median_ratio"] - 1) <= MAX_RATIO_ERROR, table([result])
 
 
-def test_agreement_sees_light_colour_and_shifts() -> None:
+def test_agreement_depends_on_brightness_colour_and_shifts() -> None:
     rng = np.random.default_rng(2)
     v, u = np.meshgrid(np.linspace(0, 6, 72), np.linspace(0, 9, 128), indexing="ij")
     image = np.stack([1.2 + np.sin(u) * np.cos(v)] * 3, axis=-1).astype(np.float32)

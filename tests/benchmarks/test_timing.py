@@ -12,7 +12,7 @@ import pytest
 from benchmarks.timing import Stopwatch, interleaved, median_seconds, summary, timed, write_report
 
 
-def test_actions_take_turns_and_warm_ups_are_not_counted() -> None:
+def test_actions_alternate_and_warm_ups_are_not_counted() -> None:
     calls: list[str] = []
     found = interleaved({name: lambda n=name: calls.append(n) for name in "ab"}, 3, 1)  # type: ignore[misc]
     assert calls == ["b", "a", "a", "b", "b", "a", "a", "b"]
@@ -30,7 +30,7 @@ def test_summary_has_median_and_quartiles() -> None:
     assert summary([1.0, 2.0, 3.0, 4.0, 100.0]) == {"median": 3.0, "iqr": [2.0, 4.0], "repeats": 5}
 
 
-def test_stages_share_their_time() -> None:
+def test_time_is_divided_into_stages() -> None:
     watch = Stopwatch()
     with watch.stage("sleep", share=2):
         time.sleep(0.04)

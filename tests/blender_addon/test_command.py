@@ -12,7 +12,7 @@ from blender_addon.assembly import Progress
 from datagen.foundation.versions import DISTRIBUTION, pixel_versions
 
 
-def test_the_command_tells_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_its_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         command.build_parser().parse_args(["--version"])
     assert ended.value.code == 0
@@ -20,7 +20,7 @@ def test_the_command_tells_its_version(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
-def test_an_export_is_not_silent(
+def test_an_export_prints_its_progress(
     is_terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = [100.0]

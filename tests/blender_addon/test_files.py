@@ -66,7 +66,7 @@ def test_json_is_canonical_and_refuses_nan() -> None:
         rounded({"x": float("nan")})
 
 
-def test_package_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_package_is_written_atomically(tmp_path: Path) -> None:
     folder = tmp_path / "thing"
     with PackageWriter(folder) as writer:
         first = writer.add("textures", "a", ".png", b"1")
@@ -106,7 +106,7 @@ def test_fill_extends_the_covered_colour() -> None:
     assert np.allclose(fill(image, mask), 0.7)
 
 
-def test_expressions_fold_what_is_known() -> None:
+def test_expressions_fold_constants() -> None:
     socket = ex.SocketValue((), "Image", "Color", 3)
     assert ex.multiply(socket, ex.ONE) == socket
     assert ex.multiply(socket, ex.ZERO) == ex.BLACK
@@ -116,14 +116,14 @@ def test_expressions_fold_what_is_known() -> None:
     assert ex.sockets(ex.add(ex.multiply(socket, ex.constant(0.5)), ex.BLACK)) == {socket}
 
 
-def test_settings_refuse_nonsense() -> None:
+def test_invalid_settings_are_refused() -> None:
     with pytest.raises(ValueError, match="power of two"):
         ExportSettings(max_texture_px=1000)
     with pytest.raises(ValueError, match="kind"):
         ExportSettings(kind="room")
 
 
-def test_problems_are_kept_once_and_read_well() -> None:
+def test_problems_are_deduplicated_and_readable() -> None:
     problems = ProblemList()
     for _ in range(2):
         problems.add("error", "it is broken", "mend it", object="Cup", node="Glass")

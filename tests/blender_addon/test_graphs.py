@@ -49,7 +49,7 @@ def test_channels_match_closed_form(graphs_folder: Path, case: Case) -> None:
 
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.kinds], ids=lambda case: case.name)
-def test_constants_and_images_stay_what_they_are(graphs_folder: Path, case: Case) -> None:
+def test_constants_and_images_are_not_baked(graphs_folder: Path, case: Case) -> None:
     package = open_package(graphs_folder / "packages" / case.name)
     assert isinstance(package.asset, ObjectAsset)
     (material,) = package.asset.materials.values()
@@ -79,7 +79,7 @@ def test_there_are_forty_graphs() -> None:
     assert len(CASES) >= 40
 
 
-def test_wrong_closed_form_is_detected(graphs_folder: Path) -> None:
+def test_a_wrong_closed_form_is_detected(graphs_folder: Path) -> None:
     """The twin: 5 % more contrast in the expectation must not pass."""
     case = next(c for c in CASES if c.name == "uv_as_colour")
     wrong = Case(

@@ -41,7 +41,7 @@ def room_of(folder: Path, stage: str) -> tuple[Package, EnvironmentAsset]:
 
 
 @pytest.mark.parametrize("stage", ["first", "again"])
-def test_bakes_carry_their_origin(folder: Path, stage: str) -> None:
+def test_bakes_record_their_origin(folder: Path, stage: str) -> None:
     _, room = room_of(folder, stage)
     origins = {slot: material.baked_from for slot, material in room.materials.items()}
     assert sorted(o for o in origins.values() if o) == ["oak"] * 2 + ["plaster"] * 3
@@ -51,7 +51,7 @@ def test_bakes_carry_their_origin(folder: Path, stage: str) -> None:
 
 
 @pytest.mark.parametrize("stage", ["first", "again"])
-def test_surfaces_are_said(folder: Path, stage: str) -> None:
+def test_surfaces_are_exported(folder: Path, stage: str) -> None:
     assert {s: m.surface for s, m in room_of(folder, stage)[1].materials.items() if m.surface} == {
         "paint": "furniture"
     }
@@ -74,7 +74,7 @@ def test_bakes_of_one_material_are_varied_and_replaced_together(folder: Path, pa
     assert len({asset for slot, asset in seen if "oak" in slot}) > 1, "never replaced or always"
 
 
-def test_a_material_must_suit_every_bake(folder: Path, palette: list[Package]) -> None:
+def test_a_material_must_fit_every_bake(folder: Path, palette: list[Package]) -> None:
     package, room = room_of(folder, "first")
     stools = next(slots for slots in slots_by_material(room) if len(slots) == 2)
     fixed = room.materials[stools[1]].model_copy(update={"replaceable_by": ()})

@@ -57,7 +57,7 @@ def test_package_is_the_same_after_import_and_export(
     assert _differences(first, again) == []
 
 
-def test_everything_was_there_to_begin_with(exported: tuple[Path, Any]) -> None:
+def test_the_first_export_is_complete(exported: tuple[Path, Any]) -> None:
     asset = open_package(exported[0] / "first" / ENVIRONMENT).asset
     assert isinstance(asset, EnvironmentAsset)
     assert {light.type for light in asset.lights} == {
@@ -77,7 +77,7 @@ def test_image_of_the_world_keeps_its_bytes(exported: tuple[Path, Any]) -> None:
     assert stored[0] == stored[1]
 
 
-def test_what_is_one_per_cent_off_or_lost_is_detected(exported: tuple[Path, Any]) -> None:
+def test_a_one_per_cent_error_or_a_loss_is_detected(exported: tuple[Path, Any]) -> None:
     first, again = _descriptions(exported[0], "again", ENVIRONMENT)
     again["cameras"][0]["fx_px"] *= 1.01
     assert len(_differences(first, again)) == 1

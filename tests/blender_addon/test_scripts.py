@@ -77,7 +77,7 @@ def _export(blend: Path, out: Path, *words: str, allowed: bool = False) -> tuple
 
 @pytest.mark.parametrize("allowed", [False, True], ids=["as it is", "preferences allow scripts"])
 @pytest.mark.parametrize("words", [(), ("--license", "CC0-1.0", "--check")], ids=["exported", "checked"])
-def test_nothing_of_the_file_is_run_and_the_exporter_leaves(
+def test_no_code_of_the_file_runs_and_the_exporter_exits(
     blend: Path, tmp_path: Path, words: tuple[str, ...], allowed: bool
 ) -> None:
     code, said, seconds = _export(blend, tmp_path / "out", *words, allowed=allowed)

@@ -17,7 +17,7 @@ def outcome(graphs_folder: Path, run_module: Callable[..., Any]) -> dict[str, An
     return run_module("tests.blender_addon.untouched", str(graphs_folder))
 
 
-def test_comparison_itself_is_stable_and_sees_changes(outcome: dict[str, Any]) -> None:
+def test_comparison_is_stable_and_detects_changes(outcome: dict[str, Any]) -> None:
     assert outcome["num_blocks"] > 30
     assert outcome["nothing"] == []
     assert any("changed" in line for line in outcome["twin"])

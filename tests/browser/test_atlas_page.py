@@ -281,7 +281,7 @@ def page_data(page: Page) -> Path:
     return Path(unquote(urlparse(page.driver.current_url).path)).parent / "data"
 
 
-def test_light_moves_by_keys_sliders_and_pointer(page: Page) -> None:
+def test_light_moves_with_keys_sliders_and_pointer(page: Page) -> None:
     from selenium.webdriver import ActionChains
     from selenium.webdriver.common.by import By
 
@@ -388,7 +388,7 @@ def test_every_control_has_a_name(page: Page) -> None:
     assert page.run("return document.getElementById('spoken').textContent") == "shown: R, roughness"
 
 
-def test_large_textures_come_after_a_small_picture(browser: Page, tmp_path: Path) -> None:
+def test_large_textures_load_after_a_small_preview(browser: Page, tmp_path: Path) -> None:
     large = make_quad(tmp_path / "large", side=1152)
     told: list[tuple[int, int]] = []
     result = write_view(large.asset, tmp_path / "page", progress=lambda *step: told.append(step))
@@ -408,7 +408,7 @@ def test_large_textures_come_after_a_small_picture(browser: Page, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_atlas_of_4096_texels_opens_soon(tmp_path: Path) -> None:
+def test_atlas_of_4096_texels_opens_quickly(tmp_path: Path) -> None:
     """Noise in every texel, which PNG hardly shrinks: more than an atlas of photographs."""
     quad = make_quad(tmp_path / "large", side=4096)
     rng = np.random.default_rng(1)
@@ -520,7 +520,7 @@ def test_movable_light_casts_shadows(
     assert browser.console() == []
 
 
-def test_grazing_light_leaves_no_acne(browser: Page, tmp_path: Path) -> None:
+def test_grazing_light_causes_no_shadow_acne(browser: Page, tmp_path: Path) -> None:
     """5 cm above the floor: each texel of its map covers up to 20 times its width."""
     open_page(browser, make_room(tmp_path, has_lamp=False))
     light = (0.0, 0.0, 0.05)
@@ -533,7 +533,7 @@ def test_grazing_light_leaves_no_acne(browser: Page, tmp_path: Path) -> None:
     np.testing.assert_array_equal(shown[is_floor], bare[is_floor])
 
 
-def test_own_lights_are_switched(browser: Page, tmp_path: Path) -> None:
+def test_lights_of_the_asset_are_switched(browser: Page, tmp_path: Path) -> None:
     """A lamp of a mesh as a disk of its area: irradiance by hand, none behind the shelf, none when off."""
     open_page(browser, make_room(tmp_path))
     assert "1 light," in browser.run("return document.getElementById('sources-note').textContent")
@@ -586,7 +586,7 @@ def test_lamps_do_not_shadow_themselves(browser: Page, tmp_path: Path) -> None:
     assert is_lit.sum() > 5000 and shown[is_lit].min() > 10
 
 
-def test_assets_without_lights_say_so(browser: Page, tmp_path: Path) -> None:
+def test_assets_without_lights_have_a_notice(browser: Page, tmp_path: Path) -> None:
     open_page(browser, make_room(tmp_path, has_lamp=False))
     assert browser.run("return document.getElementById('sources').disabled") is True
     assert "There are none" in browser.run("return document.getElementById('sources-note').textContent")
@@ -594,7 +594,7 @@ def test_assets_without_lights_say_so(browser: Page, tmp_path: Path) -> None:
     assert browser.run("return VIEW.state().sources") is False
 
 
-def test_many_lights_are_merged_with_their_power(tmp_path: Path) -> None:
+def test_many_lights_are_merged_and_keep_their_power(tmp_path: Path) -> None:
     """Ten windows in a row, the last two apart by 1 cm and 2 cm of one another."""
     places = [0.0, 1, 2, 3, 4, 5, 6, 7, 7.01, 7.03]
     lights = tuple(
@@ -616,7 +616,7 @@ def test_many_lights_are_merged_with_their_power(tmp_path: Path) -> None:
     assert f"VIEW.MAX_SOURCES = {MAX_SOURCES};" in limit
 
 
-def test_lights_of_every_kind_as_sources(tmp_path: Path) -> None:
+def test_lights_of_every_kind_become_sources(tmp_path: Path) -> None:
     """Intensity towards a direction w, L (max(V.w, 0) + rest), of points, spheres and disks."""
     make_room(tmp_path, has_lamp=False)
     with open_package(tmp_path / "asset") as package:
@@ -641,7 +641,7 @@ def test_lights_of_every_kind_as_sources(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- without a browser
 
 
-def test_page_is_whole_and_asks_for_nothing_else(folder: Path) -> None:
+def test_page_is_self_contained(folder: Path) -> None:
     page = (folder / "index.html").read_text()
     assert "http" not in page
     assert all(f'"{name}"' in page for name in PAGE_FILES if name != "index.html")
@@ -656,7 +656,7 @@ def test_large_textures_are_averaged_down_and_named(tmp_path: Path) -> None:
     assert write_view(quad.asset, tmp_path / "page", max_side=256).notes == result.notes  # brought up to date
 
 
-def test_refusals(quad: Quad, tmp_path: Path) -> None:
+def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> None:
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("do not lose")
     with pytest.raises(InputError, match="other files"):

@@ -127,7 +127,7 @@ def cursor(page: Page) -> tuple[int, int]:
     return int(words[1].rstrip(",")), int(words[3].rstrip(";"))
 
 
-def test_opens_and_tells_what_there_is(page: Page) -> None:
+def test_page_opens_with_all_sections(page: Page) -> None:
     assert page.driver.title == "small: dataset report"
     sections = (
         "overview",
@@ -150,7 +150,7 @@ def test_opens_and_tells_what_there_is(page: Page) -> None:
     assert page.run("return REPORT.state().numRequested") == 0  # no pixel is read before one is asked for
 
 
-def test_rooms_come_first_and_lead_to_their_views(page: Page, dataset: Path) -> None:
+def test_rooms_come_first_and_link_to_their_views(page: Page, dataset: Path) -> None:
     """A picture of each configuration above every figure; on a phone nothing is wider than the screen."""
     found = page.run(
         "return [...document.querySelectorAll('#overview h2 + .rooms a:not(.sheet)')]"
@@ -186,7 +186,7 @@ def test_a_dark_browser_gets_a_dark_page(page: Page) -> None:
         page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
-def test_worst_view_comes_first_and_leads_to_its_pixels(page: Page) -> None:
+def test_worst_view_comes_first_and_links_to_its_pixels(page: Page) -> None:
     links = page.run("return [...document.querySelectorAll('.worst > li > a')].map((a) => a.hash)")
     assert links[0] == f"#view/{FAULTY}"
     assert "NaN" in page.run("return document.querySelector('.worst > li:has(> a)').innerText")
@@ -321,7 +321,7 @@ def test_wipe_shows_one_left_and_the_other_right(page: Page, views: dict[str, Vi
     page.wait("return document.querySelectorAll('#panels canvas').length > 5")
 
 
-def test_source_views_give_the_statistics(page: Page, views: dict[str, View]) -> None:
+def test_source_views_reproduce_the_statistics(page: Page, views: dict[str, View]) -> None:
     key = "small-00000/view-000"
     view = views[key]
     counts = view.buffers["observation_count"][..., 0].astype(int)
@@ -479,7 +479,7 @@ def test_every_control_and_picture_has_a_name(page: Page) -> None:
     assert page.run("return document.documentElement.lang") == "en"
 
 
-def test_what_is_missing_is_said(page: Page, report: Path) -> None:
+def test_missing_parts_are_named(page: Page, report: Path) -> None:
     page.run("location.hash = '#view/small-00000/view-777'")
     page.wait("return document.querySelector('#viewer .notice').innerText.includes('no view view-777')")
     page.run("location.hash = '#view/elsewhere/view-000'")
@@ -521,7 +521,7 @@ def synthetic_report(report: Path, out: Path, num_configurations: int, num_views
     return out
 
 
-def test_thousands_of_views_stay_light(report: Path, tmp_path: Path) -> None:
+def test_thousands_of_views_use_little_memory(report: Path, tmp_path: Path) -> None:
     out = synthetic_report(report, tmp_path / "many", 160, 40)
     times, spent = [], []
     with open_browser(tmp_path / "profile") as driver:
@@ -553,7 +553,7 @@ def test_thousands_of_views_stay_light(report: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_stepping_through_large_views_keeps_nothing(
+def test_stepping_through_large_views_leaks_no_memory(
     report: Path, tmp_path: Path, views: dict[str, View]
 ) -> None:
     """Thirty views of 640 x 384, every buffer of each, and then with a prediction: the page and its frames

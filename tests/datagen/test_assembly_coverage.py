@@ -78,7 +78,7 @@ def test_observations_and_shares_are_counted(room: tuple[WorldScene, Shell]) -> 
     assert floor.metal_share == 0.0 and floor.gloss_share > 0.95
 
 
-def test_what_is_hidden_is_not_seen(room: tuple[WorldScene, Shell]) -> None:
+def test_hidden_points_are_not_seen(room: tuple[WorldScene, Shell]) -> None:
     scene, _ = room
     one = camera((0.6, 1.4, 0.3), (4.5, 1.4, 0.3))
     on_table, behind, beside, shown = (2.0, 1.4, 0.7501), (0.1, 1.4, 0.3), (0.9, 3.5, 0.3), (3.5, 1.4, 0.3)
@@ -108,7 +108,7 @@ def test_views_of_rooms_show_rooms_and_share_them(library: Library) -> None:
     assert many is not None and many.median_observations >= 8
 
 
-def test_views_of_rooms_overlap_more_than_views_of_things(library: Library) -> None:
+def test_views_of_rooms_overlap_more_than_views_of_objects(library: Library) -> None:
     rooms, things = (
         np.mean([c.coverage.median_observations for i in range(3) if (c := assemble(r, i, library)).coverage])
         for r in (recipe("room", 10), recipe("things", 10))
@@ -134,7 +134,7 @@ def test_plan_states_coverage(library: Library, tmp_path: Path) -> None:
     assert plan_summary([made[0].model_copy(update={"coverage": None})]) == ""
 
 
-def test_training_views_without_metal_or_gloss_are_said(library: Library) -> None:
+def test_training_views_without_metal_or_gloss_are_reported(library: Library) -> None:
     """Of the training split alone, weighted by views; a validation set may show what it likes."""
     one = assemble(recipe("room", 4), 0, library)
     assert one.coverage is not None

@@ -195,7 +195,7 @@ def test_probe_agrees_with_mitsuba(tmp_path: Path, mitsuba_variant: str) -> None
     assert probed == pytest.approx(rendered, rel=0.15)
 
 
-def test_irradiance_falls_into_the_recipes_range(tmp_path: Path) -> None:
+def test_irradiance_is_in_the_recipes_range(tmp_path: Path) -> None:
     library = Library([write_small_library(tmp_path)])
     for index in range(6):
         narrow = recipe(lights={"mean_irradiance": (1.9, 2.1)})
@@ -226,7 +226,7 @@ NONE_WANTED = {
 NATIVE = {"native_probability": 1, "area_probability": 0, "point_probability": 0, "daylight_probability": 0}
 
 
-def test_no_room_stays_dark(tmp_path: Path) -> None:
+def test_every_room_is_lit(tmp_path: Path) -> None:
     """Without slots, openings and lights of its own, a room gets a panel under its ceiling."""
     write_room(tmp_path, "bare", light_slots=(), openings=())
     write_objects(tmp_path)
@@ -287,7 +287,7 @@ def test_lamps_inside_furniture_are_not_used(tmp_path: Path) -> None:
     assert configuration.rejections["light.inside_solid"] == 1
 
 
-def test_a_bulb_in_a_lampshade_is_not_in_a_wall(tmp_path: Path) -> None:
+def test_a_bulb_in_a_lampshade_does_not_count_as_inside_a_wall(tmp_path: Path) -> None:
     """From inside a shade of one sheet most directions meet its back, yet light gets out."""
     shade = trimesh.creation.cylinder(radius=0.15, height=0.3, sections=32)
     sides = shade.faces[np.abs(shade.face_normals[:, 2]) < 0.5]  # open at both ends
@@ -330,7 +330,7 @@ def test_a_slot_that_a_lamp_occupies_stays_empty(tmp_path: Path) -> None:
     assert [light.name for light in lights_of(library, lights=ONLY_AREA).lights] == ["area-ceiling"]
 
 
-def test_sun_enters_when_it_can(tmp_path: Path) -> None:
+def test_sun_enters_through_a_window(tmp_path: Path) -> None:
     library = Library([write_small_library(tmp_path)])
     daylight = {**NONE_WANTED, "daylight_probability": 1}
     towards_window = 0
@@ -399,7 +399,7 @@ def test_every_kind_of_light_moves_and_dims() -> None:
         assert canonical_json(scaled(scaled(light, 3.0), 1 / 3)) == before
 
 
-def test_blocked_lights_are_seen(tmp_path: Path) -> None:
+def test_blocked_lights_are_detected(tmp_path: Path) -> None:
     scene = scene_of(box([0, 0, 0], [1, 1, 1]), tmp_path)
 
     def light(x: float, z: float) -> AreaLight:
@@ -412,7 +412,7 @@ def test_blocked_lights_are_seen(tmp_path: Path) -> None:
     assert is_blocked(light(0.6, 0.5), scene.rays)  # cuts through its side
 
 
-def test_luminous_pixels_are_known(tmp_path: Path) -> None:
+def test_luminous_pixels_are_masked(tmp_path: Path) -> None:
     """A visible panel in front of a wall, and an emissive part; from behind a panel is not seen."""
     shapes = {"wall": box([-2, 2, -2], [2, 2.1, 2]), "glow": box([-2, 1.9, 1], [2, 2.0, 2])}
     write_package_of(tmp_path, "set", shapes)
@@ -437,7 +437,7 @@ def test_luminous_pixels_are_known(tmp_path: Path) -> None:
     assert shown((turned,), (1.0, 0.0)) == [False] * 4
 
 
-def test_black_bodies() -> None:
+def test_colours_of_black_bodies() -> None:
     """D65's neighbourhood is near white; 2856 K is illuminant A, (0.4476, 0.4074) in xy."""
     for kelvin in (2000, 2856, 4000, 6504, 10000):
         assert np.array(color_of_temperature(kelvin)) @ LUMINANCE == pytest.approx(1.0)
@@ -462,7 +462,7 @@ def test_table_lookup_is_the_inverse_of_its_directions() -> None:
     np.testing.assert_allclose(directions_of_table(1, 1)[0, 0], (0, 1, 0), atol=1e-12)  # centre: +Y
 
 
-def test_sky_and_sun_are_the_renderers(mitsuba_variant: str) -> None:
+def test_sky_and_sun_match_the_renderer(mitsuba_variant: str) -> None:
     """Irradiance on a horizontal plane under the whole sky, against Mitsuba's own sampling."""
     import drjit as dr
     import mitsuba as mi
@@ -501,7 +501,7 @@ def test_sky_and_sun_are_the_renderers(mitsuba_variant: str) -> None:
     np.testing.assert_allclose(ours, theirs, rtol=0.03)
 
 
-def test_images_light_rooms_through_their_windows(tmp_path: Path, mitsuba_variant: str) -> None:
+def test_environment_images_light_rooms_through_windows(tmp_path: Path, mitsuba_variant: str) -> None:
     """An image of an asset as daylight: named with its hash, oriented as the renderer turns it."""
     import drjit as dr
     import mitsuba as mi
@@ -544,7 +544,7 @@ def test_images_light_rooms_through_their_windows(tmp_path: Path, mitsuba_varian
         environment_image(library, "room-0")
 
 
-def test_space_without_regions_comes_from_cameras(tmp_path: Path) -> None:
+def test_free_space_needs_a_camera_region_or_cameras(tmp_path: Path) -> None:
     write_room(tmp_path, "room", camera_regions=())
     environment = Library([tmp_path]).package("room")
     scene = WorldScene(load_geometry(environment), [])

@@ -57,7 +57,7 @@ def hsv(mean: MeanMaterial) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("name", ROOMS)
-def test_surfaces_wear_what_such_surfaces_wear(name: str) -> None:
+def test_surfaces_get_materials_of_their_kind(name: str) -> None:
     for seed in range(12):
         means = assigned(name, seed)
         for slot, assignment in dressed(name, seed).items():
@@ -93,7 +93,7 @@ def test_a_room_has_one_style() -> None:
     assert tones == {True, False}
 
 
-def test_wood_has_the_tone_of_the_room() -> None:
+def test_wood_has_the_tone_of_its_room() -> None:
     """Pale, grey, red and dark woods occur, and each room keeps to its tone."""
     seen = []
     for seed in range(40):
@@ -130,7 +130,7 @@ def test_wallpaper_is_printed_in_the_accent() -> None:
             assert reach(replace(look, is_printed=False), package.asset.material, mean) is None
 
 
-def test_likely_configurations_come_by_weight_and_wild_ones_stay(tmp_path: Path) -> None:
+def test_likely_configurations_follow_the_weight_and_others_stay(tmp_path: Path) -> None:
     small = Library([write_small_library(tmp_path)])
     plain = Recipe(name="few", configurations=12, views=2, resolution=(32, 24), objects={"count": (1, 2)})  # type: ignore[arg-type]
     wild = plain.model_copy(update={"materials": MaterialRecipe(variation=Variation(wild=1.0))})
@@ -146,12 +146,12 @@ def test_likely_configurations_come_by_weight_and_wild_ones_stay(tmp_path: Path)
     assert 2 <= changed <= 10
 
 
-def test_weights_must_leave_something() -> None:
+def test_weights_must_not_all_be_zero() -> None:
     with pytest.raises(ValidationError, match="positive weight"):
         Variation()
 
 
-def test_what_is_kept_is_hardly_varied() -> None:
+def test_kept_materials_are_hardly_varied() -> None:
     never = MaterialRecipe(replace_probability=0.0, vary_probability=1.0)
     for seed in range(8):
         for slot, assignment in dressed("living_room", seed, never).items():
@@ -163,7 +163,7 @@ def test_what_is_kept_is_hardly_varied() -> None:
     assert dressed("living_room", 1, still) == {}
 
 
-def test_reach_ends_inside_the_look() -> None:
+def test_adjusted_materials_stay_within_the_look() -> None:
     look = Look(1.0, "painted", (0.3, 0.4), (0.2, 0.3), (0.4, 0.5), hue=(0.55, 0.6))
     tint = Material(classes=("painted",), diffuse_albedo=(0.6, 0.5, 0.45), roughness=0.6)
     mean = MeanMaterial((0.6, 0.5, 0.45), (0.04, 0.04, 0.04), 0.6)
@@ -187,7 +187,7 @@ def test_reach_ends_inside_the_look() -> None:
         ("Wall.001", "wall"), ("WindowFrame", "joinery"), ("lamp_shade", "shade"), ("Material.004", None),
     ],
 )  # fmt: skip
-def test_words_tell_a_surface(name: str, surface: str | None) -> None:
+def test_names_determine_a_surface(name: str, surface: str | None) -> None:
     assert surface_of_words(name) == surface
 
 
@@ -207,7 +207,7 @@ def nameless(package: Package) -> EnvironmentAsset:
     )
 
 
-def test_shape_and_class_tell_what_names_do_not(tmp_path: Path) -> None:
+def test_shape_and_class_determine_surfaces_without_names(tmp_path: Path) -> None:
     package = Library([write_small_library(tmp_path)]).package("room-0")
     names = list(package.asset.materials)  # type: ignore[union-attr]
     package.asset = nameless(package)
@@ -218,7 +218,7 @@ def test_shape_and_class_tell_what_names_do_not(tmp_path: Path) -> None:
     assert surfaces_of(load_geometry(package))["m0"] == "worktop"
 
 
-def test_every_slot_of_the_library_is_something() -> None:
+def test_every_slot_of_the_library_has_a_surface() -> None:
     for package in library():
         if isinstance(package.asset, ObjectAsset):
             assert set(surfaces_of(load_geometry(package)).values()) <= set(SURFACES)
@@ -243,7 +243,7 @@ def test_every_look_has_a_material() -> None:
             assert served, (surface, look)
 
 
-def test_the_extension_knows_the_same_surfaces() -> None:
+def test_the_extension_has_the_same_surfaces() -> None:
     tree = ast.parse((REPOSITORY / "blender_addon/gather/tags.py").read_text())
     told = {
         node.targets[0].id: ast.literal_eval(node.value)  # type: ignore[attr-defined]

@@ -43,7 +43,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
     return Library([write_small_library(tmp_path_factory.mktemp("library"))])
 
 
-def test_slots_wear_only_classes_that_suit_them(library: Library) -> None:
+def test_slots_get_only_classes_that_fit(library: Library) -> None:
     room, palette = library.package("room-0"), library.select("material")
     assert isinstance(room.asset, EnvironmentAsset)
     seen: dict[str, Counter[str]] = {}
@@ -61,7 +61,7 @@ def test_slots_wear_only_classes_that_suit_them(library: Library) -> None:
     assert 15 < seen["shelf"]["steel"] < 45  # classes are drawn first: one metal against two woods
 
 
-def test_probabilities_are_kept(library: Library) -> None:
+def test_probabilities_are_met(library: Library) -> None:
     room, palette, means = library.package("room-0"), library.select("material"), MeanMaterials()
     nothing = MaterialRecipe(replace_probability=0.0, vary_probability=0.0)
     assert assign_materials(room, palette, nothing, means, Draws(1)) == {}
@@ -105,7 +105,7 @@ def test_a_share_of_replacements_may_be_of_any_class(library: Library) -> None:
     assert worn_classes(library, never) == {}
 
 
-def test_unweighted_classes_are_drawn_as_without_weights(library: Library) -> None:
+def test_unweighted_classes_are_drawn_uniformly(library: Library) -> None:
     plain = MaterialRecipe(replace_probability=1.0)
     assert worn_classes(library, plain) == worn_classes(
         library, MaterialRecipe(replace_probability=1.0, class_weights={"metal": 1.0, "wood": 1.0})
@@ -127,7 +127,7 @@ def test_textures_need_uvs_and_a_tile_size(library: Library, tmp_path: Path) -> 
         assert not suits(special, "floor", room)
 
 
-def test_lamps_keep_their_material(tmp_path: Path, library: Library) -> None:
+def test_lamps_keep_their_materials(tmp_path: Path, library: Library) -> None:
     slots = {
         "bulb": SlotMaterial(
             classes=("glass",), emission=(5.0, 5.0, 5.0), replaceable_by=("glass", "plastic")
@@ -211,7 +211,7 @@ def test_mean_of_a_texture_is_linear(tmp_path: Path) -> None:
     np.testing.assert_allclose(halved, 0.5 * stored.mean(axis=(0, 1)) + 0.1, rtol=1e-4)
 
 
-def test_hue_of_wood_stays_wood() -> None:
+def test_varied_wood_keeps_a_wood_hue() -> None:
     draws = Draws(4)
     oak = (0.45, 0.3, 0.16)
     hue = colorsys.rgb_to_hsv(*oak)[0]

@@ -94,7 +94,7 @@ def test_by_night_lamps_are_on_and_the_outside_is_dim(library: Library) -> None:
     assert OUTSIDE_SHARE["night"][1] < OUTSIDE_SHARE["dusk"][1] < OUTSIDE_SHARE["overcast"][1]
 
 
-def test_balance_leaves_a_share_of_the_warmth() -> None:
+def test_white_balance_keeps_a_share_of_the_warmth() -> None:
     for kelvin in (2700.0, 3500.0, 5000.0):
         light = np.array(color_of_temperature(kelvin))
         shown = light * tint_of_lamps(3.0 * light)
@@ -104,7 +104,7 @@ def test_balance_leaves_a_share_of_the_warmth() -> None:
         assert tint_of_lamps(np.array(bluish)) == NO_TINT
 
 
-def test_lamps_are_balanced_for_the_light_of_the_room(library: Library) -> None:
+def test_lamps_are_balanced_to_the_light_of_the_room(library: Library) -> None:
     """By night a lamp is shown nearly white, beside daylight warmer, without a panorama as it is."""
 
     def warmth(**lights: Any) -> float:
@@ -135,7 +135,7 @@ def test_rooms_without_openings_or_with_a_sky_have_none(tmp_path: Path) -> None:
         assert not any(isinstance(light, EnvironmentLight) and light.asset == "day-view" for light in lights)
 
 
-def test_rooms_of_ones_own_without_a_sky_are_told(tmp_path: Path, library: Library) -> None:
+def test_user_rooms_without_a_sky_are_reported(tmp_path: Path, library: Library) -> None:
     root = tmp_path / "own"
     write_room(root, "closed", openings=())
     write_room(root, "open")
@@ -157,7 +157,7 @@ def test_rooms_of_ones_own_without_a_sky_are_told(tmp_path: Path, library: Libra
         assert rooms_without_sky(bundled, library) == []
 
 
-def test_times_of_day_are_weighed_and_must_be_in_the_library(library: Library) -> None:
+def test_times_of_day_are_weighted_and_must_be_in_the_library(library: Library) -> None:
     both = recipe({"day": 3, "night": 1})
     times = [outside_of(assemble(both, index, library)).asset for index in range(12)]
     assert 6 <= times.count("day-view") < 12
@@ -168,7 +168,7 @@ def test_times_of_day_are_weighed_and_must_be_in_the_library(library: Library) -
         LightRecipe.model_validate({"panoramas": {"day": 0}})
 
 
-def test_generated_rooms_lose_their_modelled_outside() -> None:
+def test_generated_rooms_drop_their_modelled_outside() -> None:
     parametric = {"parametric": {"kinds": ["study"]}}
     old = Recipe.model_validate({"name": "a", "configurations": 9, "views": 1, "environments": parametric})
     new = Recipe.model_validate(

@@ -86,7 +86,7 @@ def scenes(library: Library, room: Room) -> list[list[PlacedThing]]:
     return [place_things(room, things_of(library), recipe, (9, k), Counter()) for k in range(NUM_SEEDS)]
 
 
-def test_nothing_cuts_into_anything(scenes: list[list[PlacedThing]], room: Room) -> None:
+def test_objects_do_not_intersect(scenes: list[list[PlacedThing]], room: Room) -> None:
     ground = room.geometry.vertices[room.geometry.faces]
     for placed in scenes:
         for k, one in enumerate(placed):
@@ -95,7 +95,7 @@ def test_nothing_cuts_into_anything(scenes: list[list[PlacedThing]], room: Room)
                 assert not triangles_cross(world_triangles(one), world_triangles(other))
 
 
-def test_the_slow_check_sees_a_cut(scenes: list[list[PlacedThing]], room: Room) -> None:
+def test_the_slow_check_detects_an_intersection(scenes: list[list[PlacedThing]], room: Room) -> None:
     ground = room.geometry.vertices[room.geometry.faces]
     for one in scenes[0]:
         assert triangles_cross(
@@ -105,7 +105,7 @@ def test_the_slow_check_sees_a_cut(scenes: list[list[PlacedThing]], room: Room) 
     assert triangles_cross(world_triangles(one), world_triangles(one) + [0.01, 0.013, 0.005])  # noqa: RUF005
 
 
-def test_things_rest_on_their_surface(scenes: list[list[PlacedThing]]) -> None:
+def test_objects_rest_on_their_surface(scenes: list[list[PlacedThing]]) -> None:
     for placed in scenes:
         for one in placed:
             lowest = float(world_triangles(one)[..., 2].min())
@@ -117,7 +117,7 @@ def test_things_rest_on_their_surface(scenes: list[list[PlacedThing]]) -> None:
             assert margin_inside(convex_hull_2d(contact), center[:2]) > 0
 
 
-def test_things_stay_inside_their_limits(scenes: list[list[PlacedThing]]) -> None:
+def test_objects_stay_within_their_limits(scenes: list[list[PlacedThing]]) -> None:
     for placed in scenes:
         for one in placed:
             asset, surface = one.thing.asset, one.support
@@ -131,7 +131,7 @@ def test_things_stay_inside_their_limits(scenes: list[list[PlacedThing]]) -> Non
                 assert along.min() >= -1e-6 and along.max() <= 1 + 1e-6
 
 
-def test_gaps_between_things_are_kept(scenes: list[list[PlacedThing]]) -> None:
+def test_gaps_between_objects_are_kept(scenes: list[list[PlacedThing]]) -> None:
     for placed in scenes[:2]:
         for k, one in enumerate(placed):
             for other in placed[:k]:
@@ -147,7 +147,7 @@ def _mesh(placed: PlacedThing) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), process=False)
 
 
-def test_category_weights_decide(library: Library, room: Room) -> None:
+def test_category_weights_determine_the_shares(library: Library, room: Room) -> None:
     weights = {
         "tin": 5.0,
         "book": 1.0,
@@ -181,7 +181,7 @@ def placed_on(
     return rejections
 
 
-def test_what_would_topple_is_refused(tmp_path: Path, room: Room) -> None:
+def test_unstable_objects_are_refused(tmp_path: Path, room: Room) -> None:
     leaning = {
         "foot": box([-0.02, -0.02, 0], [0.02, 0.02, 0.05]),
         "head": box([0.03, -0.1, 0.05], [0.3, 0.1, 0.1]),
@@ -194,7 +194,7 @@ def test_what_would_topple_is_refused(tmp_path: Path, room: Room) -> None:
         place_things(room, [thing], ObjectRecipe(), (1,), Counter())
 
 
-def test_what_cannot_stand_is_not_drawn(tmp_path: Path, library: Library, room: Room) -> None:
+def test_unplaceable_objects_are_not_drawn(tmp_path: Path, library: Library, room: Room) -> None:
     leaning = {
         "foot": box([-0.02, -0.02, 0], [0.02, 0.02, 0.05]),
         "head": box([0.03, -0.1, 0.05], [0.3, 0.1, 0.1]),
@@ -208,7 +208,7 @@ def test_what_cannot_stand_is_not_drawn(tmp_path: Path, library: Library, room: 
     assert rejections["placement.cannot_stand"] == 1
 
 
-def test_what_fits_only_below_its_scale_is_refused(tmp_path: Path, room: Room) -> None:
+def test_objects_that_fit_only_when_scaled_down_are_refused(tmp_path: Path, room: Room) -> None:
     tall = {"body": box([-0.05, -0.05, 0], [0.05, 0.05, 0.5])}
     rejections = placed_on(tmp_path, tall, room, supports=("shelf",))
     assert rejections["placement.no_surface"] == 1
@@ -223,7 +223,7 @@ def room_with(tmp_path: Path, surface: SupportSurface) -> Room:
     ("height", "reason"),
     [(1.2, "placement.no_support"), (0.68, "placement.no_support"), (0.80, "placement.off_surface")],
 )
-def test_a_declared_surface_off_the_real_one_is_found(tmp_path: Path, height: float, reason: str) -> None:
+def test_a_declared_surface_off_the_mesh_is_detected(tmp_path: Path, height: float, reason: str) -> None:
     surface = SupportSurface(
         name="air",
         kind="table",
@@ -240,7 +240,7 @@ def test_a_declared_surface_off_the_real_one_is_found(tmp_path: Path, height: fl
     assert rejections[reason] > 0
 
 
-def test_a_surface_one_centimetre_off_is_met_exactly(tmp_path: Path) -> None:
+def test_a_surface_one_centimetre_off_is_corrected(tmp_path: Path) -> None:
     surface = SupportSurface(
         name="cloth",
         kind="table",
@@ -263,7 +263,7 @@ def test_a_surface_one_centimetre_off_is_met_exactly(tmp_path: Path) -> None:
     assert placed.position_m[2] == pytest.approx(0.75, abs=1e-6)
 
 
-def test_a_surface_inside_a_wall_takes_nothing(tmp_path: Path, library: Library) -> None:
+def test_a_surface_inside_a_wall_supports_nothing(tmp_path: Path, library: Library) -> None:
     surface = SupportSurface(
         name="in-wall",
         kind="table",
@@ -277,7 +277,7 @@ def test_a_surface_inside_a_wall_takes_nothing(tmp_path: Path, library: Library)
         place_things(room_with(tmp_path, surface), things_of(library, "can"), recipe, (1,), Counter())
 
 
-def test_a_thing_inside_a_closed_box_is_seen(library: Library, tmp_path: Path, room: Room) -> None:
+def test_an_object_inside_a_closed_box_is_detected(library: Library, tmp_path: Path, room: Room) -> None:
     write_object(
         tmp_path, "crate", "crate", {"body": box([-0.3, -0.3, 0], [0.3, 0.3, 0.5])}, supports=("floor",)
     )
@@ -295,7 +295,7 @@ def test_a_thing_inside_a_closed_box_is_seen(library: Library, tmp_path: Path, r
     assert not is_enclosed(at(can, 2.0, 0.0), at(chair, 2.0, 0.0))  # under the seat is not inside
 
 
-def test_no_room_for_so_many_is_said_with_counts(library: Library, room: Room) -> None:
+def test_too_many_objects_are_reported_with_counts(library: Library, room: Room) -> None:
     recipe = ObjectRecipe(count=(60, 60), max_attempts=5)
     with pytest.raises(
         InputError, match=r"environment room-0: objects = \d+ placed \(.*hits_object \d+"
@@ -304,13 +304,13 @@ def test_no_room_for_so_many_is_said_with_counts(library: Library, room: Room) -
     assert "lower objects.count" in str(caught.value)
 
 
-def test_things_that_fit_nowhere_are_said(tmp_path: Path, room: Room) -> None:
+def test_objects_that_fit_nowhere_are_reported(tmp_path: Path, room: Room) -> None:
     write_object(tmp_path, "bed", "bed", {"body": box([-1, -1, 0], [1, 1, 0.5])}, supports=("counter",))
     with pytest.raises(InputError, match="the objects stand on counter"):
         place_things(room, things_of(Library([tmp_path])), ObjectRecipe(), (1,), Counter())
 
 
-def test_tall_things_like_walls(library: Library, room: Room) -> None:
+def test_tall_objects_are_often_placed_at_walls(library: Library, room: Room) -> None:
     recipe = ObjectRecipe(count=(1, 1))
     at_wall = 0
     for seed in range(40):

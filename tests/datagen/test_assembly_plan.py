@@ -54,7 +54,7 @@ def test_configurations_are_complete(configurations: list[Configuration], root: 
     assert {c.environment.asset for c in configurations} == {"room-0", "room-1"}
 
 
-def test_order_and_company_do_not_matter(configurations: list[Configuration], root: Path) -> None:
+def test_order_and_other_indices_do_not_matter(configurations: list[Configuration], root: Path) -> None:
     library = Library([root])
     for index in (4, 1, 4):
         assert canonical_json(assemble(recipe(), index, library)) == canonical_json(configurations[index])
@@ -103,7 +103,7 @@ def test_zipped_packages_give_the_same_bytes(
         assert canonical_json(assemble(recipe(), 3, zipped)) == canonical_json(configurations[3])
 
 
-def test_bad_draws_are_drawn_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rejected_draws_are_repeated(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     library, place, calls = Library([root]), plan.place_things, []
 
     def unlucky(room: Any, things: Any, recipe: Any, key: Any, rejections: Any, weights: Any) -> Any:
@@ -130,7 +130,7 @@ def test_an_index_outside_the_recipe_is_refused(root: Path) -> None:
         assemble(recipe(), 6, Library([root]))
 
 
-def test_importing_assembly_is_light() -> None:
+def test_importing_assembly_loads_no_heavy_module() -> None:
     heavy = ("mitsuba", "torch", "bpy", "scipy")
     code = f"import sys, datagen.assembly.plan; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run(

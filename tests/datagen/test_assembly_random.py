@@ -12,7 +12,7 @@ from scipy import stats
 from datagen.foundation.random import Draws, digest
 
 
-def test_a_key_gives_its_own_stream() -> None:
+def test_each_key_has_a_distinct_stream() -> None:
     assert Draws(1, 2, "objects").units(5).tolist() == Draws(1, 2, "objects").units(5).tolist()
     keys: list[tuple[int | str, ...]] = [
         (1, 2, "a"),
@@ -39,7 +39,7 @@ def test_splitting_draws_does_not_change_them() -> None:
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.05])
-def test_distributions_and_a_five_percent_error_is_seen(shift: float) -> None:
+def test_distributions_match_and_a_five_percent_error_is_detected(shift: float) -> None:
     draws = Draws(11, "distributions")
     count = 20000
     uniform = [draws.uniform(2.0, 4.0) + 2.0 * shift for _ in range(count)]

@@ -69,7 +69,7 @@ def triangles(placed: PlacedAsset, library: Library, lift_m: float = 0.0) -> np.
     return (geometry.vertices @ matrix[:3, :3].T + matrix[:3, 3] + [0, 0, lift_m])[geometry.faces]
 
 
-def test_real_things_rest_without_cutting(configurations: list[Configuration], library: Library) -> None:
+def test_real_objects_do_not_intersect(configurations: list[Configuration], library: Library) -> None:
     for configuration in configurations:
         assert len(configuration.objects) >= 8
         room = triangles(configuration.environment, library)
@@ -93,14 +93,14 @@ def test_real_rooms_get_all_their_views(configurations: list[Configuration]) -> 
         assert np.ptp(places[:, :2], axis=0).min() > 1.0
 
 
-def test_real_materials_are_put_to_use(configurations: list[Configuration]) -> None:
+def test_real_materials_are_assigned(configurations: list[Configuration]) -> None:
     assigned = {
         m.asset for c in configurations for p in (c.environment, *c.objects) for m in p.materials.values()
     }
     assert {"marble", "tiles", "wood-floor-43"} <= assigned
 
 
-def test_it_is_quick_and_repeats(
+def test_assembly_is_fast_and_repeatable(
     library: Library, recipe: Recipe, configurations: list[Configuration]
 ) -> None:
     start = time.process_time()
@@ -109,5 +109,5 @@ def test_it_is_quick_and_repeats(
     assert canonical_json(again) == canonical_json(configurations[1])
 
 
-def test_rooms_from_the_wild_say_if_their_winding_can_be_trusted(library: Library) -> None:
+def test_consistent_winding_of_imported_rooms_is_recognised(library: Library) -> None:
     assert Room(load_geometry(library.package("staircase2"))).trusts_winding

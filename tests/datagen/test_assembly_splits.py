@@ -74,7 +74,7 @@ def test_disjoint_splits_share_nothing(library: Library) -> None:
     assert set.union(*both[0::2]) & set.union(*both[1::2])  # without the flag they do share
 
 
-def test_partition_uses_all_and_favours_training(library: Library) -> None:
+def test_partition_uses_all_assets_and_favours_training(library: Library) -> None:
     wanted = recipe(splits={"train": 0.8, "test": 0.2, "disjoint": True})
     pools = {split: pools_of_split(wanted, library, split) for split in ("train", "test")}
     rooms = [p.id for split in pools for p in pools[split].environments]  # type: ignore[index]
@@ -85,7 +85,7 @@ def test_partition_uses_all_and_favours_training(library: Library) -> None:
     assert "steel" in [p.id for p in pools["train"].materials]  # a class of one goes to training
 
 
-def test_assets_that_share_a_file_go_together(tmp_path: Path, library: Library) -> None:
+def test_assets_that_share_a_file_share_a_split(tmp_path: Path, library: Library) -> None:
     root = write_small_library(tmp_path, num_rooms=2)
     for k in range(6):
         write_object(root, f"copy-{k}", "box", {"body": box([-0.03, -0.03, 0], [0.03, 0.03, 0.05])})
@@ -135,16 +135,14 @@ def test_reserved_assets_are_never_used(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_recipes_that_cannot_work_are_explained(
-    library: Library, fields: dict[str, Any], message: str
-) -> None:
+def test_impossible_recipes_are_explained(library: Library, fields: dict[str, Any], message: str) -> None:
     if fields.get("objects", {}).get("exclude") == "ALL":
         fields = {"objects": {"exclude": [p.id for p in library.select("object")]}}
     with pytest.raises(InputError, match=message):
         check_recipe(recipe(**fields), library)
 
 
-def test_all_faults_of_a_recipe_are_said_at_once(library: Library) -> None:
+def test_all_faults_of_a_recipe_are_reported_at_once(library: Library) -> None:
     bad = recipe(environments={"include": ["a"]}, objects={"include": ["b"]}, materials={"exclude": ["c"]})
     with pytest.raises(InputError) as caught:
         check_recipe(bad, library)
@@ -168,7 +166,7 @@ def assign(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
     )
 
 
-def test_a_room_never_wears_an_image_of_another_split(tmp_path: Path) -> None:
+def test_a_room_never_shows_an_image_of_another_split(tmp_path: Path) -> None:
     """Two rooms share their floor's image with a material: one split alone may show it."""
     root = write_small_library(tmp_path, num_rooms=2)
     for k in range(4):

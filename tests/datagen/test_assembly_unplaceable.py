@@ -51,7 +51,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_small_library(tmp_path_factory.mktemp("small"))
 
 
-def test_what_can_never_stand_is_named_with_the_reason(own: Path, small: Path) -> None:
+def test_unplaceable_assets_are_named_with_the_reason(own: Path, small: Path) -> None:
     found = {item.asset: item.why for item in unplaceable(recipe(), Library([small, own]))}
     assert set(found) == {"boombox", "tower", "duvet", "hung", "leaning"}
     assert "2.00 x 0.40 m" in found["boombox"]
@@ -63,7 +63,7 @@ def test_what_can_never_stand_is_named_with_the_reason(own: Path, small: Path) -
     )
 
 
-def test_unlikely_sizes_are_said(own: Path, small: Path) -> None:
+def test_unlikely_sizes_are_reported(own: Path, small: Path) -> None:
     library = Library([small, own])
     (said,) = implausible_sizes(recipe(), library)
     assert said.startswith("boombox is 2 m long") and "0.02 to 1.6 m" in said
@@ -72,7 +72,7 @@ def test_unlikely_sizes_are_said(own: Path, small: Path) -> None:
     assert not any("m long" in str(w) for w in check_package(library.package("tin")).warnings)
 
 
-def test_plan_says_both(own: Path, small: Path, tmp_path: Path) -> None:
+def test_plan_reports_unplaceable_assets_and_unlikely_sizes(own: Path, small: Path, tmp_path: Path) -> None:
     path = tmp_path / "few.yaml"
     path.write_text(
         "format: scene-materials/recipe\nversion: 1\nname: few\nconfigurations: 1\nviews: 2\n"
@@ -83,7 +83,7 @@ def test_plan_says_both(own: Path, small: Path, tmp_path: Path) -> None:
     assert "hung is never placed" in done.output and "boombox is 2 m long" in done.output
 
 
-def test_libraries_weigh_against_each_other(own: Path, small: Path) -> None:
+def test_libraries_are_drawn_by_weight(own: Path, small: Path) -> None:
     library = Library([small, own])
 
     def share(**weights: float) -> float:
@@ -100,7 +100,7 @@ def test_libraries_weigh_against_each_other(own: Path, small: Path) -> None:
         recipe(objects={"library_weights": {"mine": 2}})
 
 
-def test_weights_that_are_not_given_change_nothing(small: Path) -> None:
+def test_absent_weights_change_nothing(small: Path) -> None:
     library = Library([small])
     weighed = recipe(library=("small",), objects={"count": (2, 4), "library_weights": {"small": 3}})
     plain = recipe(library=("small",))

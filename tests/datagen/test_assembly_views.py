@@ -67,7 +67,7 @@ def cameras_of(configuration: Configuration) -> list[Camera]:
     return [view.camera() for view in configuration.cameras]
 
 
-def test_cameras_keep_to_the_recipe(rooms: list[tuple[Configuration, WorldScene]], library: Library) -> None:
+def test_cameras_follow_the_recipe(rooms: list[tuple[Configuration, WorldScene]], library: Library) -> None:
     for configuration, _ in rooms:
         assert [view.name for view in configuration.cameras] == [f"view-{k:03d}" for k in range(12)]
         (region,) = library.package(configuration.environment.asset).asset.camera_regions  # type: ignore[union-attr]
@@ -164,7 +164,7 @@ def test_no_view_is_of_a_bare_wall(rooms: list[tuple[Configuration, WorldScene]]
                 assert on_wall.mean() < 0.78
 
 
-def test_subjects_are_things_not_shells(rooms: list[tuple[Configuration, WorldScene]]) -> None:
+def test_subjects_are_objects_not_walls(rooms: list[tuple[Configuration, WorldScene]]) -> None:
     configuration, scene = rooms[0]
     subject = Subject.of(scene)
     assert len(subject.thing_centers) == len(configuration.objects)
@@ -189,7 +189,7 @@ def test_views_differ(rooms: list[tuple[Configuration, WorldScene]]) -> None:
                 assert apart > 0.1 or one.forward @ other.forward < math.cos(math.radians(5))
 
 
-def test_views_that_see_nothing_in_common_are_not_joined() -> None:
+def test_views_without_overlap_are_not_joined() -> None:
     wall = np.array(
         [[0, 5, 0], [9, 5, 0], [9, 5, 3], [0, 5, 3], [0, -5, 0], [9, -5, 0], [9, -5, 3], [0, -5, 3]], float
     )
@@ -255,7 +255,7 @@ def test_rejections_are_counted_by_reason(rooms: list[tuple[Configuration, World
         assert any(name.startswith("camera.") for name in reasons)
 
 
-def test_rooms_without_regions_use_their_own_cameras(tmp_path: Path) -> None:
+def test_rooms_without_regions_use_their_cameras(tmp_path: Path) -> None:
     pose = tuple(tuple(row) for row in look_at((1.0, 3.0, 1.4), (2.0, 1.4, 0.9)).tolist())
     own = AssetCamera(
         name="c", width_px=64, height_px=40, fx_px=60, fy_px=60, cx_px=32, cy_px=20, asset_from_camera=pose

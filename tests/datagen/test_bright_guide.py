@@ -115,7 +115,7 @@ def test_the_lamp_is_the_only_rectangle() -> None:
 
 
 @pytest.mark.parametrize("bright", [(slice(0, 50), slice(0, 50)), (slice(3, 4), slice(3, 4))])
-def test_what_rays_meet_often_or_gives_little_has_no_rectangle(bright: tuple[slice, slice]) -> None:
+def test_large_or_weak_light_has_no_rectangle(bright: tuple[slice, slice]) -> None:
     """The whole ceiling, and one of its cells."""
     radiance = np.ones((CELLS, CELLS))
     radiance[bright] = 15.0

@@ -76,7 +76,7 @@ def triangles_cut_box(corners: np.ndarray, low: np.ndarray, high: np.ndarray) ->
     return found
 
 
-def test_counts() -> None:
+def test_the_library_has_enough_assets() -> None:
     kinds = Counter(package.asset.kind for package in library())
     assert kinds["environment"] >= 5 and kinds["object"] >= 60 and kinds["material"] >= 100
     objects = [p.asset for p in library() if isinstance(p.asset, ObjectAsset)]
@@ -106,7 +106,7 @@ def test_panoramas_show_every_time_of_day() -> None:
     assert all(p[:192].mean() > 3 * p[192:].mean() for panoramas in found.values() for p in panoramas)
 
 
-def test_every_class_that_slots_ask_for_has_materials() -> None:
+def test_every_class_of_a_slot_has_materials() -> None:
     supply = Counter(p.asset.material.classes[0] for p in library() if isinstance(p.asset, MaterialAsset))
     for package in library():
         if not isinstance(package.asset, ObjectAsset | EnvironmentAsset):
@@ -125,7 +125,7 @@ def test_packages_are_sound(kind: str) -> None:
     assert not faults, "\n".join(faults)
 
 
-def test_materials_are_believable() -> None:
+def test_materials_are_plausible() -> None:
     for package in library():
         if not isinstance(package.asset, MaterialAsset):
             continue
@@ -177,7 +177,7 @@ def test_room_is_complete(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_room_is_closed_but_for_its_openings(name: str) -> None:
+def test_room_is_closed_except_for_its_openings(name: str) -> None:
     """Rays from where cameras may be meet the front of something, or leave through an opening."""
     asset, rays = environment(name), room_rays(name)
     rng = np.random.default_rng(1)
@@ -271,7 +271,7 @@ def support_fault(rays: RayScene, surface: SupportSurface) -> str:
     return ""
 
 
-def test_a_leak_would_be_found() -> None:
+def test_a_leak_is_detected() -> None:
     """Twin of the closedness test: a room without one of its walls lets rays out."""
     name = "kitchen"
     loaded, asset = geometry(name), environment(name)

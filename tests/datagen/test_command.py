@@ -84,14 +84,14 @@ def test_dry_run_prints_the_resolved_recipe_and_writes_nothing(inputs: Path, tmp
     assert not (tmp_path / "x").exists()
 
 
-def test_doctor_says_what_will_be_used() -> None:
+def test_doctor_prints_the_environment() -> None:
     result = _datagen("doctor")
     assert result.returncode == 0, result.stdout
     assert "rendering" in result.stdout and "works" in result.stdout
 
 
 @pytest.mark.parametrize("module", ["datagen", "model.cli"])
-def test_the_commands_tell_their_version(module: str) -> None:
+def test_the_commands_print_their_version(module: str) -> None:
     command = [sys.executable, "-m", module, "--version"]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert re.fullmatch(r"scene-materials (\d+\.\d+\.\d+.*|absent)\n", said)
@@ -101,9 +101,7 @@ NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nothing/libLLVM.so", "SCENE_MATERIALS_VARIANT
 
 
 @pytest.mark.parametrize("verb", ["plan", "run", "dry run", "estimate"])
-def test_without_llvm_one_sentence_says_so_before_work_starts(
-    inputs: Path, tmp_path: Path, verb: str
-) -> None:
+def test_without_llvm_one_message_appears_before_work_starts(inputs: Path, tmp_path: Path, verb: str) -> None:
     out = tmp_path / "out"
     words = {"dry run": ["run", "--out", out, "--dry-run"], "estimate": ["estimate"]}
     verb, *options = words.get(verb, [verb, "--out", out])
@@ -117,7 +115,7 @@ def test_without_llvm_one_sentence_says_so_before_work_starts(
     assert "apt-get install libllvm19" in doctor
 
 
-def test_without_llvm_a_planned_folder_is_left_alone(inputs: Path, tmp_path: Path) -> None:
+def test_without_llvm_a_planned_folder_is_unchanged(inputs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     recipe = ("--library", inputs / "library", "--configurations", 1, "--out", out)
     assert _datagen("plan", inputs / "small.yaml", *recipe).returncode == 0
@@ -130,7 +128,7 @@ def test_without_llvm_a_planned_folder_is_left_alone(inputs: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("verb", ["plan", "run"])
-def test_a_dry_run_looks_into_the_libraries(inputs: Path, tmp_path: Path, verb: str) -> None:
+def test_a_dry_run_checks_the_libraries(inputs: Path, tmp_path: Path, verb: str) -> None:
     options = ("--out", tmp_path / "out", "--dry-run")
     result = _datagen(verb, inputs / "small.yaml", "--library", inputs / "library", *options)
     assert result.returncode == 0 and "configurations: 2" in result.stdout, result.stderr
@@ -142,7 +140,7 @@ def test_a_dry_run_looks_into_the_libraries(inputs: Path, tmp_path: Path, verb: 
     assert not (tmp_path / "out").exists()
 
 
-def test_a_disk_too_small_is_said_before_anything_is_rendered(inputs: Path, tmp_path: Path) -> None:
+def test_a_small_disk_is_reported_before_anything_is_rendered(inputs: Path, tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 2) as disk:
         out = disk.root / "out"
         words = ["run", inputs / "small.yaml", "--library", inputs / "library", "--views", 3, "--out", out]

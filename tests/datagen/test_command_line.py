@@ -109,7 +109,7 @@ MOVED = [
 
 
 @pytest.mark.parametrize(("app", "program", "words", "new"), MOVED, ids=[" ".join(m[2]) for m in MOVED])
-def test_a_verb_of_before_names_what_is_in_its_place(
+def test_a_former_verb_names_its_replacement(
     app: typer.Typer, program: str, words: list[str], new: str
 ) -> None:
     assert words[-1] not in _verbs(app)
@@ -118,7 +118,7 @@ def test_a_verb_of_before_names_what_is_in_its_place(
     assert str(result.exception) == f"{program} {' '.join(words)}: is now `{new}`"
 
 
-def test_a_verb_of_before_ends_with_code_2() -> None:
+def test_a_former_verb_ends_with_code_2() -> None:
     command = [sys.executable, "-m", "datagen", "render", "rooms", "--workers", "2"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
@@ -134,7 +134,7 @@ def test_a_verb_of_before_ends_with_code_2() -> None:
         ("materials", "model.cli", "materials inf", "infer"),
     ],
 )
-def test_the_shell_completes(program: str, module: str, words: str, expected: str) -> None:
+def test_shell_completion_works(program: str, module: str, words: str, expected: str) -> None:
     code = f"import sys; sys.argv = ['{program}']; from {module} import main; main()"
     asked = {
         f"_{program.upper()}_COMPLETE": "complete_bash",
@@ -147,7 +147,7 @@ def test_the_shell_completes(program: str, module: str, words: str, expected: st
     assert done.stdout.split() == [expected], done.stderr
 
 
-def test_a_dry_run_of_a_planned_folder_says_what_is_left(tmp_path: Path) -> None:
+def test_a_dry_run_of_a_planned_folder_prints_the_remaining_work(tmp_path: Path) -> None:
     folder = plan_small(tmp_path / "set", tmp_path / "library", 2, 3)
     before = sorted(folder.root.rglob("*"))
     for words, said in (

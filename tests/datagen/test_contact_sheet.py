@@ -41,7 +41,7 @@ def flat_view(**values) -> dict[str, np.ndarray]:
     return view
 
 
-def test_rows_are_few_and_spread():
+def test_rows_are_few_and_spread_over_the_views():
     assert choose_rows(4) == [0, 1, 2, 3]
     assert choose_rows(40) == [0, 8, 16, 23, 31, 39]
     assert choose_rows(1) == [0]
@@ -97,7 +97,7 @@ def test_scales_ignore_background_and_non_finite_values():
     assert scales.most_views == 5
 
 
-def test_a_photographer_lets_few_highlights_clip():
+def test_exposure_clips_few_highlights():
     rng = np.random.default_rng(3)
     warm = rng.lognormal(0.0, 0.8, (60, 80, 1)) * np.array([1.9, 1.0, 0.35])
     at_95 = exposure_for(warm)
@@ -114,7 +114,7 @@ def test_a_photographer_lets_few_highlights_clip():
     assert photographic_exposure(np.zeros((4, 4, 3))) == 1.0
 
 
-def test_a_photographer_exposes_for_the_room_not_for_its_sill():
+def test_exposure_ignores_a_bright_sill():
     rng = np.random.default_rng(4)
     room = rng.uniform(0.02, 0.04, (60, 80, 1)) * np.ones(3)
     room[:2, :72] = 1.0  # 3 % of the pixels: a sill in the light of the sky
@@ -128,7 +128,7 @@ def test_a_photographer_exposes_for_the_room_not_for_its_sill():
     assert clipped_share(room, 30, ~is_room) == 1 and clipped_share(room, 30, np.zeros_like(is_room)) == 0
 
 
-def test_every_view_of_a_sheet_has_its_exposure():
+def test_every_view_of_a_sheet_has_a_separate_exposure():
     dark, bright = (dict(make_buffers(96, 160, seed=1)) for _ in range(2))
     for name in ("beauty", "color_min", "color_median", "color_max"):
         bright[name] = 8 * bright[name]
@@ -156,7 +156,7 @@ def test_every_column_and_row_is_drawn(size):
     assert 0 < np.ptp(columns) < full.shape[1] / len(COLUMNS)
 
 
-def test_nothing_to_draw_is_refused():
+def test_an_empty_selection_is_refused():
     with pytest.raises(InputError, match="no views"):
         make_contact_sheet([], [], "title")
     with pytest.raises(InputError, match="without beauty"):

@@ -88,14 +88,14 @@ def recorder(monkeypatch: pytest.MonkeyPatch) -> Recorder:
     return Recorder(monkeypatch)
 
 
-def test_a_file_is_on_the_disk_before_its_name_and_the_name_after(tmp_path: Path, recorder: Recorder) -> None:
+def test_a_file_is_synced_before_its_name_and_its_folder_after(tmp_path: Path, recorder: Recorder) -> None:
     write_bytes_atomically(tmp_path / "a.json", b"{}")
     recorder.check()
     assert [kind for kind, _ in recorder.events] == ["sync", "name", "sync"]
     assert recorder.events[-1] == ("sync", str(tmp_path))
 
 
-def test_the_first_of_two_names(tmp_path: Path, recorder: Recorder) -> None:
+def test_only_the_first_of_two_names_is_published(tmp_path: Path, recorder: Recorder) -> None:
     for name in ("one", "other"):
         (tmp_path / name).write_text(name)
     publish_first(tmp_path / "one", tmp_path / "target")
@@ -105,7 +105,7 @@ def test_the_first_of_two_names(tmp_path: Path, recorder: Recorder) -> None:
     assert (tmp_path / "target").read_text() == "one"
 
 
-def test_a_folder_is_on_the_disk_with_all_that_it_holds(tmp_path: Path, recorder: Recorder) -> None:
+def test_a_folder_is_synced_with_all_its_contents(tmp_path: Path, recorder: Recorder) -> None:
     (tmp_path / "partial" / "deep").mkdir(parents=True)
     (tmp_path / "partial" / "deep" / "file").write_text("x")
     publish(tmp_path / "partial", tmp_path / "whole")
@@ -113,13 +113,13 @@ def test_a_folder_is_on_the_disk_with_all_that_it_holds(tmp_path: Path, recorder
     assert len(recorder.events) == 5
 
 
-def test_names_of_new_folders(tmp_path: Path, recorder: Recorder) -> None:
+def test_new_folders_are_synced(tmp_path: Path, recorder: Recorder) -> None:
     make_folder(tmp_path / "a" / "b")
     make_folder(tmp_path / "a" / "b")
     assert recorder.events == [("sync", str(tmp_path)), ("sync", str(tmp_path / "a"))]
 
 
-def test_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packages_are_written_durably(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_small_library(tmp_path / "library")
     package = Library([tmp_path / "library"]).select("environment")[0]
     recorder = Recorder(monkeypatch)
@@ -136,14 +136,14 @@ def test_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert open_package(tmp_path / "room").sha256 == package.sha256
 
 
-def test_packages_of_the_blender_extension(tmp_path: Path, recorder: Recorder) -> None:
+def test_packages_of_the_blender_extension_are_written_durably(tmp_path: Path, recorder: Recorder) -> None:
     with PackageWriter(tmp_path / "cup") as writer:
         writer.add("textures", "a", ".bin", b"content")
     recorder.check()
     assert recorder.names() == [str(tmp_path / "cup")]
 
 
-def test_a_shard_is_safe_before_its_marker_and_both_before_the_work_goes(
+def test_a_shard_is_synced_before_its_marker_and_the_work_removed_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = plan_small(tmp_path / "set", tmp_path / "library", num_units=1)
@@ -174,9 +174,7 @@ def _attempt(folder: DatasetFolder) -> UnitRun:
     return UnitRun(folder, plan.units[0], recipe, library, plan.versions, plan.variant)
 
 
-def test_a_finished_view_is_safe_before_the_record_that_vouches_for_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finished_view_is_synced_before_its_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = plan_small(tmp_path / "set", tmp_path / "library", num_units=1)
     run_local(folder.root, LocalOptions(stages=("render",)))
     attempt = _attempt(folder)
@@ -196,7 +194,9 @@ def _failing_for(kind: Callable[[int], bool], code: int) -> Callable[[int], None
     return fsync
 
 
-def test_file_systems_that_cannot_wait_for_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_systems_without_folder_sync_are_accepted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(os, "fsync", _failing_for(stat.S_ISDIR, errno.EINVAL))
     write_bytes_atomically(tmp_path / "a", b"a")
     sync_folder(tmp_path)
@@ -205,9 +205,7 @@ def test_file_systems_that_cannot_wait_for_folders(tmp_path: Path, monkeypatch: 
         sync_folder(tmp_path)
 
 
-def test_content_that_does_not_reach_the_disk_gets_no_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unsynced_content_gets_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", _failing_for(stat.S_ISREG, errno.EIO))
     with pytest.raises(OSError, match="Input/output error"):
         write_bytes_atomically(tmp_path / "a", b"a")

@@ -47,7 +47,7 @@ def test_gains_do_not_depend_on_the_numbers_of_regions() -> None:
     np.testing.assert_allclose(other, solve_gains(*walls(), IS_OUTSIDE), rtol=1e-9)
 
 
-def test_small_things_of_another_colour_change_little() -> None:
+def test_small_objects_of_another_colour_change_little() -> None:
     """A picture that covers a tenth of each wall, four times as dark."""
     log_radiance, rest, parts, region = walls()
     is_picture = np.arange(len(region)) % 400 < 40
@@ -55,7 +55,7 @@ def test_small_things_of_another_colour_change_little() -> None:
     np.testing.assert_allclose(solve_gains(darker, rest, parts, region, IS_OUTSIDE), GAINS, rtol=0.35)
 
 
-def test_light_that_is_the_same_everywhere_keeps_its_estimate() -> None:
+def test_uniform_light_keeps_its_estimate() -> None:
     """Albedo and a light that does not vary cannot be told apart; neither can regions of one surfel."""
     log_radiance, rest, parts, region = walls()
     even = np.ones_like(rest)
@@ -72,7 +72,7 @@ def test_gains_are_bounded() -> None:
 
 
 @pytest.mark.parametrize("layout", [NEAR, FAR])
-def test_background_groups_are_blocks_of_places_and_directions(layout: Layout) -> None:
+def test_background_groups_are_blocks_of_positions_and_directions(layout: Layout) -> None:
     groups = background_groups(layout)
     assert groups.min() == 0
     assert groups.max() < NUM_OUTSIDE < NUM_GROUPS

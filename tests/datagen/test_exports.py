@@ -105,7 +105,7 @@ def test_pycocotools_reads_boxes_and_masks(dataset: Path, views: list[View], tmp
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_run_lengths_are_those_of_pycocotools(seed: int) -> None:
+def test_run_lengths_equal_those_of_pycocotools(seed: int) -> None:
     from pycocotools import mask as reference
 
     from datagen.exports.coco import run_lengths
@@ -125,7 +125,7 @@ def _seen_by(poses: dict[str, Any], camera: dict[str, Any], points_m: np.ndarray
     return image[:, :2] / image[:, 2:]
 
 
-def test_bop_poses_put_models_onto_their_masks(dataset: Path, views: list[View], tmp_path: Path) -> None:
+def test_bop_poses_project_models_onto_their_masks(dataset: Path, views: list[View], tmp_path: Path) -> None:
     """Depth inside a mask, brought into the object's frame, lies in the model's box; the model's points,
     projected, bound the mask."""
     import trimesh
@@ -175,7 +175,7 @@ def test_bop_without_the_library_is_refused(dataset: Path, tmp_path: Path) -> No
         BopFiles(Export(open_rooms(dataset, None, ()), tmp_path))
 
 
-def test_our_reader_of_transforms_gets_the_cameras_back(
+def test_our_reader_of_transforms_recovers_the_cameras(
     dataset: Path, views: list[View], tmp_path: Path
 ) -> None:
     from datagen.foundation.budget import Budget
@@ -193,7 +193,7 @@ def test_our_reader_of_transforms_gets_the_cameras_back(
         np.testing.assert_allclose(depth, view.buffers["depth_z_m"][..., 0], atol=6e-4)
 
 
-def test_points_of_the_cloud_lie_where_views_see_surfaces(
+def test_points_of_the_cloud_are_on_visible_surfaces(
     dataset: Path, views: list[View], tmp_path: Path
 ) -> None:
     import trimesh
@@ -250,7 +250,7 @@ def _flow_faults(out: Path, views: list[View], gain: float = 1.0) -> tuple[float
     )
 
 
-def test_flow_leads_to_the_same_points_and_colours(dataset: Path, views: list[View], tmp_path: Path) -> None:
+def test_flow_maps_to_the_same_points_and_colours(dataset: Path, views: list[View], tmp_path: Path) -> None:
     out = export("flow", dataset, tmp_path / "flow", "--min-overlap", "0.05") / "small-00000"
     depth_error, color_error, count = _flow_faults(out, views)
     assert count > 2000
@@ -272,7 +272,7 @@ def test_flow_of_a_view_to_itself_is_zero_and_everything_is_seen(views: list[Vie
     assert (flow[~has_depth] > 1e9).all()
 
 
-def test_hypersim_folders_hold_what_hypersim_says(dataset: Path, views: list[View], tmp_path: Path) -> None:
+def test_hypersim_folders_follow_the_convention(dataset: Path, views: list[View], tmp_path: Path) -> None:
     """Positions projected by its matrices come back to their pixels; depth is a distance."""
     import h5py
 
@@ -313,7 +313,7 @@ def test_hypersim_folders_hold_what_hypersim_says(dataset: Path, views: list[Vie
         np.testing.assert_array_equal(np.where(ids < 0, 0, ids), view.buffers["instance_id"][..., 0])
 
 
-def test_other_folders_are_not_written_into(dataset: Path, tmp_path: Path) -> None:
+def test_existing_folders_are_not_overwritten(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine"
     out.mkdir()
     (out / "thesis.txt").write_text("words")

@@ -223,9 +223,7 @@ def test_kill_at_a_chosen_moment(
     _check_completes(folder, expected)
 
 
-def test_full_disk_keeps_what_is_finished(
-    expected: dict[str, str], tmp_path: Path, library_root: Path
-) -> None:
+def test_full_disk_keeps_finished_views(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
     """A file-size limit makes writing the shard fail as a full disk does; the views stay."""
     folder = plan_small(tmp_path / "full", library_root)
     run_local(folder.root, LocalOptions(stages=("render", "stats"), only=(0,)))
@@ -243,7 +241,7 @@ def test_full_disk_keeps_what_is_finished(
     _check_completes(folder, expected)
 
 
-def test_a_full_disk_sets_nothing_aside_and_one_more_run_completes(
+def test_after_a_full_disk_no_unit_has_failed_and_a_rerun_completes(
     expected: dict[str, str], tmp_path: Path, library_root: Path
 ) -> None:
     with small_disk(tmp_path / "disk", 16) as disk:
@@ -260,7 +258,7 @@ def test_a_full_disk_sets_nothing_aside_and_one_more_run_completes(
         _check_completes(folder, expected)
 
 
-def test_a_read_only_folder_is_said_to_be_and_left_alone(
+def test_a_read_only_folder_is_reported_and_unchanged(
     expected: dict[str, str], tmp_path: Path, undisturbed: DatasetFolder
 ) -> None:
     with small_disk(tmp_path / "disk", 16) as disk:
@@ -296,7 +294,7 @@ def test_two_whole_runs_at_once(expected: dict[str, str], tmp_path: Path, librar
     _check_completes(folder, expected)
 
 
-def test_damaged_markers_are_found_and_mended(
+def test_damaged_markers_are_found_and_repaired(
     expected: dict[str, str], tmp_path: Path, undisturbed: DatasetFolder
 ) -> None:
     """A marker that is cut counts as none; one that lies about its shard's hash is found by hashing."""
@@ -325,7 +323,7 @@ def test_changed_configurations_are_refused(tmp_path: Path, undisturbed: Dataset
     assert not summary.done and "not what was planned" in summary.failures[0].reason
 
 
-def test_leftovers_and_damaged_views_are_made_again(
+def test_damaged_views_and_leftovers_are_replaced(
     expected: dict[str, str], tmp_path: Path, library_root: Path
 ) -> None:
     folder = plan_small(tmp_path / "damaged", library_root)

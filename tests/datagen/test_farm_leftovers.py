@@ -69,7 +69,7 @@ def _touch(root: Path, names: Iterable[str]) -> set[str]:
     return set(names)
 
 
-def test_a_crash_between_the_shard_and_its_marker(
+def test_a_crash_between_the_shard_and_its_marker_leaves_a_leftover(
     folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The tar has its name and no marker names it: verify says so, collect removes it."""
@@ -94,7 +94,7 @@ def test_a_crash_between_the_shard_and_its_marker(
     assert collect(folder.root).is_complete and orphan.read_bytes() == orphan_bytes
 
 
-def test_only_what_nothing_rests_on_is_removed(folder: DatasetFolder) -> None:
+def test_only_unreferenced_files_are_removed(folder: DatasetFolder) -> None:
     done, undone = folder.read_plan().units
     kept = _all(folder.root)
     kept |= _touch(
@@ -130,7 +130,7 @@ def test_only_what_nothing_rests_on_is_removed(folder: DatasetFolder) -> None:
     assert find_leftovers(folder.root) == []
 
 
-def test_what_is_being_made_is_left_alone(folder: DatasetFolder) -> None:
+def test_files_of_running_attempts_are_kept(folder: DatasetFolder) -> None:
     """An attempt that showed itself in the last ten minutes may be about to write the marker."""
     undone = folder.read_plan().units[1]
     _touch(
@@ -166,7 +166,7 @@ def _logs(folder: DatasetFolder) -> list[str]:
     return sorted(path.name for path in folder.logs_path.glob("*.log"))
 
 
-def test_a_full_disk_stops_the_run_at_its_first_word(tmp_path: Path, library_root: Path) -> None:
+def test_a_full_disk_stops_the_run_at_the_first_error(tmp_path: Path, library_root: Path) -> None:
     """One attempt at one unit, not three at each; none is set aside; the same command goes on afterwards."""
     with small_disk(tmp_path / "disk", 16) as disk:
         folder = plan_small(disk.root / "set", library_root)
@@ -184,7 +184,7 @@ def test_a_full_disk_stops_the_run_at_its_first_word(tmp_path: Path, library_roo
         assert len(summary.done) == 3 and collect(folder.root).is_complete
 
 
-def test_a_disk_too_small_for_the_estimate_is_said_before_work(
+def test_a_disk_too_small_for_the_estimate_is_reported_before_work(
     folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     need = needed_space(folder, workers=2)
@@ -220,7 +220,7 @@ def test_jobs_are_not_submitted_to_a_disk_too_small(
     assert result.exit_code == 0, result.output
 
 
-def test_the_estimate_before_there_is_a_shard(tmp_path: Path, library_root: Path) -> None:
+def test_the_estimate_without_shards_is_close(tmp_path: Path, library_root: Path) -> None:
     """It is within a factor of two of what the shards take."""
     folder = plan_small(tmp_path / "set", library_root, num_units=1)
     need = needed_space(folder, workers=1)

@@ -70,14 +70,14 @@ def test_three_workers_make_the_same_bytes(
     assert _hashes(other) == _hashes(finished)
 
 
-def test_rerun_does_nothing(finished: DatasetFolder) -> None:
+def test_a_rerun_does_nothing(finished: DatasetFolder) -> None:
     before = {path: path.stat().st_mtime_ns for path in finished.shards_path.iterdir()}
     summary = run_local(finished.root, LocalOptions(workers=2))
     assert summary.already_done == 3 and not summary.done
     assert {path: path.stat().st_mtime_ns for path in finished.shards_path.iterdir()} == before
 
 
-def test_killed_worker_costs_its_unit_only_and_finished_views_are_kept(
+def test_a_killed_worker_loses_its_unit_only_and_no_finished_views(
     finished: DatasetFolder, tmp_path: Path, library_root: Path
 ) -> None:
     folder = plan_small(tmp_path / "killed", library_root)
@@ -121,7 +121,9 @@ def test_interrupt_and_continue_by_the_same_command(
     assert _hashes(folder) == _hashes(finished)
 
 
-def test_two_runs_at_once_make_no_double(finished: DatasetFolder, tmp_path: Path, library_root: Path) -> None:
+def test_parallel_runs_make_no_duplicates(
+    finished: DatasetFolder, tmp_path: Path, library_root: Path
+) -> None:
     folder = plan_small(tmp_path / "twice", library_root)
     both = [
         subprocess.Popen(
@@ -150,7 +152,7 @@ def test_two_runs_at_once_make_no_double(finished: DatasetFolder, tmp_path: Path
     assert _hashes(folder) == _hashes(finished)
 
 
-def test_failing_unit_is_set_aside_with_log_and_command(tmp_path: Path, library_root: Path) -> None:
+def test_failing_unit_is_recorded_with_log_and_command(tmp_path: Path, library_root: Path) -> None:
     folder = plan_small(tmp_path / "failing", library_root, num_units=2)
     path = folder.configuration_path("small-00001")
     data = json.loads(path.read_text())
@@ -169,7 +171,7 @@ def test_failing_unit_is_set_aside_with_log_and_command(tmp_path: Path, library_
     assert read_status(folder.root).waiting == 1
 
 
-def test_damage_is_found_and_mended(finished: DatasetFolder, tmp_path: Path) -> None:
+def test_damage_is_found_and_repaired(finished: DatasetFolder, tmp_path: Path) -> None:
     root = tmp_path / "damaged"
     shutil.copytree(finished.root, root)
     folder = DatasetFolder(root)

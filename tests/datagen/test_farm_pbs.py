@@ -82,7 +82,7 @@ def _pretend_done(desk: Desk, monkeypatch: pytest.MonkeyPatch, *indices: int) ->
     monkeypatch.setattr(DatasetFolder, "is_done", lambda self, unit: unit.index in indices)
 
 
-def test_members_run_the_units_that_are_not_done(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_members_run_the_unfinished_units(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     _pretend_done(desk, monkeypatch, 1)
     root = desk.folder.root
     done = submit(root, SlurmOptions(), "pbs")
@@ -114,7 +114,7 @@ def test_long_plans_become_several_arrays(desk: Desk) -> None:
     assert "#PBS -J 0-1%5\n" in done.scripts[0].read_text()
 
 
-def test_what_is_told_to_stop_submits_itself_again(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_jobs_resubmit_themselves(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two seconds before its time limit of four the slow unit gets a signal, and ends as interrupted."""
     monkeypatch.setenv("SLOW_UNIT", "1")
     root = desk.folder.root
@@ -125,7 +125,7 @@ def test_what_is_told_to_stop_submits_itself_again(desk: Desk, monkeypatch: pyte
     assert "qsub -v DATAGEN_UNIT=1" in called
 
 
-def test_directives_say_what_was_asked_for(desk: Desk) -> None:
+def test_directives_match_the_options(desk: Desk) -> None:
     options = SlurmOptions(
         time_limit="1-02:30",
         memory="8G",
@@ -154,11 +154,11 @@ def test_directives_say_what_was_asked_for(desk: Desk) -> None:
         ("2-0:0:05", 172805),
     ],
 )
-def test_times(text: str, seconds: int) -> None:
+def test_times_are_parsed(text: str, seconds: int) -> None:
     assert seconds_of(text) == seconds
 
 
-def test_what_pbs_cannot_say_is_refused_all_at_once(desk: Desk) -> None:
+def test_all_options_without_pbs_equivalents_are_refused_at_once(desk: Desk) -> None:
     options = SlurmOptions(qos="high", sbatch_options=("exclusive",), time_limit="1", notice_s=90)
     with pytest.raises(InputError) as caught:
         submit(desk.folder.root, options, "pbs")
@@ -191,7 +191,7 @@ def test_hostile_folder_names_execute_nothing(name: str, desk: Desk, tmp_path: P
     assert list(here.iterdir()) == []
 
 
-def test_cancelling_finds_jobs_by_their_name(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cancelling_finds_jobs_by_name(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ANSWER", "7[].server 9.server")
     assert cancel(desk.folder.root, "pbs") == ["7[].server", "9.server"]
     assert desk.lines() == [f"qselect -N {job_name(desk.folder.root)}", "qdel 7[].server 9.server"]

@@ -188,7 +188,7 @@ def test_hostile_options_execute_nothing(name: str, desk: Desk) -> None:
     "source_me 'x", 'source_me "', "source_me \\", "if true", "cat <<EOF", "source_me )", "x() {",
     "case x in", "source_me \x1b[2J", "a\x00b", "source_me `", "source_me\r",
 ])  # fmt: skip
-def test_setup_that_would_swallow_the_script_is_refused(setup: str) -> None:
+def test_setup_that_would_break_the_script_is_refused(setup: str) -> None:
     with pytest.raises(InputError, match=r"--setup.*source \.venv/bin/activate") as caught:
         SlurmOptions(setup=setup)
     assert str(caught.value).isprintable()
@@ -203,7 +203,9 @@ def test_setup_is_run_before_the_units(desk: Desk) -> None:
     assert called == [*ours, units[0], *ours, units[1], *ours, *collect]
 
 
-def test_a_relative_folder_that_looks_like_an_option(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_relative_folder_that_looks_like_an_option_is_accepted(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(desk.folder.root.parent)
     desk.folder.root.rename("-h")
     try:
@@ -227,7 +229,7 @@ def _directives(script: Path) -> dict[str, str | None]:
     return found
 
 
-def test_a_plan_longer_than_an_array_is_split_and_whole(tmp_path: Path) -> None:
+def test_a_plan_longer_than_an_array_is_split_completely(tmp_path: Path) -> None:
     """Slurm's largest index is one less than MaxArraySize: numbers in an array start at 0 in each."""
     root = plan_small(tmp_path / "set", tmp_path / "library", 5, num_views=1).root
     *arrays, collect = submit(root, SlurmOptions(max_array=3), dry_run=True).scripts
@@ -243,7 +245,7 @@ def test_a_plan_longer_than_an_array_is_split_and_whole(tmp_path: Path) -> None:
     assert found == [("0-1", 0), ("0-1", 2), ("0", 4)]
 
 
-def test_collecting_has_a_size_of_its_own(planned: DatasetFolder) -> None:
+def test_the_collecting_job_has_separate_resources(planned: DatasetFolder) -> None:
     options = SlurmOptions(cpus=16, gpus=4, memory="200G", partition="gpu", constraint="a100", account="me")
     scripts = submit(planned.root, options, dry_run=True).scripts
     units, collect = (_directives(path) for path in scripts)
@@ -254,7 +256,7 @@ def test_collecting_has_a_size_of_its_own(planned: DatasetFolder) -> None:
     assert collect["partition"] == "gpu", "the cluster's own may not be open to this account"
 
 
-def test_further_options_reach_the_jobs_that_they_are_for(planned: DatasetFolder) -> None:
+def test_further_options_reach_the_right_jobs(planned: DatasetFolder) -> None:
     options = SlurmOptions(
         partition="gpu",
         qos="high",
@@ -277,7 +279,7 @@ def test_further_options_reach_the_jobs_that_they_are_for(planned: DatasetFolder
     assert not {"exclusive", "gpus-per-node", "comment", "constraint"} & set(collect) and "nice" not in units
 
 
-def test_options_that_the_scripts_rest_on_are_refused_all_at_once() -> None:
+def test_all_options_that_the_scripts_set_are_refused_at_once() -> None:
     with pytest.raises(InputError) as caught:
         SlurmOptions(
             sbatch_options=("array=0-5", "--output=x", "time=1"),
@@ -290,9 +292,7 @@ def test_options_that_the_scripts_rest_on_are_refused_all_at_once() -> None:
 
 
 @pytest.mark.parametrize(("failing", "code"), [("none", 0), ("status", 1), ("verify", 2), ("report", 3)])
-def test_the_collecting_job_ends_with_what_it_found(
-    desk: Desk, failing: str, code: int, tmp_path: Path
-) -> None:
+def test_the_collecting_job_returns_its_result(desk: Desk, failing: str, code: int, tmp_path: Path) -> None:
     """Every step runs, whichever fails."""
     program = tmp_path / "programs" / "datagen"
     program.write_text(

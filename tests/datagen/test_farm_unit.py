@@ -79,7 +79,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_stages_leave_their_files_and_report_what_is_done(made: Made) -> None:
+def test_stages_leave_their_files_and_report_progress(made: Made) -> None:
     unit = made.folder.read_plan().units[0]
     rendered = made.after["render"].work_path(unit)
     assert names(rendered) == ["rendered"]  # and no heartbeat
@@ -93,7 +93,7 @@ def test_stages_leave_their_files_and_report_what_is_done(made: Made) -> None:
     assert names(made.folder.units_path) == [f"{unit.key}.json"]
 
 
-def test_the_manifest_says_what_the_shard_is(made: Made) -> None:
+def test_the_manifest_describes_the_shard(made: Made) -> None:
     folder = made.folder
     unit, manifest = folder.read_plan().units[0], manifest_of(folder)
     shard = folder.root / manifest.shard
@@ -113,7 +113,7 @@ def test_the_manifest_says_what_the_shard_is(made: Made) -> None:
     assert all(record.exposure > 0 and "color_median" in record.buffers for record in records)
 
 
-def test_memory_is_said_in_megabytes(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_reported_in_megabytes(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The system counts in units of 1024 bytes."""
     folder = made.copy("stats", tmp_path / "a")
     usage = SimpleNamespace(ru_maxrss=3000 * 1024)
@@ -122,7 +122,7 @@ def test_memory_is_said_in_megabytes(made: Made, tmp_path: Path, monkeypatch: py
     assert manifest_of(folder).peak_memory_mb == 3000.0
 
 
-def test_a_stage_without_the_one_before_says_which_to_run(made: Made, tmp_path: Path) -> None:
+def test_a_stage_without_the_previous_one_names_it(made: Made, tmp_path: Path) -> None:
     folder = made.copy("render", tmp_path / "a")
     with pytest.raises(InputError, match=r"view-000\.exr.*datagen run .* --only stats"):
         run_unit(made.attempt(folder), ["pack"])
@@ -157,7 +157,7 @@ def test_finished_views_are_kept_and_damaged_ones_are_not(made: Made, tmp_path: 
     assert run_unit(last, ["render"]) and events == [("render", 2, 2)]  # nothing is left to be stopped
 
 
-def test_lost_timings_cost_no_unit(made: Made, tmp_path: Path) -> None:
+def test_lost_timings_fail_no_unit(made: Made, tmp_path: Path) -> None:
     folder = made.copy("stats", tmp_path / "a")
     run = made.attempt(folder)
     (run.rendered_path / f"{VIEWS[0]}.timing").unlink()
@@ -167,7 +167,7 @@ def test_lost_timings_cost_no_unit(made: Made, tmp_path: Path) -> None:
     assert manifest_of(folder).sha256 == manifest_of(made.folder).sha256
 
 
-def test_what_was_not_planned_is_refused(made: Made, tmp_path: Path) -> None:
+def test_changed_versions_and_configurations_are_refused(made: Made, tmp_path: Path) -> None:
     folder = made.copy("render", tmp_path / "a")
     run = made.attempt(folder)
     run.versions = {**run.versions, "mitsuba": "0.0.1"}
@@ -205,7 +205,7 @@ def of_another_hash(folder: DatasetFolder, manifest: UnitManifest) -> UnitManife
     [(of_another_shard, False), (without_its_shard, True), (of_another_hash, True), (None, True)],
     ids=["whole", "shard lost", "other hash", "damaged"],
 )
-def test_the_first_marker_wins_unless_it_proves_nothing(
+def test_the_first_marker_wins_unless_it_is_invalid(
     made: Made, tmp_path: Path, there: Change | None, wins: bool
 ) -> None:
     """A second attempt comes to its end after another has written its marker."""
@@ -221,7 +221,7 @@ def test_the_first_marker_wins_unless_it_proves_nothing(
     assert folder.is_done(folder.read_plan().units[0])
 
 
-def test_a_unit_that_another_committed_meanwhile_is_no_failure(
+def test_a_unit_committed_by_another_attempt_is_no_failure(
     made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = made.copy("stats", tmp_path / "a")
@@ -256,7 +256,7 @@ def test_a_failed_pack_leaves_no_part_of_a_shard(
     assert names(folder.shards_path) == []
 
 
-def test_the_index_lists_what_is_done_and_what_is_missing(made: Made, tmp_path: Path) -> None:
+def test_the_index_lists_done_and_missing_units(made: Made, tmp_path: Path) -> None:
     folder = made.copy("pack", tmp_path / "a")
     unit, manifest = folder.read_plan().units[0], manifest_of(folder)
     recipe = folder.recipe_path.read_text()
@@ -353,7 +353,7 @@ def test_status_counts_units_views_and_time(seven: DatasetFolder) -> None:
     assert not list(seven.root.glob(".clock*"))
 
 
-def test_one_unit_gives_no_rate_and_all_units_leave_no_time(seven: DatasetFolder) -> None:
+def test_one_unit_gives_no_rate_and_a_finished_plan_no_time_left(seven: DatasetFolder) -> None:
     now = seven.plan_path.stat().st_mtime
     finish(seven, 1, 7200, now, 1.0, 1.0)
     status = read_status(seven.root)
@@ -365,7 +365,7 @@ def test_one_unit_gives_no_rate_and_all_units_leave_no_time(seven: DatasetFolder
     assert status.seconds_left == 0.0 and status.failed == ()
 
 
-def test_a_marker_without_its_shard_or_that_is_damaged_counts_as_none(seven: DatasetFolder) -> None:
+def test_a_damaged_marker_or_one_without_its_shard_is_ignored(seven: DatasetFolder) -> None:
     units = seven.read_plan().units
     (seven.shards_path / f"{units[0].id}.tar").unlink()
     seven.manifest_path(units[1]).write_text("{")
@@ -387,7 +387,7 @@ def test_status_is_printed(seven: DatasetFolder, capsys: pytest.CaptureFixture[s
     assert lines[11:] == ["not done --array=3-6"]
 
 
-def test_last_lines_are_those_of_the_end(seven: DatasetFolder) -> None:
+def test_last_lines_are_read_from_the_end(seven: DatasetFolder) -> None:
     assert last_lines(seven.root, "logs/unit.log", 2) == ["line 1998", "line 1999"]
     (seven.logs_path / "short.log").write_text("a\nb\n")
     assert last_lines(seven.root, "logs/short.log") == ["a", "b"]
@@ -398,7 +398,7 @@ def test_last_lines_are_those_of_the_end(seven: DatasetFolder) -> None:
     assert message.startswith("(no log: ")
 
 
-def test_a_record_of_a_view_vouches_for_its_image(made: Made) -> None:
+def test_a_record_of_a_view_contains_the_hash_of_its_image(made: Made) -> None:
     run = made.attempt(made.after["stats"])
     record = run.read_record(run.complete_path, VIEWS[0])
     assert isinstance(record, ViewRecord) and record.exr_sha256 == sha256_file(

@@ -99,7 +99,7 @@ def test_workers_are_replaced_when_their_memory_has_grown(tmp_path: Path, librar
         ("exhaust", "MemoryError: std::bad_alloc"),
     ],
 )
-def test_a_worker_that_dies_costs_its_unit_only(
+def test_a_worker_that_dies_loses_its_unit_only(
     fault: str, reason: str, tmp_path: Path, library_root: Path
 ) -> None:
     """Tried again in a fresh process, then set aside with its log and a command that reproduces it."""

@@ -188,7 +188,7 @@ def test_bad_recipes_name_field_and_remedy(change: dict, message: str, tmp_path:
         read_yaml(Recipe, path)
 
 
-def test_unreadable_files_are_named(tmp_path: Path) -> None:
+def test_unreadable_files_are_reported_by_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_yaml(Recipe, tmp_path / "absent.yaml")
     broken = tmp_path / "broken.yaml"
@@ -201,7 +201,7 @@ def test_unreadable_files_are_named(tmp_path: Path) -> None:
         read_json(Recipe, binary)
 
 
-def test_atomic_write_leaves_nothing_behind_on_failure(tmp_path: Path) -> None:
+def test_failed_atomic_write_leaves_no_files(tmp_path: Path) -> None:
     target = tmp_path / "folder"
     target.mkdir()
     (target / "inside").write_text("x")
@@ -210,7 +210,7 @@ def test_atomic_write_leaves_nothing_behind_on_failure(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
 
 
-def test_a_buffer_says_its_stage() -> None:
+def test_each_buffer_has_a_stage() -> None:
     """The order decides the bytes of a view's EXR; what is optional is in no list."""
     truth = ("normal_world", "depth_z_m", "surface_mask", "instance_id", "material_id")
     assert ("beauty", *MATERIAL_MAPS, *truth) == RENDERED_BUFFERS

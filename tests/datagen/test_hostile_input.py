@@ -37,7 +37,7 @@ from tests.hostile import attack, set_traps
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_readers_read_or_refuse(name: str, tmp_path: Path) -> None:
+def test_readers_return_objects_or_refuse(name: str, tmp_path: Path) -> None:
     attack("tests.datagen.hostile_cases", name, tmp_path / "case")
 
 
@@ -107,7 +107,7 @@ def test_png_chunk_of_four_gigabytes_is_refused(tmp_path: Path, memory_stays_low
         read_image(path)
 
 
-def test_another_format_under_a_known_name_is_refused(tmp_path: Path) -> None:
+def test_another_format_with_a_known_suffix_is_refused(tmp_path: Path) -> None:
     """The decoder behind would read it: only the formats of packages are let through."""
     import cv2
 
@@ -120,7 +120,7 @@ def test_another_format_under_a_known_name_is_refused(tmp_path: Path) -> None:
         assert done
 
 
-def test_ply_that_claims_what_it_does_not_hold_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
+def test_ply_that_is_shorter_than_its_header_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
     path = tmp_path / "mesh.ply"
     for header in (
         "element vertex 200000000\nproperty float x\nproperty float y\nproperty float z\n",
@@ -253,7 +253,7 @@ def test_dataset_that_links_outside_is_refused(tmp_path: Path) -> None:
         DatasetFolder(root).read_record()
 
 
-def test_many_faults_make_a_short_message(tmp_path: Path) -> None:
+def test_many_faults_give_a_short_message(tmp_path: Path) -> None:
     path = tmp_path / "recipe.json"
     path.write_text(json.dumps({f"key{k}": "x" * 1000 for k in range(2_000)}))
     with pytest.raises(InputError, match="more problems") as caught:
@@ -276,7 +276,7 @@ def test_deeply_nested_and_aliased_documents_are_refused(tmp_path: Path, memory_
         read_yaml(Recipe, path)
 
 
-def test_yaml_tags_make_no_objects(tmp_path: Path) -> None:
+def test_yaml_tags_create_no_objects(tmp_path: Path) -> None:
     marker = tmp_path / "made"
     path = tmp_path / "recipe.yaml"
     path.write_text(f"name: !!python/object/apply:os.mknod ['{marker}']\n")

@@ -131,7 +131,7 @@ def test_axes_resting_plane_and_uvs(tmp_path: Path, suffix: str) -> None:
     assert asset.parts[0].uv_per_m == pytest.approx(np.sqrt(0.5), rel=1e-5)
 
 
-def test_mirroring_nodes_keep_their_outside(tmp_path: Path) -> None:
+def test_mirroring_nodes_keep_their_orientation(tmp_path: Path) -> None:
     builder = Builder().quad().material()
     builder.json["nodes"][0]["scale"] = [-1, 1, 1]
     _, package = panel(tmp_path, builder)
@@ -174,7 +174,7 @@ def test_constants_stay_constants(tmp_path: Path) -> None:
     assert package.names() == ("meshes/panel.ply",)
 
 
-def test_plain_channels_pass_without_resampling(tmp_path: Path) -> None:
+def test_plain_channels_are_not_resampled(tmp_path: Path) -> None:
     builder = Builder().quad()
     noise(tmp_path / "source" / "color.png")
     packed = noise(tmp_path / "source" / "arm.png", seed=1)
@@ -386,7 +386,7 @@ def test_rooms_become_environments_with_lights_and_cameras(tmp_path: Path) -> No
 # ---- real furniture ---------------------------------------------------------------------------------
 
 
-def test_furniture_passes_its_images_through(tmp_path: Path, shared_data: Path) -> None:
+def test_images_of_furniture_are_copied_unchanged(tmp_path: Path, shared_data: Path) -> None:
     folder = shared_data / "furniture" / "living_room_polyhaven" / "assets"
     (record,) = import_gltf(folder / "wooden_table_02_1k.gltf", tmp_path, ImportOptions(category="table"))
     package = open_package(record.path)
@@ -407,7 +407,7 @@ def test_furniture_passes_its_images_through(tmp_path: Path, shared_data: Path) 
     assert material.roughness.channel == "g"
 
 
-def test_a_set_can_be_split_into_its_things(tmp_path: Path, shared_data: Path) -> None:
+def test_a_set_can_be_split_into_objects(tmp_path: Path, shared_data: Path) -> None:
     path = shared_data / "furniture" / "living_room_polyhaven" / "assets" / "tea_set_01_1k.gltf"
     records = import_asset(path, tmp_path, split=True)
     assert len(records) == 8  # of ten nodes: the two lids go with their pots

@@ -64,7 +64,7 @@ def mesh_of(package: Any) -> Any:
 
 
 @pytest.mark.parametrize("filters", [False, True])
-def test_a_mesh_of_meshopt_equals_the_plain_one(tmp_path: Path, filters: bool) -> None:
+def test_a_meshopt_mesh_equals_the_plain_one(tmp_path: Path, filters: bool) -> None:
     _, plain = panel(tmp_path / "plain", Builder().quad().material())
     path = compressed(tmp_path / "source" / "panel.gltf", filters)
     (record,) = import_gltf(path, tmp_path / "library", LICENSED)
@@ -110,7 +110,7 @@ def textured(image: dict[str, Any]) -> Builder:
 
 @pytest.mark.parametrize("codec", ["etc1s", "uastc"])
 @pytest.mark.parametrize("embedded", [True, False])
-def test_a_basis_texture_becomes_its_picture(tmp_path: Path, codec: str, embedded: bool) -> None:
+def test_a_basis_texture_is_decoded(tmp_path: Path, codec: str, embedded: bool) -> None:
     pixels = picture()
     content = ktx2(pixels, codec)
     if embedded:

@@ -39,7 +39,7 @@ LICENSED = ImportOptions(license="CC0-1.0")
         ("color.png", "color"),
     ],
 )
-def test_names_tell_what_an_image_holds(name: str, role: str) -> None:
+def test_names_determine_the_channel_of_an_image(name: str, role: str) -> None:
     assert role_of(name) == role
 
 
@@ -60,7 +60,7 @@ def bumps(side: int = 64, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_orientation_of_normal_maps_by_their_pixels(seed: int) -> None:
+def test_orientation_of_normal_maps_is_detected_from_pixels(seed: int) -> None:
     height, up = bumps(seed=seed)
     down = up.copy()
     down[..., 1] = 255 - down[..., 1]
@@ -80,7 +80,7 @@ def write_folder(folder: Path, normal: str = "NormalGL") -> Path:
     return folder
 
 
-def test_a_dielectric_folder_passes_through(tmp_path: Path) -> None:
+def test_a_dielectric_folder_is_copied_unchanged(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "oak-planks")
     record = import_material_folder(
         folder, tmp_path / "library", ImportOptions(license="CC0-1.0", tile_size_m=1.5)
@@ -99,7 +99,7 @@ def test_a_dielectric_folder_passes_through(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["NormalDX", "Normal"])
-def test_directx_normals_are_turned_round(tmp_path: Path, name: str) -> None:
+def test_directx_normals_are_flipped(tmp_path: Path, name: str) -> None:
     folder = write_folder(tmp_path / "oak", name)
     up = bumps()[1]
     down = up.copy()
@@ -112,7 +112,7 @@ def test_directx_normals_are_turned_round(tmp_path: Path, name: str) -> None:
     np.testing.assert_array_equal(read_image(record.path / asset.material.normal.texture), up)
 
 
-def test_real_folders(tmp_path: Path, shared_data: Path) -> None:
+def test_real_folders_are_imported(tmp_path: Path, shared_data: Path) -> None:
     textures = shared_data / "textures" / "ambientcg"
     gold = import_material_folder(textures / "gold", tmp_path)
     asset = open_package(gold.path).asset
@@ -140,7 +140,7 @@ def test_bad_folders_are_refused(tmp_path: Path) -> None:
         import_material_folder(tmp_path / "empty", tmp_path / "library", LICENSED)
 
 
-def test_names_tell_classes_and_categories() -> None:
+def test_names_determine_classes_and_categories() -> None:
     assert guess_class("WoodFloor") == "wood"
     assert guess_class("FloorTiles") == "ceramic"
     assert guess_class("StainlessSteel") == "metal"

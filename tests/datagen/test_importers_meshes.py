@@ -79,7 +79,7 @@ def test_obj_keeps_size_materials_and_triangles(tmp_path: Path) -> None:
         assert ((corners.mean(1) - [0, 0, SIZE[2] / 2]) * normal).sum(1).min() > 0
 
 
-def test_corners_of_different_kinds_are_told_apart() -> None:
+def test_corners_of_different_kinds_are_distinguished() -> None:
     """One corner without uv and one with a normal: the totals are those of a uniform file."""
     corners = [b"%d/%d" % (k + 1, 300 - k) for k in range(300)]
     corners[1], corners[2] = b"2", b"3/298/7"
@@ -89,7 +89,7 @@ def test_corners_of_different_kinds_are_told_apart() -> None:
     assert (found[3:, 2] == -1).all() and found[299].tolist() == [299, 0, -1]
 
 
-def test_obj_textures_come_along(tmp_path: Path) -> None:
+def test_obj_textures_are_copied(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (8, 8, 3)).astype(np.uint8)
     Image.fromarray(pixels).save(tmp_path / "oak.png")
     (record,) = import_asset(write_obj(tmp_path, "oak.png"), tmp_path / "library", OPTIONS)
@@ -110,7 +110,7 @@ def test_names_in_an_obj_stay_in_its_folder(tmp_path: Path) -> None:
     assert import_asset(path, tmp_path / "library", allowed)
 
 
-def test_what_an_obj_misses_is_refused_or_told(tmp_path: Path) -> None:
+def test_missing_files_of_an_obj_are_refused_or_reported(tmp_path: Path) -> None:
     path = write_obj(tmp_path, "gone.png")
     with pytest.raises(InputError, match=r"gone.png' \(no such file\); expected a PNG or JPEG"):
         import_asset(path, tmp_path / "library", OPTIONS)
@@ -123,7 +123,7 @@ def test_what_an_obj_misses_is_refused_or_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".stl", ".ply"])
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, ""), (100.0, "centimetres"), (1000.0, "millimetres")])
-def test_units_are_guessed_and_told(tmp_path: Path, suffix: str, scale: float, unit: str) -> None:
+def test_units_are_guessed_and_reported(tmp_path: Path, suffix: str, scale: float, unit: str) -> None:
     box(scale).export(tmp_path / f"sofa{suffix}")
     (record,) = import_asset(tmp_path / f"sofa{suffix}", tmp_path / "library", OPTIONS)
     np.testing.assert_allclose(size_of(record), SIZE, rtol=1e-5)
@@ -131,14 +131,14 @@ def test_units_are_guessed_and_told(tmp_path: Path, suffix: str, scale: float, u
     assert [unit in note for note in told] == ([True] if unit else [])
 
 
-def test_a_unit_that_is_given_holds(tmp_path: Path) -> None:
+def test_a_given_unit_is_used(tmp_path: Path) -> None:
     box(100).export(tmp_path / "sofa.stl")
     given = ImportOptions(license="CC0-1.0", unit_scale=0.02)
     (record,) = import_asset(tmp_path / "sofa.stl", tmp_path / "library", given)
     np.testing.assert_allclose(size_of(record), 2 * np.array(SIZE), rtol=1e-5)
 
 
-def test_stl_as_text_and_round_shapes(tmp_path: Path) -> None:
+def test_stl_as_text_and_round_shapes_are_imported(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
     (tmp_path / "ball.stl").write_text(trimesh.exchange.stl.export_stl_ascii(ball))
     (record,) = import_asset(tmp_path / "ball.stl", tmp_path / "library", OPTIONS)
@@ -162,7 +162,7 @@ def test_stl_as_text_and_round_shapes(tmp_path: Path) -> None:
         ("none.obj", b"v 0 0 0\n", "no faces"),
     ],
 )  # fmt: skip
-def test_damaged_files_are_told(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+def test_damaged_files_are_refused(tmp_path: Path, name: str, data: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError) as caught:
         import_asset(tmp_path / name, tmp_path / "library", OPTIONS)
@@ -170,7 +170,7 @@ def test_damaged_files_are_told(tmp_path: Path, name: str, data: bytes, message:
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
-def test_readers_draw_on_the_budget(tmp_path: Path, suffix: str) -> None:
+def test_readers_spend_the_budget(tmp_path: Path, suffix: str) -> None:
     """A fan of 4,000 triangles round one vertex: pairs grow with the square."""
     ring = [(np.cos(a), np.sin(a), 0.1 * (k % 2)) for k, a in enumerate(np.linspace(0, 6.28, 4000))]
     faces = [(0, k, k + 1) for k in range(1, len(ring))]
@@ -220,7 +220,7 @@ def from_blender(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.bpy
 @pytest.mark.parametrize("suffix", [".fbx", ".usdc", ".blend", ".glb"])
-def test_what_blender_reads_is_imported(from_blender: Path, tmp_path: Path, suffix: str) -> None:
+def test_files_that_blender_reads_are_imported(from_blender: Path, tmp_path: Path, suffix: str) -> None:
     path = from_blender / f"sofa{suffix}"
     if suffix == ".glb":
         assert b"KHR_draco_mesh_compression" in path.read_bytes()
@@ -232,13 +232,13 @@ def test_what_blender_reads_is_imported(from_blender: Path, tmp_path: Path, suff
 
 
 @pytest.mark.bpy
-def test_what_blender_cannot_read_is_told(from_blender: Path, tmp_path: Path) -> None:
+def test_files_that_blender_cannot_read_are_refused(from_blender: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.fbx").write_bytes(b"Kaydara FBX Binary  \0\x1a\0" + bytes(200))
     with pytest.raises(InputError, match=r"broken.fbx: Blender: .*; expected a file that it can read"):
         import_asset(tmp_path / "broken.fbx", tmp_path / "library", OPTIONS)
 
 
-def test_without_blender_the_way_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_blender_a_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
     (tmp_path / "sofa.fbx").write_bytes(b"x")
     with pytest.raises(InputError, match=r"pip install 'scene-materials\[blender\]' .* or export glTF"):
@@ -279,7 +279,7 @@ def test_compressed_gltf_names_a_converter(
 # --- what an import says ----------------------------------------------------------------------------------
 
 
-def test_alike_sentences_become_one() -> None:
+def test_similar_sentences_are_merged() -> None:
     sentences = [f"part_{k}: roughness 0.{k} is the mean of its image" for k in range(30)]
     sentences += ["lamp: morph targets left out", "no colon here", "no colon here"]
     grouped = group_sentences(sentences)
@@ -290,7 +290,7 @@ def test_alike_sentences_become_one() -> None:
     assert grouped[1:] == ["no colon here", "lamp: morph targets left out"]
 
 
-def test_a_report_is_short_and_says_where_the_rest_is(tmp_path: Path) -> None:
+def test_a_report_is_short_and_names_the_full_one(tmp_path: Path) -> None:
     kinds = ["alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta"]
     told = tuple(f"part: {kind} left out" for kind in kinds)
     record = ImportedAsset(

@@ -68,7 +68,7 @@ def imported(
 # ---- parsing -------------------------------------------------------------------------------------
 
 
-def test_variables_includes_and_old_names(tmp_path: Path) -> None:
+def test_variables_includes_and_old_names_are_resolved(tmp_path: Path) -> None:
     write_scene(
         tmp_path, '<bsdf type="diffuse" id="grey"><rgb name="reflectance" value="#808080"/></bsdf>', "b.xml"
     )
@@ -206,7 +206,7 @@ def test_conductor_f0_agrees_with_mitsuba(tmp_path: Path, mitsuba_variant: str) 
         fresnel.conductor_preset_mean("nonsense")
 
 
-def test_sheen_of_diffuse_surfaces_is_taken_off(mitsuba_variant: str) -> None:
+def test_sheen_of_diffuse_surfaces_is_removed(mitsuba_variant: str) -> None:
     import drjit as dr
     import mitsuba as mi
 
@@ -270,7 +270,7 @@ def test_plastic_keeps_the_hemispherical_albedo(
     assert np.abs(other / theirs - 1).max() > 0.05  # the test tells the two formulas apart
 
 
-def test_beckmann_width_is_the_nearest_to_ggx() -> None:
+def test_beckmann_width_is_the_closest_to_ggx() -> None:
     x = np.concatenate([[0], np.logspace(-5, 5, 200_000)])
 
     def distance(factor: float) -> float:
@@ -284,7 +284,7 @@ def test_beckmann_width_is_the_nearest_to_ggx() -> None:
     assert fresnel.perceptual_roughness(0.1, "ggx") == pytest.approx(np.sqrt(0.1 * best))
 
 
-def test_textures_pass_through_and_only_products_are_baked(tmp_path: Path) -> None:
+def test_textures_are_copied_and_only_products_are_baked(tmp_path: Path) -> None:
     colorful(tmp_path / "t.png")
     bitmap = '<texture name="{0}" type="bitmap"><string name="filename" value="t.png"/></texture>'
     plain = draft_of(tmp_path, '<bsdf type="diffuse" id="d">' + bitmap.format("reflectance") + "</bsdf>")
@@ -336,7 +336,7 @@ def test_checkerboard_and_uv_transforms_agree_with_mitsuba(mitsuba_variant: str)
     assert agree.mean() > 0.999
 
 
-def test_bump_maps_lean_the_right_way() -> None:
+def test_bump_maps_tilt_normals_in_the_right_direction() -> None:
     v, u = np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(64) + 0.5) / 64, indexing="ij")
     height = (0.01 * np.sin(2 * np.pi * u) + 0.02 * np.sin(2 * np.pi * (1 - v))).astype(np.float32)
     normal = normal_from_height(height, uv_per_m=0.5)  # one period in two metres
@@ -379,7 +379,7 @@ ROOM = """
 """
 
 
-def test_a_room_gets_its_places(tmp_path: Path) -> None:
+def test_a_room_gets_its_markers(tmp_path: Path) -> None:
     record, asset = imported(tmp_path, ROOM + SENSOR.replace("0, 1, 4", "0, 1, 1.5"))
     assert {p.name for p in asset.parts} == {"room", "table"}
     (light,) = asset.lights
@@ -435,7 +435,7 @@ def test_unknown_bsdfs_are_refused_by_name(tmp_path: Path, name: str) -> None:
         imported(tmp_path, scene)
 
 
-def test_annotations_override(tmp_path: Path) -> None:
+def test_annotations_override_the_scene(tmp_path: Path) -> None:
     sidecar = tmp_path / "places.yaml"
     sidecar.write_text(
         "support_surfaces: []\ncamera_regions:\n- {minimum_m: [-1, -1, 0], maximum_m: [1, 1, 2]}\n"
@@ -508,7 +508,7 @@ def test_files_outside_the_scene_are_refused(tmp_path: Path) -> None:
         imported(tmp_path, body, ImportOptions(license="CC0-1.0", missing="replace"))
 
 
-def test_a_licence_is_given_or_found_but_never_made_up(tmp_path: Path, shared_data: Path) -> None:
+def test_a_licence_is_given_or_found_but_never_invented(tmp_path: Path, shared_data: Path) -> None:
     with pytest.raises(InputError, match="--license"):
         imported(tmp_path, "<shape type='cube'/>", ImportOptions())
     origin = detect_origin(shared_data / "scenes" / "staircase")
@@ -542,7 +542,7 @@ def test_meshes_used_twice_are_stored_once(tmp_path: Path) -> None:
     np.testing.assert_allclose(second @ [0, 1, 0, 1], [5, 0, 1, 1])
 
 
-def test_same_scene_same_bytes(tmp_path: Path) -> None:
+def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
     options = ImportOptions(license="CC0-1.0", as_zip=True, asset_id="room")
     first, _ = imported(tmp_path / "a", ROOM + SENSOR, options)
     second, _ = imported(tmp_path / "b", ROOM + SENSOR, options)
@@ -646,7 +646,7 @@ def test_largest_rectangle_against_brute_force() -> None:
         assert mask[x0:x1, y0:y1].all()
 
 
-def test_open_space_has_no_places() -> None:
+def test_open_space_has_no_markers() -> None:
     plate = shape_mesh(SceneNode("shape", "rectangle"), None, Budget("x"))[0].triangles()
     places = find_places(plate, np.zeros(len(plate), np.int64), set(), np.zeros((0, 3)))
     assert places.floor_m is None
@@ -656,7 +656,7 @@ def test_open_space_has_no_places() -> None:
 # ---- real scenes ---------------------------------------------------------------------------------
 
 
-def test_a_real_scene(tmp_path: Path, shared_data: Path) -> None:
+def test_a_real_scene_is_imported(tmp_path: Path, shared_data: Path) -> None:
     source = shared_data / "scenes" / "staircase2"
     with pytest.raises(InputError, match="material 'Glass'"):
         import_mitsuba_scene(source, tmp_path)

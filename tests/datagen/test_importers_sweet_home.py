@@ -172,7 +172,7 @@ def test_properties_are_read_as_java_reads_them() -> None:
         ("http://creativecommons.org/choose/zero/ or Attribution 4.0", ""),
     ],
 )  # fmt: skip
-def test_licences_are_recognised_and_never_made_up(text: str, spdx: str) -> None:
+def test_licences_are_recognised_and_never_invented(text: str, spdx: str) -> None:
     assert spdx_license(text) == spdx
 
 
@@ -250,7 +250,7 @@ def test_normals_are_smooth_within_a_smoothing_group_and_creased_at_sharp_edges(
     assert len(flat.positions) == 48
 
 
-def test_faces_held_twice_and_lines_are_passed_over() -> None:
+def test_duplicate_faces_and_lines_are_skipped() -> None:
     text = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nl 1 2\nf 1 2\nf 1 2 3\nf 3 2 1\nf -3 -2 -1\n"
     assert len(read_obj_model(text, "x.obj", Budget("x")).surfaces[0].mesh.faces) == 1
 
@@ -258,7 +258,7 @@ def test_faces_held_twice_and_lines_are_passed_over() -> None:
 # materials
 
 
-def test_phong_becomes_d_s_and_r() -> None:
+def test_phong_is_converted_to_d_s_and_r() -> None:
     table = read_mtl(MTL.encode(), "x.mtl")
     plastic = phong_channels(PhongMaterial((0.5, 0.5, 0.5), (0.5, 0.5, 0.5), exponent=98), is_metal=False)
     assert np.allclose(plastic.diffuse, 0.2140, atol=1e-3)  # 0.5 of sRGB
@@ -277,7 +277,7 @@ def test_phong_becomes_d_s_and_r() -> None:
         assert np.isclose(peak, 1 / (np.pi * phong_roughness(n) ** 4), rtol=1e-4)
 
 
-def test_textures_stand_alone_and_cut_outs_keep_their_opacity(tmp_path: Path) -> None:
+def test_textures_are_not_tinted_and_cut_outs_keep_their_opacity(tmp_path: Path) -> None:
     model = box_obj((4, 2, 3), "oak") + box_obj((4, 2, 3), "leaf", offset=8)
     sh3f = Sh3f().piece("crate", model)
     sh3f.files["m/crate/planks.png"] = planks()
@@ -351,7 +351,7 @@ def test_floor_standing_furniture_is_never_put_on_a_table(tmp_path: Path) -> Non
     assert {a.title: a.category for a in assets if isinstance(a, ObjectAsset)}["Stool"] == "seat"
 
 
-def test_categories_and_supports_by_name() -> None:
+def test_categories_and_supports_follow_from_names() -> None:
     assert guess_category("chair with cushion") == "seat" and guess_category("table lamp") == "lamp"
     assert guess_supports("rug", 0.01, 0.6) == ("floor",)
     assert guess_supports("", 0.58, 0.4) == ("floor",)
@@ -381,7 +381,7 @@ def catalogue_with_faults() -> Sh3f:
     return sh3f
 
 
-def test_faults_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
+def test_faults_are_named_and_the_other_pieces_imported(tmp_path: Path) -> None:
     path = catalogue_with_faults().write(tmp_path / "x.sh3f")
     steps: list[Step] = []
     with pytest.raises(InputError) as refused:
@@ -406,7 +406,7 @@ def test_faults_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert check_library([tmp_path / "library"]).errors == ()
 
 
-def test_a_truncated_archive_names_the_pieces_it_lost(tmp_path: Path) -> None:
+def test_a_truncated_archive_names_its_missing_pieces(tmp_path: Path) -> None:
     path = Sh3f().piece("one", box_obj((1, 1, 1), "matt")).piece("two", box_obj((1, 1, 1), "matt"))
     file = path.write(tmp_path / "x.sh3f")
     data = bytearray(file.read_bytes())
@@ -425,7 +425,7 @@ def test_a_truncated_archive_names_the_pieces_it_lost(tmp_path: Path) -> None:
         open_catalogue(tmp_path / "other.sh3f", Budget("x"))
 
 
-def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
+def test_damaged_files_are_read_or_refused(tmp_path: Path) -> None:
     rng = random.Random(5)
     outcomes = []
     for k in range(60):
@@ -447,7 +447,7 @@ def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> N
     assert {-1, 1} <= set(outcomes)
 
 
-def test_an_interrupted_import_goes_on_where_it_stopped(tmp_path: Path) -> None:
+def test_an_interrupted_import_resumes(tmp_path: Path) -> None:
     path = catalogue_with_faults().write(tmp_path / "x.sh3f")
     library = tmp_path / "library"
     done: list[Step] = []
@@ -481,7 +481,7 @@ def test_options_for_single_assets_are_refused(tmp_path: Path) -> None:
     assert [p.field for p in refused.value.problems] == ["kind", "id", "unit-scale"]
 
 
-def test_the_command_shows_a_summary_and_names_what_it_refused(tmp_path: Path) -> None:
+def test_the_command_prints_a_summary_and_names_refused_pieces(tmp_path: Path) -> None:
     catalogue_with_faults().write(tmp_path / "x.sh3f")
     assert [s.kind for s in find_sources(tmp_path)] == ["sweet_home"]
     command = [
@@ -510,7 +510,7 @@ def furniture() -> Path:
     return FURNITURE
 
 
-def test_real_people_import_at_their_size(furniture: Path, tmp_path: Path) -> None:
+def test_real_people_models_keep_their_size(furniture: Path, tmp_path: Path) -> None:
     path = furniture / "Reallusion.sh3f"
     with open_catalogue(path, Budget("x")) as catalogue:
         sizes = {p.name: p.size_m for p in catalogue.pieces[:1]}

@@ -76,7 +76,7 @@ def test_table_has_licences_and_hashes(library_folder: Path) -> None:
     assert lines[-1].usage == "evaluation_only"
 
 
-def test_check_goes_on_past_broken_packages(library_folder: Path) -> None:
+def test_check_continues_after_broken_packages(library_folder: Path) -> None:
     (library_folder / "materials" / "bad").mkdir()
     (library_folder / "materials" / "bad" / "asset.json").write_text("{}")
     bad_cube = cube_asset(id="tall", maximum_m=(0.5, 0.5, 3.0))

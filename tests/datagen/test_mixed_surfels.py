@@ -97,7 +97,7 @@ def test_slats_are_mixed_and_walls_are_not(views: tuple[TracedView, ...]) -> Non
     assert surfels.is_mixed[surfels.position_m[:, 1] < 1.5].mean() < 0.02
 
 
-def test_slats_do_not_shine_like_the_sky_behind_them(
+def test_slats_do_not_get_the_radiance_of_the_sky_behind_them(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
     """Their photographs show mostly sky; the light that reaches them from the room bounds their radiance."""
@@ -115,7 +115,7 @@ def test_mixed_surfels_in_unknown_light_keep_their_radiance(
     assert np.median(_of_slats(found) / _of_slats(seen)) > 0.5
 
 
-def test_mixed_surfels_of_possible_radiance_keep_it(traced: TracedGeometry) -> None:
+def test_mixed_surfels_of_plausible_radiance_keep_it(traced: TracedGeometry) -> None:
     """Before a dark sky."""
     views = _photographed(traced, sky=SLAT / 2)
     seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
@@ -138,7 +138,7 @@ def _radiance(views: Sequence[TracedView], is_slat: bool) -> NDArray[np.float32]
     return np.concatenate(of_views)
 
 
-def test_pixels_of_slats_have_the_radiance_of_slats_alone(
+def test_pixels_of_slats_get_the_radiance_of_slats_alone(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
     found = _unmixed(views, traced)
@@ -160,9 +160,7 @@ def test_pixels_without_other_surfaces_keep_their_values(
 
 
 @pytest.mark.parametrize(("part", "expected"), [(1.0, 1.0), (0.45, 0.5), (0.0, 0.0)])
-def test_slope_is_the_part_of_the_predicted_mixture_that_photographs_show(
-    part: float, expected: float
-) -> None:
+def test_slope_is_the_observed_part_of_the_predicted_mixture(part: float, expected: float) -> None:
     """A part of 0.9 counts as exact."""
     rng = np.random.default_rng(3)
     share = rng.uniform(0.2, 0.8, 200_000)

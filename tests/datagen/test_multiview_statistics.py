@@ -109,7 +109,7 @@ def test_equals_oracle(name):
         {"include_self": False},
     ],
 )
-def test_a_wrong_oracle_is_noticed(wrong):
+def test_a_wrong_oracle_is_detected(wrong):
     """The twin: with a parameter 5 % off, or another rule, the comparison must fail."""
     options = StatisticsOptions()
     views = make_views(((90, 60),))
@@ -120,7 +120,7 @@ def test_a_wrong_oracle_is_noticed(wrong):
     assert wrongs > 0
 
 
-def test_background_and_emitters_keep_their_own_color():
+def test_background_and_emitters_keep_the_colour_of_the_view():
     views = make_views()
     for view, result in zip(views, compute(views), strict=True):
         is_empty = ~has_surface(view.depth_z_m, view.surface_mask)
@@ -131,7 +131,7 @@ def test_background_and_emitters_keep_their_own_color():
     assert not has_surface(views[5].depth_z_m, views[5].surface_mask).any()  # the one that looks away
 
 
-def test_order_bounds_and_shapes():
+def test_statistics_are_ordered_bounded_and_shaped():
     views = make_views(((21, 14), (16, 18)))
     for view, result in zip(views, compute(views), strict=True):
         shape = (view.camera.height_px, view.camera.width_px)
@@ -147,7 +147,7 @@ def test_order_bounds_and_shapes():
         assert (result["color_min"] <= view.color).all() and (view.color <= result["color_max"]).all()
 
 
-def test_single_view_returns_its_own_colors_exactly():
+def test_single_view_returns_the_colours_of_the_view_exactly():
     view = make_views(num_views=1)[0]
     result = compute([view])[0]
     is_surface = has_surface(view.depth_z_m, view.surface_mask)

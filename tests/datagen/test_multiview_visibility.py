@@ -109,7 +109,7 @@ def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
 
 
 @pytest.mark.parametrize("cosine", [0.9, 0.3, 0.1, 0.055])
-def test_a_point_beneath_its_surface_is_seen_at_any_angle_and_an_occluder_before_it_hides_it(cosine):
+def test_a_point_below_its_surface_is_visible_unless_occluded(cosine):
     """Reconstructed points lie off the mesh by their error. As far beneath it as a part of the tolerance
     says, they are seen at grazing angles as from above; and what stands closely before them hides them."""
     import mitsuba as mi
@@ -158,7 +158,7 @@ def test_points_behind_outside_and_facing_away_are_not_seen():
     assert seen.visible_mask[0].tolist() == [True, False, False, False, False, False]
 
 
-def test_the_image_ends_where_the_pixel_after_its_last_would_begin():
+def test_the_image_ends_at_the_outer_edge_of_its_last_pixel():
     """Points that project exactly onto the left, right, upper and lower border; behind the last row of the
     first view's depth lies the first of the second's."""
     camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
@@ -171,7 +171,7 @@ def test_the_image_ends_where_the_pixel_after_its_last_would_begin():
 
 
 @pytest.mark.parametrize("farthest", [0, 1, 2])
-def test_the_farthest_camera_is_found_wherever_it_is_listed(farthest):
+def test_the_farthest_camera_is_found_at_any_index(farthest):
     """Far from the origin, so that what lies behind the list of cameras would be taken for one."""
     import mitsuba as mi
 

@@ -60,11 +60,11 @@ def test_every_name_becomes_an_id(name: str) -> None:
 
 
 @given(st.text(alphabet=st.characters(max_codepoint=127), max_size=40))
-def test_ascii_stays(name: str) -> None:
+def test_ascii_is_unchanged(name: str) -> None:
     assert transliterated(name) == name
 
 
-def test_the_add_on_transliterates_alike() -> None:
+def test_the_add_on_transliterates_identically() -> None:
     """It imports nothing of the project's other packages, so it has the same file."""
     paths = ("datagen/foundation/transliteration.py", "blender_addon/gather/transliteration.py")
     here, there = ((REPOSITORY / path).read_text() for path in paths)

@@ -109,7 +109,7 @@ def test_zip_bytes_depend_on_content_alone(tmp_path: Path) -> None:
     assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "other" / "b.zip").read_bytes()
 
 
-def test_hash_ignores_layout_and_sees_content(tmp_path: Path) -> None:
+def test_hash_depends_on_content_but_not_on_layout(tmp_path: Path) -> None:
     package = make(tmp_path / "cube")
     before = package.sha256
     description = tmp_path / "cube" / "asset.json"
@@ -131,7 +131,7 @@ def test_zip_with_one_folder_inside(tmp_path: Path) -> None:
         assert package.sha256 == open_package(tmp_path / "cube").sha256
 
 
-def test_existing_target_is_kept_unless_told(tmp_path: Path) -> None:
+def test_existing_target_is_kept_by_default(tmp_path: Path) -> None:
     make(tmp_path / "cube")
     with pytest.raises(InputError, match="exists already"):
         make(tmp_path / "cube")
@@ -140,7 +140,7 @@ def test_existing_target_is_kept_unless_told(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["cube"]
 
 
-def test_failed_write_leaves_nothing_and_keeps_the_old(tmp_path: Path) -> None:
+def test_failed_write_keeps_the_old_package(tmp_path: Path) -> None:
     make(tmp_path / "cube")
 
     def refuse(package: Package) -> None:
@@ -290,7 +290,7 @@ def test_unusable_meshes_are_refused(tmp_path: Path, mesh: Mesh, message: str) -
     assert message in faults(package)
 
 
-def test_non_manifold_meshes_are_warned_of_and_refused_when_strict(tmp_path: Path) -> None:
+def test_non_manifold_meshes_give_warnings_and_errors_when_strict(tmp_path: Path) -> None:
     cube = cube_mesh()
     fin = np.concatenate([cube.faces, [[0, 1, 7]]]).astype(np.int32)
     mesh = Mesh(cube.positions, fin, cube.normals, cube.uv)
@@ -392,7 +392,7 @@ def test_normals_that_cancel_or_are_missing_follow_a_surface() -> None:
     )
 
 
-def test_normals_that_lie_in_their_surface_are_mended_and_warned_of(tmp_path: Path) -> None:
+def test_normals_in_the_plane_of_their_surface_are_repaired_with_a_warning(tmp_path: Path) -> None:
     cube = cube_mesh()
     assert cube.normals is not None
     normals = cube.normals.copy()
@@ -408,7 +408,7 @@ def test_normals_that_lie_in_their_surface_are_mended_and_warned_of(tmp_path: Pa
     np.testing.assert_allclose(mended.areas(), bad.areas())
 
 
-def test_opening_reads_descriptions_only(tmp_path: Path) -> None:
+def test_opening_reads_only_descriptions(tmp_path: Path) -> None:
     parts = tuple(Part(name=f"p{k}", mesh="meshes/cube.ply", material="body") for k in range(800))
     write_package(tmp_path / "cube", cube_asset(parts=parts), cube_files())
     (tmp_path / "cube" / "meshes" / "cube.ply").write_bytes(b"ply not really")

@@ -42,7 +42,7 @@ def _room(kind: str, seed: str) -> MadeRoom:
     return make_room(kind, seed)
 
 
-def test_recipes_know_every_kind() -> None:
+def test_recipes_accept_every_kind() -> None:
     assert sorted(get_args(RoomKind)) == sorted(KINDS)
     assert len(KINDS) >= 12
 
@@ -75,7 +75,7 @@ def test_a_room_takes_less_than_two_seconds() -> None:
     assert max(slowest.values()) < 2.0, slowest
 
 
-def test_few_rooms_are_drawn_again() -> None:
+def test_few_rooms_are_rejected() -> None:
     rooms = [_room(kind, seed) for kind in sorted(KINDS) for seed in SEEDS]
     assert np.mean([room.tries for room in rooms]) < 2.0
 
@@ -111,7 +111,7 @@ def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
     assert in_metal("legs").surface == "fitting" and in_metal("worktop").surface == "worktop"
 
 
-def test_three_shades_in_four_are_the_luminous_body() -> None:
+def test_three_quarters_of_the_shades_are_luminous() -> None:
     makers = {
         "pendant": lambda draws: lamps.pendant(draws, "glow_0", 0.6),
         "floor lamp": lambda draws: lamps.floor_lamp(draws, "glow_0"),
@@ -152,7 +152,7 @@ def test_doors_have_switches_and_walls_sockets() -> None:
     assert 0.85 * doors < switches <= doors and sockets > 0.85 * len(KINDS) * len(SEEDS)
 
 
-def test_windows_have_curtains_or_blinds_or_neither() -> None:
+def test_windows_have_curtains_blinds_or_neither() -> None:
     """And radiators below, with curtains in front of some."""
     windows, found, both = 0, dict.fromkeys(("curtains", "blind", "radiator"), 0), 0
     for kind in sorted(KINDS):
@@ -182,7 +182,7 @@ def test_prints_differ() -> None:
     assert (spread < 0.08).mean() > 0.1, "greys occur"
 
 
-def test_every_seed_makes_another_room() -> None:
+def test_every_seed_gives_another_room() -> None:
     shells = {draw_shell(KINDS["hallway"], Draws("shell", k)) for k in range(160)}
     assert len(shells) == 160
     assert len({room_id(kind, str(k)) for kind in KINDS for k in range(160)}) == 160 * len(KINDS)
@@ -215,7 +215,7 @@ def _of(room: MadeRoom, name: str) -> Placed:
     return next(p for p in room.furnished.items if p.name == name)
 
 
-def test_a_table_in_the_wall_is_found() -> None:
+def test_a_table_inside_a_wall_is_detected() -> None:
     room = _room("dining_room", "1")
     table = next(p for p in room.furnished.items if p.item.name in ("table", "round_table"))
     reach = room.furnished.shell.width / 2 - hull_of(table.boxes())[1, 0]
@@ -224,7 +224,7 @@ def test_a_table_in_the_wall_is_found() -> None:
 
 
 @pytest.mark.parametrize("kind", ["bedroom", "office", "kitchen"])
-def test_whatever_is_lifted_floats(kind: str) -> None:
+def test_a_lifted_object_is_reported_as_floating(kind: str) -> None:
     room = _room(kind, "2")
     for item in room.furnished.items:
         x, y, z = item.at
@@ -238,7 +238,7 @@ def test_whatever_is_lifted_floats(kind: str) -> None:
         assert any(f.what == "floats" and f.item == item.name for f in faults), item.name
 
 
-def test_two_things_in_one_place_intersect() -> None:
+def test_two_objects_at_one_position_intersect() -> None:
     room = _room("bedroom", "1")
     bed = _of(room, "bed_0")
     box = Item("chest")
@@ -249,7 +249,7 @@ def test_two_things_in_one_place_intersect() -> None:
     assert "intersects" in _kinds_of(crowded)
 
 
-def test_a_blocked_door_is_found() -> None:
+def test_a_blocked_door_is_detected() -> None:
     room = _room("study", "1")
     shell = room.furnished.shell
     sector = swing(shell, shell.doors[0])
@@ -276,7 +276,7 @@ def test_a_door_that_just_clears_is_not_blocked() -> None:
     assert "door" not in _kinds_of(alone)
 
 
-def test_what_stands_before_a_window_is_found() -> None:
+def test_an_object_in_front_of_a_window_is_detected() -> None:
     room = next(r for k in range(1, 9) if (r := _room("bedroom", str(k))).furnished.shell.windows)
     shell = room.furnished.shell
     window = shell.windows[0]
@@ -286,7 +286,7 @@ def test_what_stands_before_a_window_is_found() -> None:
     assert "window" in _kinds_of(replace(room.furnished, items=(*room.furnished.items, extra)))
 
 
-def test_a_room_that_nobody_can_walk_through_is_found() -> None:
+def test_a_room_without_a_free_path_is_detected() -> None:
     room = _room("hallway", "1")
     shell = room.furnished.shell
     bar = Item("barrier")
@@ -362,6 +362,6 @@ def test_texture_coordinates_are_metres(grain: int | None) -> None:
     assert _mesh(shape).uv_per_m() == pytest.approx(1.0, rel=1e-5)
 
 
-def test_slots_are_of_surfaces_that_looks_know() -> None:
+def test_slots_have_surfaces_with_looks() -> None:
     for name, slot in SLOTS.items():
         assert slot.material().replaceable_by == (() if slot.is_fixed else slot.classes), name

@@ -83,7 +83,7 @@ def test_recipes_without_generated_rooms_keep_their_bytes() -> None:
     assert "parametric" not in text
 
 
-def test_each_configuration_has_a_room_of_its_own(planned: DatasetFolder, library: Library) -> None:
+def test_each_configuration_has_a_different_room(planned: DatasetFolder, library: Library) -> None:
     plan = planned.read_plan()
     rooms = [planned.read_configuration(unit).environment.asset for unit in plan.units]
     assert len(set(rooms)) == 2
@@ -103,7 +103,7 @@ def test_assembly_is_a_pure_function(planned: DatasetFolder, library: Library) -
         assert canonical_json(configuration) == planned.configuration_path(configuration.id).read_bytes()
 
 
-def test_a_lost_room_is_made_again(planned: DatasetFolder, library: Library, tmp_path: Path) -> None:
+def test_a_lost_room_is_generated_again(planned: DatasetFolder, library: Library, tmp_path: Path) -> None:
     root = tmp_path / "copy"
     shutil.copytree(planned.root, root)
     before = _files(DatasetFolder(root))
@@ -113,7 +113,7 @@ def test_a_lost_room_is_made_again(planned: DatasetFolder, library: Library, tmp
     assert _files(DatasetFolder(root)) == before
 
 
-def test_a_folder_of_an_older_plan_revision_says_so(
+def test_a_folder_of_an_older_plan_revision_is_refused(
     planned: DatasetFolder, library: Library, tmp_path: Path
 ) -> None:
     root = tmp_path / "older"
@@ -125,7 +125,7 @@ def test_a_folder_of_an_older_plan_revision_says_so(
         create_plan(_recipe(), library, root)
 
 
-def test_bare_slots_are_dressed(planned: DatasetFolder, library: Library) -> None:
+def test_plain_slots_get_materials(planned: DatasetFolder, library: Library) -> None:
     """Every slot of a plain colour for which the library has something is assigned one of its materials."""
     recipe = _recipe()
     for unit in planned.read_plan().units:
@@ -167,7 +167,7 @@ def test_share_mixes_generated_rooms_with_the_library(library: Library) -> None:
     assert assemble(recipe, index, library).environment.asset in library
 
 
-def test_disjoint_splits_need_rooms_of_the_library_only_if_some_come_from_there(library: Library) -> None:
+def test_disjoint_splits_need_library_rooms_only_where_they_are_used(library: Library) -> None:
     splits = SplitRecipe(train=0.5, validation=0.5, disjoint=True)
     nowhere = EnvironmentRecipe(include=(), parametric=ParametricRecipe())
     check_recipe(_recipe(splits=splits, objects=ObjectRecipe(count=(0, 0)), environments=nowhere), library)
@@ -195,7 +195,7 @@ def test_unknown_kinds_are_refused() -> None:
         ParametricRecipe(kinds=("igloo",))  # type: ignore[arg-type]
 
 
-def test_what_stands_in_a_generated_room_is_placeable(library: Library) -> None:
+def test_objects_of_the_library_fit_into_generated_rooms(library: Library) -> None:
     recipe = _recipe(environments=EnvironmentRecipe(include=(), parametric=ParametricRecipe(kinds=("cafe",))))
     assert next(example_rooms(recipe)).id.startswith("room-cafe-")
     assert len(unplaceable(recipe, library)) < len(library.select("object"))

@@ -41,7 +41,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
-def test_pictures_rate_and_time_left(tmp_path: Path, clock: list[float]) -> None:
+def test_the_page_shows_pictures_rate_and_time_left(tmp_path: Path, clock: list[float]) -> None:
     page = Preview(tmp_path, total=100, before=10)
     page.update(10)
     assert _pictures(page.path.read_text()) == {} and "10 of 100 views" in page.path.read_text()
@@ -68,7 +68,7 @@ def test_views_of_earlier_runs_are_not_shown_as_new(tmp_path: Path, clock: list[
     assert _pictures(page.path.read_text()) == {}
 
 
-def test_the_page_is_written_now_and_then_only(tmp_path: Path, clock: list[float]) -> None:
+def test_the_page_is_written_at_intervals(tmp_path: Path, clock: list[float]) -> None:
     page = Preview(tmp_path, 4)
     page.update(0)
     clock[0] = 1.0
@@ -79,7 +79,7 @@ def test_the_page_is_written_now_and_then_only(tmp_path: Path, clock: list[float
     assert "1 of 4 views" in page.path.read_text()
 
 
-def test_a_view_that_is_gone_or_damaged_is_passed_over(tmp_path: Path, clock: list[float]) -> None:
+def test_a_missing_or_damaged_view_is_skipped(tmp_path: Path, clock: list[float]) -> None:
     page = Preview(tmp_path, 3)
     folder = _render(tmp_path, 3)
     (folder / "view-001.exr").write_bytes(b"x")
@@ -88,14 +88,14 @@ def test_a_view_that_is_gone_or_damaged_is_passed_over(tmp_path: Path, clock: li
     assert list(_pictures(page.path.read_text())) == ["small-00000 / view-000"]
 
 
-def test_what_fails_is_told_as_text(tmp_path: Path, clock: list[float]) -> None:
+def test_failures_are_shown_as_text(tmp_path: Path, clock: list[float]) -> None:
     page = Preview(tmp_path, 3)
     page.say("unit-1 is tried again (1/3): <b>no room</b> & more")
     page.update(0)
     assert "&lt;b&gt;no room&lt;/b&gt; &amp; more" in page.path.read_text()
 
 
-def test_the_command_keeps_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a farm that renders at once and fails once."""
     folder = plan_small(tmp_path / "set", tmp_path / "library", 1, 3)
 

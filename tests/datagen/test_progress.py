@@ -22,7 +22,7 @@ def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
     return [line.split(" ", 1)[1] for line in capsys.readouterr().err.splitlines()]
 
 
-def test_a_long_stage_is_not_silent(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_long_stage_prints_its_progress(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
     with Bars("views") as bars:
         for done in range(10):  # a view in 12 seconds
             bars.tell("room: render", done, 90)
@@ -33,7 +33,7 @@ def test_a_long_stage_is_not_silent(clock: list[float], capsys: pytest.CaptureFi
     assert _lines(capsys) == [*rendered, "room: unwrap: 0 of 1 views", "room: unwrap: 1 of 1 views, done"]
 
 
-def test_a_short_stage_says_one_line(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_short_stage_prints_one_line(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
     with Bars() as bars:
         for done in range(3):
             bars.tell("plan", done, 2)
@@ -50,7 +50,7 @@ def test_an_error_ends_it_without_a_line(clock: list[float], capsys: pytest.Capt
     assert capsys.readouterr().err == ""
 
 
-def test_bars_of_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_terminal_shows_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Stages side by side; a transient stage goes when the next begins, an unfinished one at an error."""
     monkeypatch.setattr(
         "rich.console.Console", lambda **_: Console(force_terminal=True, stderr=True, width=99)

@@ -57,7 +57,7 @@ def test_the_noise_of_plain_paths_adds_nothing(record: ViewRecord) -> None:
     assert known.rel_mse == pytest.approx(0.0064, rel=0.1)
 
 
-def test_stated_standard_errors_are_those_of_repetitions(record: ViewRecord) -> None:
+def test_stated_standard_errors_match_repetitions(record: ViewRecord) -> None:
     image, rng, found = image_with(0.1), np.random.default_rng(8), []
     for _ in range(40):
         found.append(compared(View(record, {"beauty": image}), noisy_parts(rng, 0.3)))
@@ -99,7 +99,7 @@ def test_views_of_a_dataset_agree_with_plain_paths(dataset: Path, capsys: pytest
     assert "against 8 plain paths a pixel" in table and "true relMSE" in table
 
 
-def test_what_cannot_be_rechecked_is_said(dataset: Path, tmp_path: Path) -> None:
+def test_unsupported_rechecks_are_reported(dataset: Path, tmp_path: Path) -> None:
     library = Library([dataset.parent / "library"])
     with pytest.raises(InputError, match="recheck-samples = 6; expected a multiple of 4"):
         recheck(dataset, library, 1, 6, Report(""))

@@ -107,7 +107,7 @@ def test_bars_keep_their_values(window: Window) -> None:
     assert np.percentile(ratios, 90) < 1.6 and np.percentile(ratios, 10) > 0.6
 
 
-def test_recorded_error_of_bars_is_the_true_one(window: Window) -> None:
+def test_recorded_error_of_bars_is_the_true_error(window: Window) -> None:
     """Within a factor of 2. Without noisy pixels the record states less than half of it."""
     recorded = window.view.render.estimated_rel_mse
     true = relative_mse(window.view.buffers["beauty"], *window.truth, exposed=True)
@@ -122,7 +122,7 @@ def halves_of(truth: NDArray, noise: float, seed: int = 1) -> tuple[NDArray, NDA
     return truth * (1 + rng.normal(0, noise, SHAPE)), truth * (1 + rng.normal(0, noise, SHAPE))
 
 
-def test_noisy_pixels_are_kept_beside_what_is_bright_and_wrong_alone() -> None:
+def test_only_noisy_pixels_beside_bright_ones_are_kept() -> None:
     truth = np.full(SHAPE, 0.5)
     truth[20:28, 30:34], truth[20:28, 32] = 40.0, 0.3
     halves, black = halves_of(truth, 0.15), np.zeros(SHAPE)

@@ -44,7 +44,7 @@ def render(**fields: Any) -> RenderRecipe:
     return parse_model(RenderRecipe, fields, "recipe.yaml")
 
 
-def test_a_quality_becomes_numbers_that_read_back_as_themselves(tmp_path: Path) -> None:
+def test_a_quality_resolves_to_numbers_that_resolve_to_themselves(tmp_path: Path) -> None:
     for name, numbers in QUALITIES.items():
         path = tmp_path / f"{name}.yaml"
         path.write_text(f"name: a\nconfigurations: 1\nviews: 2\nrender: {{quality: {name}}}\n")
@@ -75,7 +75,7 @@ def test_a_quality_becomes_numbers_that_read_back_as_themselves(tmp_path: Path) 
         ({"denoise": None}, "valid boolean"),
     ],
 )
-def test_contradictions_are_refused(fields: dict[str, Any], expected: str) -> None:
+def test_contradictory_settings_are_refused(fields: dict[str, Any], expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         render(**fields)
 
@@ -123,18 +123,18 @@ def estimated_and_true(width: int, sigma: float, shared: float = 0.0) -> NDArray
 
 
 @pytest.mark.parametrize(("width", "sigma"), [(3, 0.3), (9, 0.3), (15, 0.3), (1, 0.1)])
-def test_estimate_knows_spread_and_bias_of_a_denoiser(width: int, sigma: float) -> None:
+def test_estimate_includes_spread_and_bias_of_a_denoiser(width: int, sigma: float) -> None:
     estimated, true = estimated_and_true(width, sigma).mean(axis=0)
     assert estimated == pytest.approx(true, rel=0.1)
 
 
-def test_dependent_halves_deceive_the_estimate() -> None:
+def test_dependent_halves_bias_the_estimate() -> None:
     """The twin: half of the noise is in both halves, and passes for a bias of the denoiser."""
     estimated, true = estimated_and_true(3, 0.3, shared=0.5).mean(axis=0)
     assert estimated > 2 * true
 
 
-def test_without_a_denoiser_the_spread_is_all() -> None:
+def test_without_a_denoiser_the_error_is_the_spread() -> None:
     a, b = noisy_pair(np.random.default_rng(1), 0.2)
     estimate = estimate_error((a, b), (a, b), np.zeros_like(a))
     assert estimate.rel_mse == pytest.approx(relative_mse(0.5 * (a + b), truth(), exposed=True), rel=0.1)
@@ -162,7 +162,7 @@ def test_black_image_has_no_error_and_missing_light_counts() -> None:
         assert estimate.rel_mse == pytest.approx(expected * 0.81 / 0.82)
 
 
-def test_wild_noise_is_not_taken_for_a_small_error() -> None:
+def test_heavy_tailed_noise_does_not_meet_the_target() -> None:
     """Few bright samples, as behind a door that is ajar: the target is met if it is met by a margin."""
     rng = np.random.default_rng(3)
     black = np.zeros((*SIZE, 3), np.float32)
@@ -197,7 +197,7 @@ def test_passes_triple_until_target_or_ceiling() -> None:
     assert list(totals(SampleBudget(0.01, 1000), met_at=1)) == [8]
 
 
-def test_samples_go_where_the_halves_differ() -> None:
+def test_samples_are_spent_where_the_halves_differ() -> None:
     """Errors fall with the inverse of the samples: their sum is least where counts go with their root."""
     bright = (np.arange(SIZE[1]) // TILE_PX == 3) & (np.arange(SIZE[0])[:, None] // TILE_PX == 2)
     counts = np.full(SIZE, 64, np.int64)
@@ -211,7 +211,7 @@ def test_samples_go_where_the_halves_differ() -> None:
     assert (SampleBudget(0.001, 4096).next_counts(counts, estimate_of(0.01, missed))[~bright] > 0).all()
 
 
-def test_a_near_target_asks_for_little() -> None:
+def test_a_near_target_needs_few_samples() -> None:
     counts = np.full(SIZE, 64, np.int64)
     near, far = (SampleBudget(0.01, 4096).next_counts(counts, estimate_of(e, 0.1)) for e in (0.011, 0.1))
     assert near.mean() == 16 and far.mean() == 128
@@ -268,7 +268,7 @@ def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
     assert 0.3 * record.estimated_rel_mse < true < 2 * record.estimated_rel_mse
 
 
-def test_record_is_what_is_compared_with_the_target(budgeted: SceneRenderer) -> None:
+def test_record_is_compared_with_the_target(budgeted: SceneRenderer) -> None:
     """Estimate and standard error: views stop when the estimate alone is low, which is often by chance."""
     for passes in (1, 3):
         job = budgeted.view_job(1)
@@ -286,7 +286,7 @@ def test_ceiling_is_kept_and_recorded(tmp_path: Path) -> None:
     assert record.estimated_rel_mse is not None and record.estimated_rel_mse > 1e-6
 
 
-def test_budgeted_views_do_not_depend_on_order_or_company(budgeted: SceneRenderer) -> None:
+def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRenderer) -> None:
     """Remaining views of an interrupted run are rendered later: the same bytes, and the same record."""
     together = list(budgeted.render_views([2, 0, 1]))
     assert [view.index for view in together] == [2, 0, 1]
@@ -295,7 +295,7 @@ def test_budgeted_views_do_not_depend_on_order_or_company(budgeted: SceneRendere
     assert alone.render == together[1].render
 
 
-def test_a_view_that_is_enough_stops_and_is_finished_as_any_other(tmp_path: Path) -> None:
+def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> None:
     """Far above its error, after the first pass; the fast denoiser serves the estimate alone."""
     asked: list[tuple[int, tuple[int, ...], float]] = []
 
@@ -318,7 +318,7 @@ def test_a_view_that_is_enough_stops_and_is_finished_as_any_other(tmp_path: Path
     stops.close()
 
 
-def test_another_seed_is_as_of_a_renderer_of_its_own(tmp_path: Path) -> None:
+def test_another_seed_equals_a_separate_renderer(tmp_path: Path) -> None:
     fields = {"max_rel_mse": 0.05, "max_path_samples": 64, "irradiance_cache": True}
     first = make(tmp_path / "room", **fields)
     before = digest(first.render_view(0))
@@ -351,7 +351,7 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
     assert correlation(shared, view.halves[1]) > 0.5  # the twin: halves that share samples
 
 
-def test_what_was_recorded_once_holds_for_every_call(budgeted: SceneRenderer) -> None:
+def test_recorded_kernels_serve_every_call(budgeted: SceneRenderer) -> None:
     """Other cameras, sizes, counts and limits are data of the recorded kernels: nothing of them stays."""
     tracer = budgeted.tracer
     counts = np.full((CAMERAS[0].height_px, CAMERAS[0].width_px), 2, np.int64)
@@ -378,7 +378,7 @@ def test_what_was_recorded_once_holds_for_every_call(budgeted: SceneRenderer) ->
         assert (played.removed_luminance == fresh.removed_luminance).all()
 
 
-def test_scenes_that_are_open_together_do_not_meddle(budgeted: SceneRenderer, tmp_path: Path) -> None:
+def test_concurrently_open_scenes_are_independent(budgeted: SceneRenderer, tmp_path: Path) -> None:
     """Recordings of one scene neither stop those of another nor know its lights; a scene may have none."""
     recipe = render(path_samples=2, auxiliary_samples=4, denoise=False)
     sky = EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0))
@@ -393,7 +393,7 @@ def test_scenes_that_are_open_together_do_not_meddle(budgeted: SceneRenderer, tm
 # ---------------------------------------------------------------------- clamp
 
 
-def test_clamp_takes_away_what_it_says(budgeted: SceneRenderer) -> None:
+def test_clamp_removes_the_recorded_light(budgeted: SceneRenderer) -> None:
     sensor = budgeted.sensor(CAMERAS[1])
     free = budgeted.tracer.accumulate(sensor, 32, 9)
     limit = 0.05 / exposure_for(free.radiance / 32)
@@ -406,7 +406,7 @@ def test_clamp_takes_away_what_it_says(budgeted: SceneRenderer) -> None:
     assert clamped.removed_share() == pytest.approx(removed, rel=1e-3)
 
 
-def test_clamp_leaves_direct_light_alone(budgeted: SceneRenderer) -> None:
+def test_clamp_keeps_direct_light(budgeted: SceneRenderer) -> None:
     """With next to nothing allowed, what is left is what paths of one reflection bring."""
     sensor = budgeted.sensor(CAMERAS[1])
     clamped = budgeted.tracer.accumulate(sensor, 32, 9, limit=1e-9)
@@ -458,7 +458,7 @@ def ajar(shared_data: Path, root: Path, recipe: RenderRecipe, size: tuple[int, i
 
 
 @pytest.mark.slow
-def test_easy_and_hard_light_end_with_similar_errors_and_different_samples(
+def test_easy_and_hard_light_get_similar_errors(
     shared_data: Path, tmp_path: Path, mitsuba_variant: str
 ) -> None:
     size, target = (64, 40), 0.01

@@ -43,14 +43,14 @@ def closed_room(emission: tuple[float, float, float] | None) -> SmallScene:
         (1.0, 0.5, MAX_DEPTH),
     ],
 )
-def test_depth_is_the_least_that_leaves_so_little(reflectance: float, left: float, depth: int) -> None:
+def test_depth_is_the_least_within_the_truncation(reflectance: float, left: float, depth: int) -> None:
     assert depth_for(reflectance, left) == depth
     if 0 < reflectance < 1:
         assert truncation(reflectance, depth) <= left * (1 + 1e-9)
         assert depth == MIN_DEPTH or truncation(reflectance, depth - 1) > left
 
 
-def test_reflectance_is_that_of_surfaces_alone() -> None:
+def test_reflectance_excludes_background() -> None:
     diffuse, specular = np.full((2, 2, 3), 0.4, np.float32), np.full((2, 2, 3), 0.1, np.float32)
     diffuse[..., 0] = 0.5
     mask = np.array([[1.0, 1.0], [0.5, 0.0]], np.float32)[..., None]
@@ -66,7 +66,7 @@ def test_depth_follows_from_the_room_and_is_recorded(tmp_path: Path, mitsuba_var
     assert record.max_depth == 6 and record.max_energy_left == pytest.approx(0.5**5, rel=1e-3)
 
 
-def test_furnace_misses_what_the_formula_says(tmp_path: Path, mitsuba_variant: str) -> None:
+def test_truncation_in_a_furnace_matches_the_formula(tmp_path: Path, mitsuba_variant: str) -> None:
     """In a furnace each further reflection brings half of what the one before brought, everywhere."""
     room = renderer(tmp_path, closed_room((1.0, 1.0, 1.0)), [CAMERA])
     sensor = room.sensor(CAMERA)

@@ -15,7 +15,7 @@ def images(noise: float, count: int) -> list[np.ndarray]:
     return [truth, *(truth + noise * rng.standard_normal(truth.shape) for _ in range(count))]
 
 
-def test_follows_its_definition() -> None:
+def test_rel_mse_follows_its_definition() -> None:
     reference = np.array([[[0.0, 1.0, 2.0]]])
     image = reference + 0.1
     expected = np.mean([0.01 / (r * r + EPSILON) for r in (0.0, 1.0, 2.0)])

@@ -39,7 +39,7 @@ def cells_at(cells: Any, points: Any, normal: tuple[float, float, float]) -> tup
     return np.array(index), np.broadcast_to(np.array(is_inside), len(points))
 
 
-def test_cells_tell_places_and_orientations_apart() -> None:
+def test_cells_distinguish_positions_and_orientations() -> None:
     from datagen.rendering.transport.irradiance_cache import SurfaceCells
 
     cells = SurfaceCells(BOX_M, 6 * 2000)
@@ -63,7 +63,7 @@ def test_cells_follow_the_scale_of_the_scene(scale: float) -> None:
     assert flat.side_m >= scale / 512 and flat.num_cells <= 6 * 512 * 512
 
 
-def test_means_lean_on_their_surroundings() -> None:
+def test_means_are_shrunk_towards_their_surroundings() -> None:
     import mitsuba as mi
 
     from datagen.rendering.transport.irradiance_cache import PRIOR_SAMPLES, IrradianceCache, SurfaceCells
@@ -110,7 +110,7 @@ def irradiance(room: SceneRenderer) -> NDArray[np.float32]:
 @pytest.mark.parametrize(
     ("reflectance", "intensity"), [(0.0, 1.0), (0.5, 1.0), (0.8, 1.0), (0.5, 1e-6), (0.5, 1e6)]
 )
-def test_irradiance_of_a_closed_room_is_known(tmp_path: Path, reflectance: float, intensity: float) -> None:
+def test_irradiance_of_a_closed_room_is_exact(tmp_path: Path, reflectance: float, intensity: float) -> None:
     """All that a bulb sends out is absorbed: mean irradiance x area x (1 - rho) is 4 pi x intensity."""
     room = closed_room(None)
     room.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (reflectance,) * 3})}
@@ -133,7 +133,7 @@ def wall_areas(room: SceneRenderer) -> NDArray[np.float64]:
     return inside.prod(axis=1)
 
 
-def test_reflectance_of_the_specular_lobe_is_that_of_the_bsdf() -> None:
+def test_reflectance_of_the_specular_lobe_equals_that_of_the_bsdf() -> None:
     import drjit as dr
     import mitsuba as mi
 
@@ -193,7 +193,7 @@ def test_images_agree_with_those_of_whole_paths_and_have_less_noise(tmp_path: Pa
     assert variances["cached"] < variances["plain"]
 
 
-def test_bytes_do_not_depend_on_order_and_the_record_says_so(tmp_path: Path) -> None:
+def test_bytes_do_not_depend_on_order_and_the_record_has_the_cell_size(tmp_path: Path) -> None:
     room = renderer(tmp_path / "a", walled_room(), CAMERAS, CACHED, lights=(LAMP,))
     both = [room.render_view(k) for k in (0, 1)]
     again = renderer(tmp_path / "b", walled_room(), CAMERAS, CACHED, lights=(LAMP,)).render_view(1)
@@ -204,7 +204,7 @@ def test_bytes_do_not_depend_on_order_and_the_record_says_so(tmp_path: Path) -> 
     assert plain.render.irradiance_cell_m is None
 
 
-def test_light_passes_what_is_half_transparent(tmp_path: Path) -> None:
+def test_light_passes_half_transparent_surfaces(tmp_path: Path) -> None:
     """Behind a curtain of opacity 0.4 in the window, paths find what whole paths find."""
     means = []
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
@@ -226,7 +226,7 @@ def means_of_views(
     return found
 
 
-def test_light_does_not_leak_under_what_is_smaller_than_a_cell(tmp_path: Path) -> None:
+def test_light_does_not_leak_under_objects_smaller_than_a_cell(tmp_path: Path) -> None:
     """A board on the wall, 6 cm above the floor: the cell that it divides knows the mean of the dark wall
     below it and the bright one above. What lights the floor there is near, and is not asked of cells: it
     would be twice as bright."""
@@ -251,7 +251,7 @@ def two_rooms() -> SmallScene:
     return scene
 
 
-def test_rooms_that_no_camera_sees_are_not_dark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unseen_rooms_are_not_dark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The light is around the corner: whole paths and those with a cache find as much of it. So do paths of
     four segments of which only the last vertex has cached irradiance."""
     from datagen.rendering.transport import irradiance_cache
@@ -284,7 +284,7 @@ def test_cache_does_not_depend_on_the_size_of_images(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("roughness", "contrast", "tolerance"), [(0.25, 3.0, 0.35), (0.5, 2.0, 0.1)])
-def test_a_beam_goes_where_it_is_reflected_to(
+def test_a_beam_is_reflected_in_its_direction(
     tmp_path: Path, roughness: float, contrast: float, tolerance: float
 ) -> None:
     """A lamp shines on a glossy wall, which throws its light on one part of the floor. Beside the beam it
@@ -306,14 +306,14 @@ def test_a_beam_goes_where_it_is_reflected_to(
     assert means["cached"] == pytest.approx(means["plain"], rel=tolerance)
 
 
-def test_nothing_to_see_or_no_light_means_no_cache(tmp_path: Path) -> None:
+def test_without_surface_or_light_there_is_no_cache(tmp_path: Path) -> None:
     away = Camera(24, 16, 20, 20, 12, 8, look_at([0, 0, 3], [0, 0, 6], up=(0.0, 1.0, 0.0)))
     assert renderer(tmp_path / "away", None, [away], CACHED, lights=(LAMP,)).tracer.irradiance is None
     dark = renderer(tmp_path / "dark", None, [down_camera()], CACHED)
     assert dark.tracer.irradiance is None and dark.render_view(0).render.irradiance_cell_m is None
 
 
-def test_white_walls_do_not_run_away(tmp_path: Path) -> None:
+def test_radiance_between_white_walls_is_bounded(tmp_path: Path) -> None:
     """In a scene that reflects all light, bounces add light without end, but a bounded amount each."""
     white = SlotMaterial(diffuse_albedo=(1, 1, 1), specular_albedo=(1, 1, 1), roughness=0.3)
     room = closed_room(None)
@@ -351,7 +351,7 @@ room.tracer.accumulate(room.sensor(CAMERAS[0]), 1, 0)
 """
 
 
-def test_garbage_waits_until_kernels_are_recorded(tmp_path: Path) -> None:
+def test_garbage_collection_waits_until_kernels_are_recorded(tmp_path: Path) -> None:
     """An array on NumPy's memory, kept alive by a cycle alone, would end the process while recording."""
     command = [sys.executable, "-c", RECORDS_IN_GARBAGE, str(tmp_path / "room")]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)

@@ -65,7 +65,7 @@ def with_uniform_choice(room: SceneRenderer) -> None:
     tracer.forget_recordings()
 
 
-def test_slots_follow_shares_and_leave_nobody_out() -> None:
+def test_slots_follow_shares_and_none_is_zero() -> None:
     from datagen.rendering.transport.light_sampler import SLOTS, whole_slots
 
     shares = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1e-300, 1e-300, 2e-300], [1e30, 3e30, 0.0]])
@@ -95,7 +95,7 @@ def test_a_number_is_warped_into_a_technique_and_a_number(tmp_path: Path) -> Non
             assert histogram == pytest.approx([probability / 8] * 8, abs=4 / count)
 
 
-def test_places_choose_the_light_that_they_see(tmp_path: Path) -> None:
+def test_cells_choose_visible_lights(tmp_path: Path) -> None:
     """The lamp of the other chamber is a hundred times as bright, and hidden."""
     import mitsuba as mi
 
@@ -110,7 +110,7 @@ def test_places_choose_the_light_that_they_see(tmp_path: Path) -> None:
     assert np.median(own) > 0.95 and (own > 0.5).mean() > 0.9
 
 
-def test_less_noise_and_the_same_light_behind_a_wall(tmp_path: Path) -> None:
+def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
     room = two_chambers(tmp_path)
     # Of one sample each: more are divided among lights too evenly to tell
     learned = spread(room, 1, 64, 1, limit=1e-20)
@@ -121,7 +121,7 @@ def test_less_noise_and_the_same_light_behind_a_wall(tmp_path: Path) -> None:
     assert variances[0] < 0.25 * variances[1]
 
 
-def test_light_is_put_down_to_what_brought_it(tmp_path: Path) -> None:
+def test_light_is_attributed_to_its_technique(tmp_path: Path) -> None:
     """A lamp's to the lamp; the sky's to the guide, but for what is as bright as the sun."""
     import drjit as dr
     import mitsuba as mi
@@ -146,7 +146,7 @@ def test_light_is_put_down_to_what_brought_it(tmp_path: Path) -> None:
         assert int(np.array(tracer.emitters.light_sampler.technique(ds, mi.Float(0.0)))[0]) == number
 
 
-def test_before_anything_is_learned_the_guide_has_its_share_and_lights_the_rest() -> None:
+def test_an_unfitted_sampler_is_uniform_except_for_the_guide() -> None:
     import mitsuba as mi
 
     from datagen.rendering.transport.light_sampler import MAX_TECHNIQUES, SLOTS, uniform_sampler
@@ -164,7 +164,7 @@ def test_before_anything_is_learned_the_guide_has_its_share_and_lights_the_rest(
         assert chances.sum() == pytest.approx(1.0) and np.ptp(chances) <= 1 / max(SLOTS, 2 * number)
 
 
-def test_a_guide_has_its_share_of_an_even_choice(tmp_path: Path) -> None:
+def test_a_guide_keeps_its_share_of_a_uniform_choice(tmp_path: Path) -> None:
     from datagen.rendering.transport.light_sampler import uniform_sampler
 
     tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT)).tracer
@@ -178,7 +178,7 @@ def test_a_guide_has_its_share_of_an_even_choice(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lights", [(LAMP, DAYLIGHT), (DAYLIGHT,)], ids=["lamp and daylight", "daylight"])
-def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
+def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
     """Against a uniform choice with the same cache: area light, sun, sky, and the guide to the window."""
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=lights)
     assert room.tracer.sky_guide is not None or len(lights) == 2
@@ -191,7 +191,7 @@ def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
     assert error < 0.01 * means[1].mean()  # the comparison tells something
 
 
-def test_many_lights_are_chosen_evenly(tmp_path: Path) -> None:
+def test_many_lights_are_chosen_uniformly(tmp_path: Path) -> None:
     """More than places learn about; the guide to the window keeps its share."""
     from datagen.rendering.transport.light_sampler import MAX_LEARNED
 

@@ -94,13 +94,13 @@ CASES: dict[str, tuple[Any, float]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_light_causes_its_analytic_irradiance(tmp_path: Path, case: str) -> None:
+def test_light_gives_its_analytic_irradiance(tmp_path: Path, case: str) -> None:
     light, expected = CASES[case]
     found = irradiance(tmp_path, light)
     assert found == pytest.approx(np.array(RADIANCE) * expected, rel=TOLERANCE)
 
 
-def test_five_percent_too_bright_is_noticed(tmp_path: Path) -> None:
+def test_five_percent_too_bright_is_detected(tmp_path: Path) -> None:
     brighter = tuple(1.05 * c for c in RADIANCE)
     found = irradiance(tmp_path, AreaLight(name="l", radiance=brighter, **AREA))
     assert found != pytest.approx(np.array(RADIANCE) * rectangle_irradiance(1, 1.5, 1), rel=TOLERANCE)
@@ -133,7 +133,7 @@ def test_soft_sun_has_half_its_irradiance_where_an_edge_hides_its_centre(tmp_pat
     assert np.abs(profile - seen).max() < 0.03
 
 
-def test_hidden_light_is_passed_by_the_camera_alone(tmp_path: Path) -> None:
+def test_hidden_light_is_invisible_to_the_camera_only(tmp_path: Path) -> None:
     # The camera looks down through the light (z = 0.5) at the floor, which a mirror-like wall would show.
     light = AreaLight(
         name="l",
@@ -166,7 +166,7 @@ def test_transparent_sheet_dims_a_point_light(tmp_path: Path) -> None:
     assert found == pytest.approx(np.array(RADIANCE) * 0.7 / 2**1.5, rel=TOLERANCE)
 
 
-def test_emissive_part_lights_and_is_masked(tmp_path: Path) -> None:
+def test_emissive_part_emits_light_and_is_masked(tmp_path: Path) -> None:
     scene = SmallScene()
     scene.slots["glow"] = SlotMaterial(emission=RADIANCE)
     scene.parts["panel"] = (quad([-0.5, -0.5, 1.5], [0, 1, 0], [1, 0, 0]), "glow")
@@ -195,7 +195,7 @@ def environment_package(root: Path, pixels: np.ndarray) -> str:
     return "sky-image"
 
 
-def test_environment_image_is_where_its_convention_says(tmp_path: Path) -> None:
+def test_environment_image_follows_its_convention(tmp_path: Path) -> None:
     height, width = 64, 128
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     pixels = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
@@ -243,7 +243,7 @@ def test_sky_irradiance_matches_the_integral_of_its_radiance(tmp_path: Path) -> 
     assert found == pytest.approx(expected, rel=TOLERANCE)
 
 
-def test_sun_of_the_sky_stands_where_it_is_told(tmp_path: Path) -> None:
+def test_sun_of_the_sky_is_in_the_given_direction(tmp_path: Path) -> None:
     # A wall towards the sun stays dark on its shadow side: the floor behind a wall gets no direct sun.
     direction = np.array([1.0, 0.0, 1.0]) / math.sqrt(2)
     scene = SmallScene()

@@ -171,7 +171,7 @@ def test_estimator_agrees_with_mitsubas_path(both_estimators: tuple[np.ndarray, 
     assert np.abs(z_scores(*both_estimators)).max() < 4.5
 
 
-def test_five_percent_more_light_is_noticed(both_estimators: tuple[np.ndarray, np.ndarray]) -> None:
+def test_five_percent_more_light_is_detected(both_estimators: tuple[np.ndarray, np.ndarray]) -> None:
     own, other = both_estimators
     assert np.abs(z_scores(own, 1.05 * other)).min() > 4.5
 
@@ -217,7 +217,7 @@ def test_denoiser_keeps_the_energy_and_removes_the_noise(room: SceneRenderer) ->
     assert ((clean - reference) ** 2).mean() < 0.3 * ((noisy - reference) ** 2).mean()
 
 
-def test_emitter_does_not_bleed_into_its_dark_surroundings(tmp_path: Path) -> None:
+def test_emitter_does_not_bleed_into_dark_surroundings(tmp_path: Path) -> None:
     scene = SmallScene()
     scene.slots["black"] = GREY.model_copy(update={"diffuse_albedo": (0.0, 0.0, 0.0)})
     scene.parts = {"wall": (quad([-3, 1, -3], [6, 0, 0], [0, 0, 6]), "black")}
@@ -238,13 +238,13 @@ def test_emitter_does_not_bleed_into_its_dark_surroundings(tmp_path: Path) -> No
     assert beauty[x > 0.25 + 3 * pixel].max() < 0.5  # a thousandth of the lamp
 
 
-def test_auxiliary_albedo_says_zero_where_nothing_reflects() -> None:
+def test_auxiliary_albedo_is_zero_where_nothing_reflects() -> None:
     mask = np.array([[[1.0], [0.5], [0.0]]], np.float32)
     diffuse, specular = np.full((1, 3, 3), 0.4, np.float32), np.full((1, 3, 3), 0.1, np.float32)
     assert auxiliary_albedo(diffuse, specular, mask)[0, :, 0] == pytest.approx([0.46, 0.23, 0.0])
 
 
-def test_denoiser_serves_images_of_several_sizes() -> None:
+def test_denoiser_accepts_images_of_several_sizes() -> None:
     denoiser = OidnDenoiser(num_threads=1)
     for size in ((40, 56), (24, 32), (40, 56)):
         flat = np.full((*size, 3), 2.0, np.float32)
@@ -263,7 +263,7 @@ def test_radiance_beyond_half_floats_is_clipped_and_counted(tmp_path: Path) -> N
     assert view.render.clipped_pixels == 64
 
 
-def test_view_that_does_not_exist_is_refused(room: SceneRenderer) -> None:
+def test_an_unknown_view_is_refused(room: SceneRenderer) -> None:
     with pytest.raises(InputError, match="view = 7"):
         room.render_view(7)
 

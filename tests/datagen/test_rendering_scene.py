@@ -204,7 +204,7 @@ def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> N
     assert (instance[view.buffers["depth_z_m"][..., 0] == 0] == 0).all()
 
 
-def test_camera_sees_between_its_clip_depths_only(tmp_path: Path) -> None:
+def test_camera_shows_only_between_its_clip_depths(tmp_path: Path) -> None:
     """Nearer surfaces give way to those behind them, farther ones to the background; the rest stays."""
     near, far = 2.6, 3.4
     clipped = replace(OFF_CENTRE, clip_m=(near, far))
@@ -232,7 +232,7 @@ def test_corner_of_a_box_hits_the_expected_pixel(tmp_path: Path) -> None:
     assert rows.max() == pytest.approx(np.floor(pixels[:, 1].max() - 0.5), abs=0.6)
 
 
-def test_beauty_and_buffers_see_through_the_same_camera(tmp_path: Path) -> None:
+def test_beauty_and_buffers_have_the_same_camera(tmp_path: Path) -> None:
     """The luminous panel's centroid in the beauty image is where its centre projects."""
     scene = SmallScene()
     scene.slots["glow"] = SlotMaterial(emission=(50.0, 50.0, 50.0))
@@ -247,7 +247,7 @@ def test_beauty_and_buffers_see_through_the_same_camera(tmp_path: Path) -> None:
     assert (share[bright > 49] == 0).all()
 
 
-def test_mirrored_placement_keeps_its_outside(tmp_path: Path) -> None:
+def test_mirrored_placement_keeps_its_orientation(tmp_path: Path) -> None:
     scene = SmallScene(objects={"box": (box(0.5), GREY)})
     mirrored = ((-1.0, 0, 0, 0.2), (0, 1.0, 0, 0), (0, 0, 1.0, 0), (0, 0, 0, 1.0))
     objects = (PlacedAsset(name="box", asset="box", world_from_asset=mirrored),)
@@ -311,7 +311,7 @@ def test_a_view_with_inf_is_an_error_that_names_it(tmp_path: Path) -> None:
         renderer(tmp_path, lights=(light,)).render_view(0)
 
 
-def test_caches_share_meshes_and_textures_between_configurations(tmp_path: Path) -> None:
+def test_meshes_and_textures_are_cached_across_configurations(tmp_path: Path) -> None:
     from datagen.rendering.scene_builder import AssetCaches
 
     library = textured(Texture(texture="t.png", encoding="srgb")).write(tmp_path)
@@ -325,7 +325,7 @@ def test_caches_share_meshes_and_textures_between_configurations(tmp_path: Path)
     assert isinstance(library, Library)
 
 
-def test_cut_out_shows_what_is_behind_it(tmp_path: Path) -> None:
+def test_cut_out_shows_surfaces_behind_it(tmp_path: Path) -> None:
     """An opacity texture: left half a hole, right half solid."""
     alpha = np.zeros((32, 32, 1), np.uint8)
     alpha[:, 16:] = 255

@@ -69,7 +69,7 @@ def images(room: SceneRenderer, samples: int, count: int, *, guided: bool) -> ND
 
 
 @pytest.mark.parametrize("case", ["constant", "sky", "curtain"])
-def test_the_guide_takes_noise_away_and_no_light(tmp_path: Path, case: str) -> None:
+def test_the_guide_reduces_noise_without_bias(tmp_path: Path, case: str) -> None:
     light = DAYLIGHT if case == "sky" else SKY
     room = rendered(tmp_path, walled_room(curtain=case == "curtain"), light)
     guided = images(room, 256, 8, guided=True)
@@ -82,7 +82,7 @@ def test_the_guide_takes_noise_away_and_no_light(tmp_path: Path, case: str) -> N
     assert variance[0] < 0.35 * variance[1]
 
 
-def test_the_density_is_that_of_the_samples(tmp_path: Path) -> None:
+def test_the_density_matches_the_samples(tmp_path: Path) -> None:
     import drjit as dr
     import mitsuba as mi
 
@@ -109,7 +109,7 @@ def test_the_density_is_that_of_the_samples(tmp_path: Path) -> None:
         assert abs(by_guide.mean() - expected) < 5 * error
 
 
-def test_directions_lead_to_the_window(tmp_path: Path) -> None:
+def test_directions_point_to_the_window(tmp_path: Path) -> None:
     import drjit as dr
     import mitsuba as mi
 
@@ -125,7 +125,7 @@ def test_directions_lead_to_the_window(tmp_path: Path) -> None:
     assert ((x > 0.4) & (x < 1.0) & (z > 0.8) & (z < 1.6) & (direction[:, 1] > 0)).mean() > 0.6
 
 
-def test_points_outside_of_the_box_are_left_to_the_lights_own_sampling(tmp_path: Path) -> None:
+def test_points_outside_of_the_box_use_emitter_sampling(tmp_path: Path) -> None:
     import mitsuba as mi
 
     lights = rendered(tmp_path, walled_room(), SKY).tracer.emitters.light_sampler
@@ -139,7 +139,7 @@ def test_points_outside_of_the_box_are_left_to_the_lights_own_sampling(tmp_path:
 
 
 @pytest.mark.parametrize("case", ["no environment", "sealed", "lamp outshines it", "nothing but sky"])
-def test_no_guide_where_it_would_not_pay(tmp_path: Path, case: str) -> None:
+def test_no_guide_without_an_enclosing_room(tmp_path: Path, case: str) -> None:
     lights: tuple[Any, ...] = {"no environment": (LAMP,), "lamp outshines it": (LAMP, SKY)}.get(case, (SKY,))
     scene = walled_room(window=case != "sealed")
     if case == "nothing but sky":  # a floor under an open sky: cameras and points have no box around them
@@ -184,7 +184,7 @@ def open_sky() -> Any:
     return mi.load_dict({"type": "scene", "sky": {"type": "constant"}, "ball": {"type": "sphere"}})
 
 
-def test_the_share_of_the_sky_is_of_all_direct_light() -> None:
+def test_the_share_of_the_sky_is_relative_to_all_direct_light() -> None:
     """A quarter of cosine-distributed rays meet radiance 1: irradiance pi / 4."""
     quarter = np.pi / 4
     assert observed().sky_share() == 1.0
@@ -205,7 +205,7 @@ def test_rays_that_met_the_sun_count_as_sky() -> None:
     assert observed(radiance=radiance).clamped_radiance().max() > 1e5
 
 
-def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
+def test_a_guide_covers_the_opening_and_a_margin() -> None:
     import mitsuba as mi
 
     from datagen.rendering.transport.sky_guide import BOX_MARGIN, CELLS, NEIGHBOUR_SHARE, fit_sky_guide
@@ -246,7 +246,7 @@ def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
     assert fit_sky_guide(open_sky(), observed(points_m=np.zeros((4096, 3)))) is None
 
 
-def test_rays_leave_the_box_where_geometry_says() -> None:
+def test_rays_leave_the_box_at_the_exact_positions() -> None:
     import mitsuba as mi
 
     from datagen.rendering.transport.sky_guide import CELLS, exit_cell

@@ -43,7 +43,7 @@ def test_single_numbers_are_stratified(mitsuba_variant: str) -> None:
         assert len(np.unique(np.floor(np.array(sampler.next_1d()) * 256))) == 256
 
 
-def test_pixels_and_dimensions_know_nothing_of_each_other() -> None:
+def test_pixels_and_dimensions_are_independent() -> None:
     import drjit as dr
     import mitsuba as mi
 
@@ -68,7 +68,7 @@ def test_pixels_and_dimensions_know_nothing_of_each_other() -> None:
         assert statistic < 63 + 5 * np.sqrt(2 * 63)
 
 
-def test_estimates_converge_faster_than_by_chance() -> None:
+def test_estimates_converge_faster_than_with_independent_samples() -> None:
     """Of a smooth function, 256 points a pixel: root mean square error over 64 pixels."""
 
     def error(samples: list[NDArray[np.float64]]) -> float:

@@ -80,13 +80,13 @@ def test_tiles_keep_every_bit(dtype: type, word: str, shape: tuple[int, int, int
     assert read_tile(tmp_path / "tile.html").tobytes() == array.tobytes()
 
 
-def test_smooth_pixels_become_small() -> None:
+def test_smooth_pixels_compress_well() -> None:
     rows, columns = np.indices((96, 160))
     array = (np.float32(1.5) + 0.001 * (rows + columns)).astype(np.float16)[..., None]
     assert len(encode_tile(array)) < array.nbytes / 8
 
 
-def test_no_tile_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_tile_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.html").write_text("<p>REPORT</p>")
     with pytest.raises(InputError, match="not a tile"):
         read_tile(tmp_path / "x.html")
@@ -140,14 +140,14 @@ def test_counts_agree_with_a_loop() -> None:
     assert counts["specular_luminance"].sum() == cells.sum()
 
 
-def test_hue() -> None:
+def test_hue_is_in_degrees() -> None:
     colors = np.array(
         [[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0.5, 1], [0.5, 0, 1], [1, 0, 0.5], [0.3, 0.3, 0.3]]
     )
     np.testing.assert_allclose(hue_deg(colors), [0, 60, 120, 210, 270, 330, np.nan])
 
 
-def test_values_beyond_an_axis_stay_in_sight() -> None:
+def test_values_beyond_an_axis_count_in_its_last_bins() -> None:
     axis = Axis.linear("x", "1", 0, 1, 4)
     np.testing.assert_array_equal(axis.count([-5, 0.1, 0.3, 2, np.nan, np.inf]), [2, 1, 0, 2])
     assert Axis.whole("n", "views", 0, 24).count([0, 12, 12, 24, 30]).tolist()[12] == 2
@@ -165,7 +165,7 @@ def test_missing_regions_are_named() -> None:
     assert found["coarse_filled"] == 62 and found["filled_share"] == 1 - 32 / 1024
 
 
-def test_lack_of_metal_and_gloss_is_that_of_the_training_split() -> None:
+def test_lack_of_metal_and_gloss_refers_to_the_training_split() -> None:
     matt = {"surface_pixels": 100, "metal_pixels": 1, "gloss_pixels": 30}
     steel = {"surface_pixels": 100, "metal_pixels": 90, "gloss_pixels": 90}
     cells = np.ones((32, 32), int).tolist()
@@ -204,7 +204,7 @@ def test_light_intensities_keep_their_units() -> None:
 # ---------------------------------------------------------------------- what is drawn together
 
 
-def test_findings_lead_to_their_views() -> None:
+def test_findings_link_to_their_views() -> None:
     files = {"shards/room-00000-ab.tar": "room-00000", "shards/room-00001-cd.tar": "room-00001"}
     names = {"room-00000": {"view-000"}, "room-00001": {"view-000", "view-001"}}
     for where, expected in (
@@ -259,7 +259,7 @@ def test_leaks_between_splits_are_found(dataset: Path) -> None:
     assert [s["kind"] for s in copied["shared"]] == ["equal content"]
 
 
-def test_pixels_are_written_where_they_help_most(dataset: Path) -> None:
+def test_pixels_are_written_for_the_most_relevant_views(dataset: Path) -> None:
     index = Dataset(dataset).index
     shard = index.shards[0]
     many = [shard.model_copy(update={"configuration": f"c-{k:03d}", "num_views": 40}) for k in range(160)]
@@ -276,7 +276,7 @@ def test_pixels_are_written_where_they_help_most(dataset: Path) -> None:
 # ---------------------------------------------------------------------- the folder
 
 
-def test_report_holds_what_the_page_needs(report: Path, dataset: Path) -> None:
+def test_report_contains_all_data_of_the_page(report: Path, dataset: Path) -> None:
     for name in PAGE_FILES:
         assert (report / name).stat().st_size > 500, name
     page = (report / "index.html").read_text()
@@ -323,7 +323,7 @@ def test_tiles_equal_the_shards(report: Path, dataset: Path) -> None:
             assert read_tile(folder / f"{name}.html").tobytes() == view.buffers[name].tobytes(), name
 
 
-def test_source_views_are_those_of_the_statistics(report: Path, dataset: Path) -> None:
+def test_source_views_match_the_statistics(report: Path, dataset: Path) -> None:
     """As many views as the statistics counted, at every pixel; the view itself among them."""
     for view in Dataset(dataset).views():
         folder = report / "tiles" / view.record.configuration / view.record.name
@@ -347,7 +347,7 @@ def test_source_views_follow_the_options(dataset: Path) -> None:
     assert ((chosen != NO_VIEW).sum(axis=-1) != views[0].buffers["observation_count"][..., 0]).any()
 
 
-def test_a_second_report_takes_what_the_first_counted(report: Path, dataset: Path, tmp_path: Path) -> None:
+def test_a_second_report_reuses_the_counts(report: Path, dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "page"
     shutil.copytree(report, out)
     tile = out / "tiles" / "small-00000" / "view-000" / "beauty.html"
@@ -370,7 +370,7 @@ def test_views_without_pixels_have_thumbnails_only(dataset: Path, tmp_path: Path
     assert not list((tmp_path / "page" / "tiles").glob("*/*/sources.html"))
 
 
-def test_a_damaged_shard_is_named_and_left_out(dataset: Path, tmp_path: Path) -> None:
+def test_a_damaged_shard_is_named_and_omitted(dataset: Path, tmp_path: Path) -> None:
     copy = tmp_path / "dataset"
     shutil.copytree(dataset, copy)
     shard = copy / Dataset(copy).index.shards[0].file
@@ -382,7 +382,7 @@ def test_a_damaged_shard_is_named_and_left_out(dataset: Path, tmp_path: Path) ->
     assert summed["findings"]["views"][0]["configuration"] == "small-00000"
 
 
-def test_refusals(dataset: Path, tmp_path: Path) -> None:
+def test_wrong_folders_and_options_are_refused(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("do not lose")
     with pytest.raises(InputError, match="other files"):
@@ -454,7 +454,7 @@ def test_prediction_errors_agree_with_another_count(compared: tuple[Path, Path, 
     assert sums.min() / num > 1e-4  # there is something to count
 
 
-def test_wrong_predictions_are_named_and_the_rest_is_shown(compared: tuple[Path, Path, Path]) -> None:
+def test_wrong_predictions_are_named_and_the_others_shown(compared: tuple[Path, Path, Path]) -> None:
     out, _, _ = compared
     table = read_script(out / "data" / "predictions.js", "predictions")
     method, errors = table["methods"][1], table["errors"]["b-w"]
@@ -472,7 +472,7 @@ def test_wrong_predictions_are_named_and_the_rest_is_shown(compared: tuple[Path,
     assert not (tile.parent.parent / "view-003").exists()
 
 
-def test_methods_come_and_go(compared: tuple[Path, Path, Path], dataset: Path, tmp_path: Path) -> None:
+def test_methods_are_updated(compared: tuple[Path, Path, Path], dataset: Path, tmp_path: Path) -> None:
     out, good, _ = compared
     copy = tmp_path / "page"
     shutil.copytree(out, copy)
@@ -487,7 +487,7 @@ def test_methods_come_and_go(compared: tuple[Path, Path, Path], dataset: Path, t
     assert not tile.exists()
 
 
-def test_one_result_of_infer_is_found_by_its_report(dataset: Path, tmp_path: Path) -> None:
+def test_a_single_result_of_infer_is_found_by_its_report(dataset: Path, tmp_path: Path) -> None:
     predict(dataset, tmp_path / "all", 0)
     (tmp_path / "all" / "small-00001").rename(tmp_path / "views")
     (tmp_path / "report.json").write_text('{"name": "small-00001"}')

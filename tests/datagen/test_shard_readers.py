@@ -126,7 +126,7 @@ def test_webdataset_reads_pixels_and_records(tmp_path: Path) -> None:
         np.testing.assert_array_equal(decoded["beauty"], view.buffers["beauty"])
 
 
-def test_older_shards_are_read_alike(tmp_path: Path) -> None:
+def test_older_shards_are_read_identically(tmp_path: Path) -> None:
     (path,) = make_shards(tmp_path, 1)
     older = as_older(path, tmp_path / "older.tar")
     assert ShardReader(older).configuration() == ShardReader(path).configuration()
@@ -149,7 +149,7 @@ def test_older_shards_are_read_alike(tmp_path: Path) -> None:
         (["a"], "entries of the form"),
     ],
 )
-def test_wrong_names_are_told(tmp_path: Path, instances: object, expected: str) -> None:
+def test_invalid_instance_names_are_refused(tmp_path: Path, instances: object, expected: str) -> None:
     (path,) = make_shards(tmp_path, 1)
     record = next(ShardReader(path).records()).model_dump(mode="json")
     with pytest.raises(InputError) as caught:

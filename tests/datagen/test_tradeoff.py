@@ -60,7 +60,7 @@ costs = st.integers(0, 8).map(float)
 
 @settings(deadline=None)  # a busy machine is no fault
 @given(st.lists(st.tuples(costs, costs), max_size=30))
-def test_front_is_what_nothing_beats(pairs: list[tuple[float, float]]) -> None:
+def test_front_contains_the_undominated_points(pairs: list[tuple[float, float]]) -> None:
     front = pareto_front([c for c, _ in pairs], [e for _, e in pairs])
 
     def beats(a: tuple[float, float], b: tuple[float, float]) -> bool:
@@ -88,7 +88,7 @@ def test_recommendation_meets_the_error_at_the_least_cost(
     assert chosen.cpu_s == min(reachable)
 
 
-def test_only_what_changes_the_rendering_is_recommended() -> None:
+def test_only_rendering_settings_are_recommended() -> None:
     cheap = point(0.1, 0.001, best_views=4)  # another statistic, not the same one for less
     small = point(0.1, 0.001, image_scale=0.5)
     fair = point(1.0, 0.001, path_samples=16)
@@ -107,7 +107,7 @@ def test_excess_over_the_front() -> None:
     assert excess_over_front(point(2.0, 0.5), front) == pytest.approx(2.0)  # worse than the cheapest
 
 
-def test_points_are_means_of_settings_tried_everywhere() -> None:
+def test_points_are_means_over_configurations() -> None:
     from datagen.tradeoff.trial import Trial
 
     def trial(configuration: str, rel_mse: float, **changes: object) -> Trial:
@@ -187,7 +187,7 @@ def test_more_samples_are_closer_to_the_reference(swept: tuple[Path, Path]) -> N
     assert errors[32] < errors[8] < errors[1]
 
 
-def test_results_and_recommendation(swept: tuple[Path, Path]) -> None:
+def test_results_and_recommendation_are_written(swept: tuple[Path, Path]) -> None:
     folder, out = swept
     kept = {path: t for path, t in _times(out).items() if path.suffix == ".npz" or "trials" in path.parts}
     trials = {t.setting["path_samples"]: t for t in Sweep(folder, out, OPTIONS).trials()}
@@ -216,7 +216,7 @@ def test_results_and_recommendation(swept: tuple[Path, Path]) -> None:
         assert (out / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_error_out_of_reach_is_refused_with_the_best(swept: tuple[Path, Path]) -> None:
+def test_an_unreachable_error_is_refused_with_the_best(swept: tuple[Path, Path]) -> None:
     folder, out = swept
     arguments = [str(folder), "--out", str(out), *FLAGS, "--max-rel-mse", "1e-9"]
     with pytest.raises(InputError, match=r"rel_mse = .* at best; expected at most 1e-09"):
@@ -224,7 +224,7 @@ def test_an_error_out_of_reach_is_refused_with_the_best(swept: tuple[Path, Path]
     assert (out / "tradeoff.csv").is_file()
 
 
-def test_dry_run_makes_nothing(swept: tuple[Path, Path], tmp_path: Path) -> None:
+def test_dry_run_writes_nothing(swept: tuple[Path, Path], tmp_path: Path) -> None:
     folder, _ = swept
     arguments = [str(folder), "--out", str(tmp_path / "new"), *FLAGS, "--dry-run"]
     done = CliRunner().invoke(APP, [*arguments, "--sweep", "variant"], catch_exceptions=False)
@@ -233,7 +233,7 @@ def test_dry_run_makes_nothing(swept: tuple[Path, Path], tmp_path: Path) -> None
     assert not (tmp_path / "new").exists()
 
 
-def test_what_decides_a_trial_names_it(swept: tuple[Path, Path]) -> None:
+def test_changed_options_invalidate_trials(swept: tuple[Path, Path]) -> None:
     folder, out = swept
     for change in ({"reference_samples": 256}, {"size": (32, 16)}, {"views": 3}):
         other = Sweep(folder, out, replace(OPTIONS, **change))

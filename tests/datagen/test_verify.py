@@ -246,7 +246,7 @@ def test_flipped_bit_breaks_the_hashes(dataset):
     assert any("view_02" in fault.where for fault in faults["hash"])
 
 
-def test_corrupt_image_that_its_record_vouches_for(dataset, tmp_path):
+def test_corrupt_image_with_a_matching_hash(dataset, tmp_path):
     dataset.write()
     image = tmp_path / "source" / "view_01.exr"
     broken = image.read_bytes()[:2000]
@@ -354,7 +354,7 @@ def test_wrong_size(dataset):
     ("name", "value"),  # Inf cannot get into half floats: they are clipped when written
     [("beauty", np.nan), ("normal_world", np.nan), ("color_max", np.nan), ("depth_z_m", np.inf)],
 )
-def test_not_finite(dataset, name, value):
+def test_values_that_are_not_finite(dataset, name, value):
     dataset.views[1][name][5, 7] = value
     faults = found(dataset.write())
     assert [f"1 pixels of {name}" in fault.got for fault in faults["finite"]] == [True]
@@ -398,7 +398,7 @@ def test_fireflies(dataset):
     assert int(firefly_mask(view).sum()) == len(inside[:6]) == 6
 
 
-def test_highlights_and_lamps_are_no_fireflies():
+def test_highlights_and_lamps_are_not_fireflies():
     light = np.full((40, 40, 3), 0.1, np.float32)
     light[10:14, 10:14] = 50  # a highlight of sixteen pixels
     light[30, 30] = 500  # a lamp of one pixel
@@ -434,7 +434,7 @@ def test_few_bright_pixels_of_metal_or_gloss_are_highlights(specular, roughness,
 @pytest.mark.parametrize(
     ("factor", "offset", "text"), [(0, 0, "black"), (0, 0.5, "flat"), (40, 0, "burnt"), (0, 70000, "burnt")]
 )
-def test_frames_without_a_picture(dataset, factor, offset, text):
+def test_empty_frames(dataset, factor, offset, text):
     view = dataset.views[1]
     beauty = np.minimum(view["beauty"].astype(np.float32) * factor + offset, 65504)
     if text == "burnt" and offset:
@@ -462,7 +462,7 @@ def test_count_of_zero_on_a_surface(dataset):
     assert any("of surface with count 0" in fault.got for fault in faults["statistics"])
 
 
-def test_counts_that_cannot_be(dataset):
+def test_impossible_counts(dataset):
     view = dataset.views[3]
     background = np.argwhere(view["depth_z_m"][..., 0] == 0)[0]
     surface = np.argwhere(view["surface_mask"][..., 0] > 0)[0]
@@ -483,7 +483,7 @@ def test_background_with_foreign_colors(dataset):
 
 
 @pytest.mark.parametrize(("scale", "text"), [(1.02, "surfaces differ"), (1.05, ""), (1.5, "no surface at")])
-def test_depth_that_is_off(dataset, scale, text):
+def test_wrong_depth(dataset, scale, text):
     dataset.views[2]["depth_z_m"] *= np.float32(scale)
     expect_only(dataset.write(), "reprojection", text, "view_02")
 
@@ -493,7 +493,7 @@ def test_camera_of_another_view(dataset):
     expect_only(dataset.write(), "reprojection", where="view_01")
 
 
-def test_camera_that_was_moved_a_little(dataset):
+def test_slightly_moved_camera(dataset):
     matrix = np.array(dataset.cameras[0].world_from_camera)
     matrix[:3, 3] += [0.04, 0.03, 0.04]
     dataset.cameras[0] = dataset.cameras[0].model_copy(
@@ -566,7 +566,7 @@ def test_saturated_roughness_may_be_constant(dataset, rough_library):
     assert found(dataset.write(), rough_library[0]) == {}
 
 
-def test_without_a_library_the_report_says_what_was_not_checked(dataset):
+def test_without_a_library_the_report_names_skipped_checks(dataset):
     report = verify_dataset(dataset.write())
     assert report.applied["roughness"] == 0
     assert any("roughness was not checked" in note for note in report.notes)
@@ -594,7 +594,7 @@ def test_a_single_shard_can_be_verified(dataset):
     assert report.faults == [] and report.num_views == 7
 
 
-def test_workers_find_the_same(dataset):
+def test_workers_report_the_same_faults(dataset):
     dataset.views[2]["depth_z_m"] *= np.float32(1.05)
     dataset.write()
     (dataset.shard.parent / "other.tar").write_bytes(dataset.shard.read_bytes())
@@ -603,6 +603,6 @@ def test_workers_find_the_same(dataset):
     assert one.to_json() == two.to_json() and one.num_shards == 2
 
 
-def test_no_dataset(tmp_path):
+def test_a_missing_dataset_is_refused(tmp_path):
     with pytest.raises(InputError, match="neither a folder nor"):
         verify_dataset(tmp_path / "nothing")

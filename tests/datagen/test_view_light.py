@@ -63,12 +63,12 @@ def _by_wall(light: ViewLight, name: str, gain: float = 1.0) -> NDArray[np.float
     return np.array([np.median(np.concatenate(parts), axis=0) for parts in found], np.float64)
 
 
-def test_reflectance_is_the_albedo_of_matt_walls(box_light: ViewLight) -> None:
+def test_reflectance_is_the_albedo_of_diffuse_walls(box_light: ViewLight) -> None:
     error = np.abs(_by_wall(box_light, "reflectance") / ALBEDOS - 1)
     assert error.max() < TOLERANCE, error
 
 
-def test_five_percent_too_bright_is_found(box_light: ViewLight) -> None:
+def test_five_percent_too_bright_is_detected(box_light: ViewLight) -> None:
     """The twin."""
     error = np.abs(_by_wall(box_light, "reflectance", gain=1.05) / ALBEDOS - 1)
     assert error.max() > TOLERANCE
@@ -79,7 +79,7 @@ def test_all_light_of_a_closed_box_is_known(box_light: ViewLight) -> None:
     assert known.min() > 0.9 and known.max() <= 1 + 1e-6
 
 
-def test_mirror_images_show_the_wall_that_is_mirrored(box_light: ViewLight) -> None:
+def test_mirror_images_show_the_mirrored_wall(box_light: ViewLight) -> None:
     """A sharp one has the radiance of the wall that the mirrored ray meets, where that is far from others."""
     import mitsuba as mi
 
@@ -124,7 +124,7 @@ def test_the_order_of_views_changes_nothing(box_light: ViewLight) -> None:
             np.testing.assert_array_equal(got[name], expected[name])
 
 
-def test_where_no_light_arrives_nothing_is_said() -> None:
+def test_without_light_reflectance_is_zero() -> None:
     dark = tuple(replace(view, color=np.zeros_like(view.color)) for view in photographed_box())
     found = _light(dark).buffers(0, np.zeros_like(dark[0].color))
     assert all(np.isfinite(values).all() for values in found.values())
@@ -148,7 +148,7 @@ def lit_shard(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) ->
     return folder.root / manifest.shard
 
 
-def test_shards_hold_what_a_reconstruction_computes(lit_shard: Path) -> None:
+def test_shards_contain_the_buffers_of_a_reconstruction(lit_shard: Path) -> None:
     """The same code on the capture that the shard is: equal but for the rounding of half floats."""
     from model.reconstruction.captures.read import read_capture
 
@@ -164,14 +164,14 @@ def test_shards_hold_what_a_reconstruction_computes(lit_shard: Path) -> None:
             np.testing.assert_allclose(got[name], view.buffers[name], rtol=2e-3, atol=2e-6, err_msg=name)
 
 
-def test_recorded_light_has_a_revision_of_its_own(lit_shard: Path, tmp_path: Path) -> None:
+def test_recorded_light_has_a_separate_revision(lit_shard: Path, tmp_path: Path) -> None:
     """A change of recorded light alone leaves other datasets valid."""
     with_light = DatasetFolder(lit_shard.parent.parent).read_plan().versions
     without = plan_small(tmp_path / "dataset", tmp_path / "library").read_plan().versions
     assert with_light == {**without, "light_revision": str(LIGHT_REVISION)}
 
 
-def test_a_network_is_fed_with_what_it_was_trained_on(lit_shard: Path, tmp_path: Path) -> None:
+def test_a_network_gets_the_inputs_of_its_training(lit_shard: Path, tmp_path: Path) -> None:
     """A network that returns its inputs says what arrives; statistics of a traced capture differ from the
     dataset's at edges alone."""
     from model.checkpoint import CheckpointCard, save_checkpoint
@@ -197,13 +197,13 @@ def test_a_network_is_fed_with_what_it_was_trained_on(lit_shard: Path, tmp_path:
         np.testing.assert_allclose(found["roughness"].astype(np.float32), share, atol=2e-3)
 
 
-def test_recipes_without_light_are_as_they_were() -> None:
+def test_recipes_without_light_are_unchanged() -> None:
     dumped = StatisticsRecipe().model_dump(mode="json")
     assert dumped == {"best_views": 12, "visibility": "depth", "include_self": True}
     assert StatisticsRecipe(light=True).model_dump(mode="json") == {**dumped, "light": True}
 
 
-def test_views_of_no_extended_surface_are_refused(tmp_path: Path) -> None:
+def test_views_without_any_surface_are_refused(tmp_path: Path) -> None:
     from datagen.farm.work_unit import light_of_views
     from datagen.multiview.statistics import StatisticsView
 

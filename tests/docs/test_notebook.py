@@ -63,7 +63,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
 
 
-def test_nothing_is_stored_in_it() -> None:
+def test_no_outputs_are_stored() -> None:
     """No outputs, no counts: what it shows is what it makes."""
     for cell in nbformat.read(NOTEBOOK, as_version=4).cells:
         if cell.cell_type == "code":
@@ -71,7 +71,7 @@ def test_nothing_is_stored_in_it() -> None:
 
 
 @pytest.mark.usefixtures("kernel")
-def test_it_runs_with_a_small_library(tmp_path: Path) -> None:
+def test_notebook_runs_with_a_small_library(tmp_path: Path) -> None:
     from tests.datagen.small_library import write_small_library
 
     library = tmp_path / "library"
@@ -83,5 +83,5 @@ def test_it_runs_with_a_small_library(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("kernel")
-def test_it_runs_as_it_is(tmp_path: Path) -> None:
+def test_notebook_runs_unchanged(tmp_path: Path) -> None:
     assert _num_pictures(execute(tmp_path / "round-trip")) == 3

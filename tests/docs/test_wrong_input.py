@@ -214,7 +214,7 @@ def test_a_mistake_is_named_with_a_remedy(
     assert "Traceback" not in message and "[Errno" not in message and "codec can't" not in message
 
 
-def test_a_bug_is_not_dressed_up_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bug_is_not_reported_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     """The twin: errors that are no input keep their traceback."""
 
     def broken() -> None:
@@ -252,7 +252,7 @@ def test_every_verb_shows_an_example(verb: str, text: str) -> None:
         (("scenes.sources", "preview", "nope", "--out", "x.png"), ("no source named nope", "`list`")),
     ],
 )
-def test_modules_of_blender_name_a_mistake_too(
+def test_modules_of_blender_name_mistakes(
     arguments: tuple[str, ...], words: tuple[str, ...], in_desk: Path
 ) -> None:
     pytest.importorskip("bpy" if "text.txt" in arguments else "sys")

@@ -84,7 +84,7 @@ def test_visible_normals_integrate_to_one(alpha: float, angle_deg: float) -> Non
     assert np.sum(density * weight) == pytest.approx(1.0, abs=3e-4)
 
 
-def test_alpha_of_every_input() -> None:
+def test_alpha_is_clamped_for_every_input() -> None:
     roughness = np.array([0.0, 0.01, np.sqrt(1e-3), 0.3, 1.0, -0.5, 1.7, np.nan, np.inf, -np.inf], np.float32)
     alpha = array(beckmann.alpha_from_roughness(mi.Float(roughness)))
     np.testing.assert_allclose(alpha, [1e-3, 1e-3, 1e-3, 0.09, 1, 1e-3, 1, 1, 1, 1e-3], rtol=2 * EPS)
@@ -130,7 +130,7 @@ def test_sampled_slopes_follow_the_distribution_function(angle_rad: float) -> No
     np.testing.assert_allclose(distribution(s) / total, u, atol=4e-6)
 
 
-def test_derivatives_are_finite_at_the_singular_places() -> None:
+def test_derivatives_are_finite_at_the_singularities() -> None:
     """Zero vectors, the tangent plane, the normal, the smallest alpha: no 0/0 hides in the derivatives."""
     unit = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1e-4, 0, 1], [1, 0, 1e-6], [1, 0, 1e-12], [0, 0, -1]])
     any_length = np.concatenate([unit, [[1e-12, 0, 1e-12], [0, 0, 1e-12], [1e-8, 0, 1e-6]]])

@@ -324,7 +324,7 @@ def test_two_sides_mirror_and_equal_mitsubas_wrapper() -> None:
 
 
 @pytest.mark.parametrize("two_sided", [True, False])
-def test_flags_say_which_sides_reflect(two_sided: bool) -> None:
+def test_flags_match_the_reflecting_sides(two_sided: bool) -> None:
     bsdf = mi.load_dict({"type": "cook_torrance", "two_sided": two_sided})
     for index, lobe in enumerate((mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)):
         sides = mi.BSDFFlags.FrontSide | (mi.BSDFFlags.BackSide if two_sided else 0)
@@ -332,7 +332,7 @@ def test_flags_say_which_sides_reflect(two_sided: bool) -> None:
     assert mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide) == two_sided
 
 
-def test_all_lanes_are_active_unless_told_otherwise() -> None:
+def test_all_lanes_are_active_by_default() -> None:
     """Calls without a mask equal calls with one that is true; where it is false, results are zero."""
     wi, wo = (unit_float32(oracle.direction(np.array([a]), np.array([b]))) for a, b in ((0.5, 0.0), (0.3, 2)))
     bsdf, si = material(0.5, 0.3, 0.4), interaction(wi)
@@ -378,7 +378,7 @@ def test_components_add_up() -> None:
     np.testing.assert_allclose(sum(parts), array(bsdf.eval(CTX, si, vector(wo))), rtol=4 * EPS, atol=1e-12)
 
 
-def test_a_lobe_alone_has_its_own_density() -> None:
+def test_each_lobe_has_its_separate_density() -> None:
     """The cosine's over pi, or that of a surface which only mirrors."""
     rng = np.random.default_rng(33)
     wi, wo = _directions(rng, np.full(500, 0.5), 500)
@@ -398,7 +398,7 @@ def test_a_lobe_alone_has_its_own_density() -> None:
     assert density.max() > 0.1
 
 
-def test_attributes_give_the_channels() -> None:
+def test_attributes_return_the_channels() -> None:
     rgb = {"type": "rgb", "value": [0.1, 0.5, 0.9]}
     bsdf = mi.load_dict(
         {"type": "cook_torrance", "diffuse_albedo": rgb, "specular_albedo": 0.3, "roughness": 0.2}

@@ -82,7 +82,7 @@ def test_flat_surface_equals_its_parameters() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
-def test_depth_is_along_the_axis_and_belongs_to_the_pixels_centre(scale: float) -> None:
+def test_depth_is_along_the_axis_at_the_pixels_centre(scale: float) -> None:
     """A tilted camera above a plane, against the intersection written out; from millimetres to 10 km."""
     eye, target = scale * np.array([1.0, -3.0, 2.5]), scale * np.array([0.2, 0.3, 0.1])
     to_world = T().look_at(eye.tolist(), target.tolist(), [0, 0, 1])
@@ -223,7 +223,7 @@ def test_masked_surfaces_blend_by_opacity(opacity: float) -> None:
     np.testing.assert_allclose(buffers["surface_mask"], 1.0, atol=1e-3)
 
 
-def test_cut_out_leaves_show_what_is_behind() -> None:
+def test_cut_outs_show_surfaces_behind_them() -> None:
     """A 0/1 opacity texture: half of the plane is not there."""
     texels = np.zeros((2, 2, 1), np.float32)
     texels[:, 1] = 1.0
@@ -249,9 +249,7 @@ def _lobe_normal(bsdf: Any, si: Any, num: int = 4096) -> np.ndarray:
 @pytest.mark.parametrize("wrapping", ["normalmap", "normalmap in twosided", "normalmap in mask"])
 @pytest.mark.parametrize("is_back", [False, True])
 @pytest.mark.parametrize("encoded", [[0.5, 0.5, 1.0], [0.7, 0.6, 0.9], [0.2, 0.5, 0.85]])
-def test_normal_maps_turn_the_normal_that_is_rendered(
-    wrapping: str, is_back: bool, encoded: list[float]
-) -> None:
+def test_normal_maps_tilt_the_rendered_normal(wrapping: str, is_back: bool, encoded: list[float]) -> None:
     """The buffer's normal is the one that the BSDF itself reflects about, from the front and from behind."""
     mirror = {"type": "cook_torrance", "diffuse_albedo": 0.0, "specular_albedo": 1.0, "roughness": 0.1}
     bsdf: dict[str, Any] = {
@@ -281,7 +279,7 @@ def test_normal_maps_turn_the_normal_that_is_rendered(
     np.testing.assert_allclose(np.linalg.norm(got), 1.0, atol=1e-6)
 
 
-def test_back_of_surfaces() -> None:
+def test_back_faces_of_surfaces() -> None:
     """Two-sided: the same channels, the normal turned to the viewer. One-sided: nothing is reflected."""
     upside_down = T().rotate([1, 0, 0], 180).scale(10)
     buffers = render_material_buffers(_scene(floor=_plane(_cook_torrance(RED), upside_down)), spp=2)
@@ -292,7 +290,7 @@ def test_back_of_surfaces() -> None:
     assert np.all(buffers["diffuse_albedo"] == 0) and np.all(buffers["surface_mask"] == 1)
 
 
-def test_two_materials_front_and_back() -> None:
+def test_front_and_back_have_separate_materials() -> None:
     both = {"type": "twosided", "front": _cook_torrance(RED), "back": _cook_torrance(BLUE)}
     for angle, channels in ((0, RED), (180, BLUE)):
         scene = _scene(floor=_plane(both, T().rotate([1, 0, 0], angle).scale(10)))
@@ -300,7 +298,7 @@ def test_two_materials_front_and_back() -> None:
         np.testing.assert_allclose(buffers["roughness"], channels["roughness"], atol=1e-5)
 
 
-def test_textures_arrive_texel_by_texel() -> None:
+def test_textures_are_exact_texel_by_texel() -> None:
     """One texel a pixel, nearest filter, box filter: the buffer is the texture."""
     rng = np.random.default_rng(4)
     texels = rng.uniform(size=(HEIGHT, WIDTH, 1)).astype(np.float32)
@@ -320,7 +318,7 @@ def test_textures_arrive_texel_by_texel() -> None:
     assert matches.mean() > 0.99  # a sample may round across a texel's border
 
 
-def test_crop_window_is_the_part_of_the_whole() -> None:
+def test_crop_window_equals_that_part_of_the_image() -> None:
     whole = render_material_buffers(_edge_scene(), spp=4, ids=IDS)
     crop = {"crop_offset_x": 16, "crop_offset_y": 8, "crop_width": 16, "crop_height": 12}
     edge = T().translate([-9.987, 0, 1]).scale(10)
@@ -332,7 +330,7 @@ def test_crop_window_is_the_part_of_the_whole() -> None:
         np.testing.assert_allclose(part[name], whole[name][8:20, 16:32], rtol=1e-6)
 
 
-def test_integrator_gives_the_same_numbers() -> None:
+def test_integrator_returns_the_same_values() -> None:
     scene = _edge_scene()
     integrator = mi.load_dict({"type": "material_buffers"})
     image = np.array(mi.render(scene, integrator=integrator, spp=8, seed=3))
@@ -346,7 +344,7 @@ def test_integrator_gives_the_same_numbers() -> None:
         first += len(channels)
 
 
-def test_materials_are_made_once_for_all_views() -> None:
+def test_materials_are_created_once_for_all_views() -> None:
     scene = _edge_scene()
     materials = SceneMaterials(scene, IDS)
     a, b = (render_material_buffers(scene, spp=4, ids=ids) for ids in (materials, IDS))
@@ -354,7 +352,7 @@ def test_materials_are_made_once_for_all_views() -> None:
         np.testing.assert_array_equal(image, b[name])
 
 
-def test_scenes_from_xml_have_distinct_numbers() -> None:
+def test_scenes_from_xml_have_distinct_ids() -> None:
     """Mitsuba gives shapes of an XML file no ids of their own."""
     xml = """<scene version="3.0.0">
       <shape type="sphere"><bsdf type="cook_torrance"/></shape>
@@ -364,7 +362,7 @@ def test_scenes_from_xml_have_distinct_numbers() -> None:
     assert sorted(table.values()) == [(1, 1), (2, 2)]
 
 
-def test_what_has_no_channels_is_refused_by_name() -> None:
+def test_bsdfs_without_channels_are_refused_by_name() -> None:
     glass = {"type": "dielectric"}
     nested = {"type": "mask", "nested": {"type": "plastic"}}
     scene = _scene(pane=_plane(glass), leaf=_plane(nested), floor=_plane(_cook_torrance(RED)))

@@ -21,7 +21,7 @@ def test_another_variant_is_refused(mitsuba_variant: str) -> None:
         select_variant(CUDA_VARIANT)
 
 
-def test_a_library_without_a_version_in_its_name_is_asked(
+def test_a_library_without_a_version_in_its_name_is_queried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As macOS and Windows name it; one that does not load is none."""

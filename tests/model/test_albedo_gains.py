@@ -57,7 +57,7 @@ def fit(
     return albedo_level.fit_level(points, arriving * known[:, None], known, 4, 0.01)
 
 
-def test_gains_are_those_of_each_region_and_the_rooms_elsewhere() -> None:
+def test_gains_are_per_region_and_the_rooms_elsewhere() -> None:
     level = fit()
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
     np.testing.assert_allclose(level.gains[1], level.report.gain, rtol=1e-6)
@@ -69,7 +69,7 @@ def test_gains_are_those_of_each_region_and_the_rooms_elsewhere() -> None:
     assert report.region_spread == pytest.approx(0.5 * np.log(1.3 / 0.9), rel=0.03)
 
 
-def test_points_whose_hemisphere_is_little_known_count_less() -> None:
+def test_points_with_little_known_light_count_less() -> None:
     """Full weight from a known share of 0.9, none below 0.6, half between."""
     random = np.random.default_rng(0)
     coverage = random.choice([0.5, 0.75, 0.9, 1.0], NUM)
@@ -82,7 +82,7 @@ def test_points_whose_hemisphere_is_little_known_count_less() -> None:
 
 
 @pytest.mark.parametrize("num_dark", [60, 660])
-def test_dark_points_and_such_without_light_say_nothing(num_dark: int) -> None:
+def test_dark_points_are_not_used(num_dark: int) -> None:
     """Also where most of them are dark."""
     left = leaving()
     left[:num_dark] = 0.0
@@ -91,7 +91,7 @@ def test_dark_points_and_such_without_light_say_nothing(num_dark: int) -> None:
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
 
 
-def test_points_that_nothing_arrives_at_are_not_used() -> None:
+def test_points_without_incident_light_are_not_used() -> None:
     """Their light came by ways that no photograph shows: the reflectance would be unbounded."""
     arriving = ARRIVING.copy()
     arriving[:60] = 0.0
@@ -100,7 +100,7 @@ def test_points_that_nothing_arrives_at_are_not_used() -> None:
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
 
 
-def test_a_surface_may_reflect_all_that_arrives() -> None:
+def test_a_surface_may_reflect_all_incident_light() -> None:
     """Exactly all is not more than all."""
     left = np.random.default_rng(7).uniform(0.1, 0.5, (NUM, 3))
     for factor, share in ((1.0, 0.0), (0.999, 1.0)):
@@ -119,9 +119,7 @@ def test_spread_is_half_the_interquartile_range() -> None:
 
 
 @pytest.mark.parametrize(("share", "is_applied"), [(0.9, True), (1.1, False)])
-def test_too_many_points_that_reflect_more_than_arrives_change_nothing(
-    share: float, is_applied: bool
-) -> None:
+def test_too_many_impossible_points_change_nothing(share: float, is_applied: bool) -> None:
     num_impossible = int(share * MAX_IMPOSSIBLE * NUM)
     left = leaving()
     left[:num_impossible] = 1.2 * ARRIVING[:num_impossible] / np.pi
@@ -142,7 +140,7 @@ def test_little_weight_changes_nothing(coverage: float, is_applied: bool) -> Non
     assert fit(coverage=coverage).report.is_applied == is_applied
 
 
-def test_predictions_near_zero_are_taken_for_a_fiftieth() -> None:
+def test_predictions_near_zero_are_clamped_to_a_fiftieth() -> None:
     """A ratio to nothing would say that the room reflects without end."""
     black = fit(reflected=0.02)
     np.testing.assert_allclose(black.gains[REGIONS], WANTED, rtol=0.02)
@@ -150,7 +148,7 @@ def test_predictions_near_zero_are_taken_for_a_fiftieth() -> None:
     np.testing.assert_allclose(same.gains[REGIONS], WANTED / 4, rtol=0.02)
 
 
-def test_a_region_of_few_points_leans_on_the_room() -> None:
+def test_the_gain_of_a_small_region_is_shrunk_to_the_rooms() -> None:
     """One point at 4 times the room's level pulls its region less than 200 do."""
     gains = []
     for count in (1, 200):
@@ -173,7 +171,7 @@ def test_outliers_do_not_move_a_regions_gain() -> None:
     np.testing.assert_allclose(level.gains[REGIONS], 1.0, rtol=0.06)
 
 
-def test_rays_go_by_the_cosine_one_to_each_stratum() -> None:
+def test_rays_are_cosine_weighted_with_one_per_stratum() -> None:
     normal = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.36, -0.48, -0.8]])
     rays = albedo_level.cosine_rays(normal, np.random.default_rng(3)).reshape(3, NUM_RAYS, 3)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=1e-9)
@@ -189,7 +187,7 @@ def test_rays_go_by_the_cosine_one_to_each_stratum() -> None:
         np.testing.assert_allclose(spread, 0.25 * (np.eye(3) - np.outer(normal[k], normal[k])), atol=0.01)
 
 
-def test_weighted_quantiles_are_where_the_weights_reach_them() -> None:
+def test_weighted_quantiles_follow_the_cumulative_weights() -> None:
     values, weight = np.array([3.0, 1.0, 2.0, 4.0]), np.array([1.0, 5.0, 1.0, 3.0])
     found = albedo_level.weighted_quantiles(values, weight, (0.2, 0.55, 0.65, 0.95))
     assert found.tolist() == [1.0, 2.0, 3.0, 4.0]

@@ -41,7 +41,7 @@ def test_agrees_with_a_dense_solve():
         np.testing.assert_allclose(got[0, channel].numpy().ravel(), dense.solve(t, c), atol=1e-9)
 
 
-def test_a_wrong_smoothness_is_noticed():
+def test_a_wrong_smoothness_is_detected():
     guide, target, confidence = _images(13, 18)
     got = bilateral_solve(target, confidence, build_grid(guide, EXACT), EXACT)
     dense = bilateral_dense.build(guide[0].permute(1, 2, 0).numpy(), 4.0, 16.0, 12.0, 300.0 * 1.05)
@@ -66,7 +66,7 @@ def test_one_confidence_for_all_channels_gets_the_sum_of_the_gradients():
     torch.testing.assert_close(single.grad, tiled.grad.sum(dim=1, keepdim=True))
 
 
-def test_a_batch_is_solved_as_its_images_are():
+def test_a_batch_equals_its_single_images():
     guide, target, confidence = _images(16, 20, batch=3)
     together = bilateral_solve(target, confidence, build_grid(guide, EXACT), EXACT)
     for k in range(3):
@@ -89,7 +89,7 @@ def test_smooths_within_regions_and_keeps_their_edges():
     assert (filtered[..., 33:].mean() - filtered[..., :31].mean()) > 0.79
 
 
-def test_unsure_pixels_take_the_value_of_sure_ones():
+def test_uncertain_pixels_take_the_value_of_certain_ones():
     truth = torch.full((1, 1, 32, 32), 0.5)
     target = truth.clone()
     target[..., 8:24, 8:24] = 1.0
@@ -98,7 +98,7 @@ def test_unsure_pixels_take_the_value_of_sure_ones():
     assert (filtered - truth).abs().max() < 1e-3
 
 
-def test_a_constant_stays_constant_and_zero_confidence_is_survived():
+def test_a_constant_stays_constant_and_zero_confidence_is_finite():
     guide, _, confidence = _images(32, 32)
     grid = build_grid(guide)
     constant = torch.full((1, 2, 32, 32), 0.37)
@@ -149,7 +149,7 @@ def test_scaling_the_target_scales_the_result():
     torch.testing.assert_close(1e12 * small, whole, rtol=0, atol=1e-6)
 
 
-def test_what_confident_pixels_sum_to_is_kept():
+def test_the_confidence_weighted_sum_is_kept():
     """The sum of confidence times result is that of confidence times target: its gradient is the confidence,
     which the adjoint knows before its first iteration."""
     guide, target, confidence = _images(24, 32)
@@ -159,7 +159,7 @@ def test_what_confident_pixels_sum_to_is_kept():
     torch.testing.assert_close(target.grad, confidence, rtol=0, atol=1e-9)
 
 
-def test_nothing_is_solved_at_once():
+def test_zero_targets_need_no_iterations():
     grid = build_grid(_images(24, 32)[0])
     zero = torch.zeros(grid.num_vertices, 2, dtype=torch.float64)
     y, report = solve(grid, SolverConfig(), torch.ones_like(zero), zero, zero)
@@ -172,7 +172,7 @@ def test_a_target_of_another_size_is_refused():
         bilateral_solve(torch.rand(1, 1, 16, 17), torch.ones(1, 1, 16, 17), grid)
 
 
-def test_users_read_no_warning_of_torch():
+def test_warnings_of_torch_are_suppressed():
     """It warns of its sparse matrices, once a process: so in a process of its own."""
     code = (
         "import torch; from model.bilateral_solver import SolverConfig, bilateral_solve, build_grid\n"

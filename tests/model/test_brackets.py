@@ -89,13 +89,13 @@ def test_weights_are_exposures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "write", [{"has_exif": False}, {"times": (0.02, 0.02, 0.02)}, {"step_m": 0.002}], ids=str
 )
-def test_what_is_no_bracket_stays_apart(tmp_path: Path, write: dict) -> None:
+def test_other_views_are_not_merged(tmp_path: Path, write: dict) -> None:
     write_bracket(tmp_path, **write)
     capture = read_capture(tmp_path)
     assert len(capture.views) == 3
     assert any("share the pose of 0" in note for note in capture.notes) is ("step_m" not in write)
 
 
-def test_exposures_left_alone_are_no_bracket(tmp_path: Path) -> None:
+def test_common_exposures_are_not_merged(tmp_path: Path) -> None:
     write_bracket(tmp_path)
     assert len(read_capture(tmp_path, CaptureOptions(exposure="common")).views) == 3

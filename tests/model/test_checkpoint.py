@@ -74,7 +74,7 @@ def test_a_checkpoint_is_read_without_the_compiler_of_torch(tmp_path, card):
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "best.safetensors")], check=True)
 
 
-def test_a_published_checkpoint_is_half_as_large_and_names_no_path(tmp_path, card):
+def test_a_published_checkpoint_has_half_the_size_and_no_paths(tmp_path, card):
     network = MaterialNetwork(TINY).eval()
     card = card.model_copy(
         update={
@@ -123,7 +123,7 @@ def _rewrite(path, change_tensors=None, change_card=None):
         (None, lambda c: c.update(has_confidence=True), "confidence"),
     ],
 )
-def test_what_does_not_fit_is_refused(tmp_path, card, tensors, card_change, message):
+def test_mismatched_weights_are_refused(tmp_path, card, tensors, card_change, message):
     path = tmp_path / "c.safetensors"
     save_checkpoint(path, card, MaterialNetwork(TINY))
     _rewrite(path, tensors, card_change)
@@ -146,7 +146,7 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, card):
         load_checkpoint(tmp_path / "absent.safetensors")
 
 
-def test_the_bundled_checkpoint_is_small_and_names_what_it_learnt_from():
+def test_the_bundled_checkpoint_is_small_and_names_its_training_data():
     path = bundled_checkpoint()
     assert path.stat().st_size <= 20e6
     checkpoint = load_checkpoint(path)

@@ -66,7 +66,7 @@ def test_train_and_bad_input(dataset, tmp_path):
     assert isinstance(result.exception, InputError) and "index.json" in str(result.exception)
 
 
-def test_training_without_validation_views_says_so(tmp_path):
+def test_training_without_validation_views_prints_a_note(tmp_path):
     """A note, unless validation is turned off."""
     data = make_dataset(tmp_path / "set", {"room-0": ("train", 4)})
     arguments = ["train", str(data), "--out", str(tmp_path / "run"), "--preset", "smoke", "--quiet"]
@@ -80,7 +80,7 @@ def test_training_without_validation_views_says_so(tmp_path):
     assert off.exit_code == 0 and "no validation:" not in off.output
 
 
-def test_training_with_validation_views_says_nothing_of_it(dataset, tmp_path):
+def test_training_with_validation_views_prints_no_note(dataset, tmp_path):
     arguments = ["train", str(dataset), "--out", str(tmp_path / "run"), "--preset", "smoke", "--dry-run"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0 and "no validation:" not in result.output

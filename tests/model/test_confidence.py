@@ -54,7 +54,7 @@ def test_inputs_are_detached_and_diffuse_albedo_is_not_filtered():
     assert set(filtered) == {"diffuse_albedo", *FILTERED_MAPS}
 
 
-def test_training_learns_to_distrust_highlights():
+def test_training_lowers_confidence_at_highlights():
     """The filtered error falls well below the raw one, and confidence is lower where predictions are
     wrong."""
     torch.manual_seed(1)

@@ -159,7 +159,7 @@ def lit_crops(folder, **options):
     return CropDataset(places, CONFIG.model_copy(update=options), network, seed=2)
 
 
-def test_light_jitter_scales_recorded_light_alone(tmp_path):
+def test_light_jitter_scales_only_recorded_light(tmp_path):
     plain, jittered = lit_crops(tmp_path), lit_crops(tmp_path, light_jitter_stops=0.5)
     stops = []
     for crop in range(20):
@@ -175,7 +175,7 @@ def test_light_jitter_scales_recorded_light_alone(tmp_path):
     assert -0.5 <= min(stops) < -0.1 and 0.1 < max(stops) <= 0.5
 
 
-def test_light_color_changes_channels_of_light_and_of_materials_alike(tmp_path):
+def test_light_color_changes_channels_of_light_and_materials_equally(tmp_path):
     plain, colored = lit_crops(tmp_path), lit_crops(tmp_path, light_color_stops=0.5)
     radiance = ("beauty", "color_median", "color_max", "color_min", "mirror_broad")
     albedo = ("reflectance", "diffuse_albedo", "specular_albedo")
@@ -215,7 +215,7 @@ def test_noise_grows_with_the_root_of_exposed_radiance(shard):
     assert max(deviations) < 0.105 and min(deviations) < 0.03 and np.std(deviations) > 0.02
 
 
-def test_spread_jitter_moves_minimum_and_maximum_apart(shard):
+def test_spread_jitter_widens_minimum_and_maximum(shard):
     plain = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
     config = CONFIG.model_copy(update={"spread_jitter_stops": 0.5})
     jittered = CropDataset(index_shard(shard), config, NETWORK, seed=2)
@@ -240,7 +240,7 @@ def test_spread_jitter_moves_minimum_and_maximum_apart(shard):
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_loader_yields_the_plan_whatever_the_workers(shard, workers):
+def test_loader_yields_the_plan_for_any_number_of_workers(shard, workers):
     dataset = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
     plan = BatchPlan(CropOrder(4, 3, 4, seed=0), 4, stop=5)
     torch.manual_seed(11)
@@ -397,6 +397,6 @@ def test_dataset_folders_are_opened_by_their_index(tmp_path):
         open_data([only_test], NETWORK, 32)
 
 
-def test_spread_takes_views_evenly():
+def test_spread_selects_views_evenly():
     assert spread(list(range(10)), 3) == [0, 3, 6]
     assert spread(list(range(3)), 10) == [0, 1, 2]

@@ -58,7 +58,7 @@ def test_a_camera_without_faults_changes_nothing() -> None:
         np.testing.assert_allclose(color, view.read().color, rtol=1e-4)
 
 
-def test_the_share_is_clipped_lamps_first() -> None:
+def test_the_given_share_of_pixels_is_clipped_lamps_first() -> None:
     capture = _capture(10)
     limit = max(float(color.max()) for color in _taken(capture, clipped_share=0.3))
     true = np.concatenate([view.read().color.max(axis=2).ravel() for view in capture.views])
@@ -75,7 +75,7 @@ def test_every_image_has_its_own_exposure() -> None:
     assert np.std(stops) == pytest.approx(0.5, rel=0.35) and abs(np.mean(stops)) < 0.3
 
 
-def test_bits_are_steps() -> None:
+def test_bit_depth_quantises() -> None:
     ramp = np.broadcast_to(np.linspace(0, 1, 96)[None, :, None], (64, 96, 3))
     eight = photographed(ramp, CAMERA, CameraFaults(name="x", bits=8))
     steps = srgb_from_linear(eight) * 255
@@ -86,7 +86,7 @@ def test_bits_are_steps() -> None:
     assert 1e-4 < np.abs(squeezed - eight).mean() < 0.05
 
 
-def test_the_curve_is_steeper_in_the_middle_and_keeps_its_ends() -> None:
+def test_the_curve_is_steeper_in_the_middle_with_fixed_ends() -> None:
     levels = np.broadcast_to(np.array([0.0, 0.05, 0.214, 0.6, 1.0]).repeat(20)[None, :96, None], (64, 96, 3))
     curved = photographed(levels, CAMERA, CameraFaults(name="x", contrast=0.1))[0, ::20, 0]
     assert curved[0] == pytest.approx(0, abs=1e-6) and curved[4] == pytest.approx(1, abs=1e-6)
@@ -94,7 +94,7 @@ def test_the_curve_is_steeper_in_the_middle_and_keeps_its_ends() -> None:
     assert (np.diff(curved) > 0).all()
 
 
-def test_noise_has_its_photons_and_its_electronics() -> None:
+def test_noise_has_photon_and_read_parts() -> None:
     flat = np.full((64, 96, 3), 0.25)
     faults = CameraFaults(name="x", white_electrons=400.0, read_electrons=6.0)
     noisy = photographed(flat, CAMERA, faults)
@@ -102,7 +102,7 @@ def test_noise_has_its_photons_and_its_electronics() -> None:
     assert noisy.std() == pytest.approx(np.sqrt(0.25 * 400 + 36) / 400, rel=0.05)
 
 
-def test_corners_darken_and_lines_bend() -> None:
+def test_vignetting_and_distortion_are_applied() -> None:
     flat = np.full((64, 96, 3), 0.5)
     dark = photographed(flat, CAMERA, CameraFaults(name="x", vignetting_stops=1.0))[..., 0]
     assert dark[32, 48] == pytest.approx(0.5, rel=0.01) and dark[0, 0] == pytest.approx(0.25, rel=0.05)
@@ -114,7 +114,7 @@ def test_corners_darken_and_lines_bend() -> None:
     assert edge < middle - 0.2
 
 
-def test_poses_are_off_by_their_size_and_pixels_stay() -> None:
+def test_pose_errors_have_their_size_and_pixels_are_unchanged() -> None:
     capture = _capture()
     moved = as_taken(capture, CameraFaults(name="x", pose_mm=5.0, pose_deg=0.2))
     shifts = np.array([view.camera.position_m - CAMERA.position_m for view in moved.views])
@@ -136,7 +136,7 @@ def test_equal_seeds_give_equal_photographs() -> None:
     assert np.abs(first[0] - first[1]).max() > 0
 
 
-def test_a_suite_names_faults_and_bundles(tmp_path: Path) -> None:
+def test_a_suite_may_name_faults_and_bundles(tmp_path: Path) -> None:
     def suite(camera: str) -> Path:
         path = tmp_path / "suite.yaml"
         text = SMALL.read_text().replace("small_room/room.xml", str(SMALL.parent / "small_room/room.xml"))

@@ -51,7 +51,7 @@ def _nothing(region: NDArray | None = None) -> ViewSurfaces:
     return ViewSurfaces({}, np.zeros(SHAPE, np.int32) if region is None else region)
 
 
-def test_errors_count_surface_that_both_have() -> None:
+def test_errors_cover_the_common_surface() -> None:
     mask = np.zeros(SHAPE, bool)
     mask[:2] = True
     truth = _view(_maps(), mask)
@@ -69,7 +69,7 @@ def test_errors_count_surface_that_both_have() -> None:
     assert measures.figures()[f"{D}_psnr_db"] == pytest.approx(13.979, abs=1e-3)
 
 
-def test_kinds_are_told_apart() -> None:
+def test_kinds_are_separated() -> None:
     """A wall, a chrome column, a glossy white floor: errors go to the kind that they are made on."""
     truth = _maps()
     truth[S][:, :2], truth[D][:, :2] = 0.9, 0.0  # metal
@@ -140,7 +140,7 @@ def test_small_things_shadows_and_rare_views_are_found() -> None:
     assert shadow[1] == pytest.approx(column, abs=3)
 
 
-def test_level_and_pattern_are_told_apart() -> None:
+def test_level_and_pattern_are_separated() -> None:
     random = np.random.default_rng(3)
     truth = random.uniform(0.2, 0.8, (600, 3))
     region = np.repeat([0, 1], 300)
@@ -157,7 +157,7 @@ def test_level_and_pattern_are_told_apart() -> None:
     assert found["level_error"] < 0.05 < 2 * found["diffuse_mse_region_gain"]
 
 
-def test_measures_of_others_follow_their_code() -> None:
+def test_published_measures_follow_their_code() -> None:
     """By hand for one view: kd where the truth is fully rough, everything off the surface zero in both."""
     truth = _maps(0.6, 0.0)
     truth[R][:, 3:] = 0.5
@@ -179,7 +179,7 @@ def test_measures_of_others_follow_their_code() -> None:
     assert with_light["emission_log_l2"] == pytest.approx(np.log(2) ** 2 * 3 / 24)
 
 
-def test_confidence_that_knows_its_errors_is_told_from_one_that_does_not() -> None:
+def test_informative_confidence_scores_higher() -> None:
     random = np.random.default_rng(7)
     truth = _view(_maps())
     error = random.uniform(0, 0.4, (*SHAPE, 1)).astype(np.float32)
@@ -208,7 +208,7 @@ def test_the_bootstrap_has_the_size_of_the_noise() -> None:
     assert np.isnan(bootstrap_error([1.0]))
 
 
-def test_a_difference_is_told_from_none() -> None:
+def test_significant_differences_are_detected() -> None:
     random = np.random.default_rng(13)
     hard = random.normal(20, 5, 12)  # views differ much, methods little
     other = {f"view-{k:03d}": float(v) for k, v in enumerate(hard)}
@@ -223,7 +223,7 @@ def test_a_difference_is_told_from_none() -> None:
     assert difference(other, {"view-000": 1.0}) is None
 
 
-def test_a_second_seed_shows_the_spread() -> None:
+def test_a_second_seed_gives_the_spread() -> None:
     random = np.random.default_rng(17)
     pairs = [
         ({"psnr": float(a), "lpips": None}, {"psnr": float(b), "lpips": None})
@@ -297,7 +297,7 @@ def _run(psnr: dict[str, float], mse: dict[str, float], spread: float = 0.0) -> 
     return SuiteResult(suite="s", may_be_known=True, lpips_absence="", scenes=(scene,))
 
 
-def test_two_runs_are_compared_by_what_is_more_than_noise(tmp_path: Path) -> None:
+def test_two_runs_are_compared_beyond_noise(tmp_path: Path) -> None:
     views = [f"view-{k}" for k in range(6)]
     other = _run({v: 20.0 + k for k, v in enumerate(views)}, {v: 0.05 for v in views})
     better = _run(

@@ -35,7 +35,7 @@ SMALL = REPOSITORY / "scenes" / "suites" / "small.yaml"
 # ---- suites
 
 
-def test_all_faults_of_a_suite_are_told_at_once(tmp_path: Path) -> None:
+def test_all_faults_of_a_suite_are_reported_at_once(tmp_path: Path) -> None:
     text = SMALL.read_text().replace("small_room/room.xml", "nowhere/room.xml")
     text = text.replace("methods:", "methods:\n  - {name: li, kind: maps, folder: no-maps}")
     path = tmp_path / "suite.yaml"
@@ -103,7 +103,7 @@ def geometry() -> CaptureGeometry:
     return CaptureGeometry(joined(meshes), parts)
 
 
-def test_noise_has_its_size_and_leaves_lamps_alone(geometry: CaptureGeometry) -> None:
+def test_noise_has_its_size_and_keeps_lamps(geometry: CaptureGeometry) -> None:
     worse = with_errors(geometry, GeometryError(edge_m=0.2, noise_m=0.01))
     room = worse.mesh.faces[: worse.parts[0].num_faces]
     points = worse.mesh.positions[np.unique(room)].astype(np.float64)
@@ -118,7 +118,7 @@ def test_noise_has_its_size_and_leaves_lamps_alone(geometry: CaptureGeometry) ->
     np.testing.assert_array_equal(worse.mesh.positions[faces].astype(np.float64), expected)
 
 
-def test_decimation_and_holes_take_their_shares(geometry: CaptureGeometry) -> None:
+def test_decimation_and_holes_remove_their_shares(geometry: CaptureGeometry) -> None:
     fine = with_errors(geometry, GeometryError(edge_m=0.1))
     coarse = with_errors(geometry, GeometryError(edge_m=0.1, noise_m=0.002, keep_share=0.25))
     assert coarse.parts[0].num_faces / fine.parts[0].num_faces == pytest.approx(0.25, abs=0.02)
@@ -170,7 +170,7 @@ def _view(value: float, mask: NDArray | None = None, color: float = 0.5) -> Judg
     return JudgedView(np.full((4, 5, 3), color, np.float32), maps, surface, np.zeros((4, 5), bool))
 
 
-def test_exposure_is_common_and_of_surfaces() -> None:
+def test_exposure_is_common_and_set_by_surfaces() -> None:
     dark = np.zeros((4, 5), bool)
     dark[1:] = True
     view = _view(0.5, dark, 0.3)
@@ -178,7 +178,7 @@ def test_exposure_is_common_and_of_surfaces() -> None:
     assert common_exposure([view, _view(0.5, None, 0.3)]) == pytest.approx(3.0, rel=1e-4)
 
 
-def test_gain_undoes_a_dimmer() -> None:
+def test_a_gain_compensates_dimming() -> None:
     random = np.random.default_rng(5)
     color = random.uniform(0.1, 0.4, (16, 20, 3)).astype(np.float32)
     maps, mask = _view(0.5).maps, np.ones((16, 20), bool)
@@ -203,7 +203,7 @@ def _camera() -> Camera:
     )
 
 
-def test_things_stand_on_level_ground_in_the_picture() -> None:
+def test_inserted_objects_are_on_level_ground_in_view() -> None:
     camera = _camera()
     rays = camera.ray_directions()
     t = np.where(rays[..., 2] < -1e-3, -camera.position_m[2] / np.minimum(rays[..., 2], -1e-3), 0.0)
@@ -217,7 +217,7 @@ def test_things_stand_on_level_ground_in_the_picture() -> None:
     assert level_place(camera, depth, np.zeros_like(normal), 0.3) is None
 
 
-def test_ceiling_light_hangs_below_the_ceiling_and_shines_down(geometry: CaptureGeometry) -> None:
+def test_ceiling_light_is_below_the_ceiling_and_emits_downwards(geometry: CaptureGeometry) -> None:
     (light,) = added_lights(ModifiedLight(), geometry, [_camera()])
     assert isinstance(light, AreaLight) and not light.is_visible
     assert light.origin_m[2] == pytest.approx(2.4) and light.origin_m[0] == pytest.approx(1.7)
@@ -235,7 +235,7 @@ class _NoImage:
         return {}
 
 
-def test_faults_of_given_maps_are_told_at_once(geometry: CaptureGeometry, tmp_path: Path) -> None:
+def test_all_faults_of_given_maps_are_reported_at_once(geometry: CaptureGeometry, tmp_path: Path) -> None:
     views = tuple(CaptureView(f"view-{k:03d}", _camera(), _NoImage()) for k in range(5))
     capture = Capture("room", views, geometry)
 
@@ -291,7 +291,7 @@ def _result() -> SuiteResult:
     return SuiteResult(suite="s", may_be_known=True, lpips_absence="no weights", scenes=(scene,))
 
 
-def test_tables_set_the_paper_beside_ours(tmp_path: Path) -> None:
+def test_tables_contain_the_papers_figures(tmp_path: Path) -> None:
     maps, summary, images, cost = tables_of(_result())
     rows = {row[1]: row for row in maps.rows}
     assert rows["paper: Ours"][5:8] == (0.022135, 0.016522, 0.055563)

@@ -73,7 +73,7 @@ def opened(asset: Path, gain: float) -> Opened:
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.5])
-def test_the_scene_s_lamps_shine_on_a_reconstruction(
+def test_lamps_of_the_scene_light_a_reconstruction(
     reconstruction: Path, gain: float, mitsuba_variant: str
 ) -> None:
     """With the scene's radiance, not with that which was found; under modified light times its gain."""
@@ -89,7 +89,7 @@ def test_the_scene_s_lamps_shine_on_a_reconstruction(
         assert configuration.lights == (SUN,)
 
 
-def test_found_lights_shine_alone(reconstruction: Path, mitsuba_variant: str) -> None:
+def test_recovered_lights_replace_those_of_the_scene(reconstruction: Path, mitsuba_variant: str) -> None:
     """The package's emission and its window; nothing of the scene's."""
     scene = opened(reconstruction, 0.0)
     relit = recovered_sceneries(scene, reconstruction)[RECOVERED].configuration  # type: ignore[arg-type]
@@ -101,7 +101,7 @@ def test_found_lights_shine_alone(reconstruction: Path, mitsuba_variant: str) ->
     assert RECOVERED not in recovered_sceneries(scene, reconstruction)  # type: ignore[arg-type]
 
 
-def test_recovered_light_has_columns_of_its_own() -> None:
+def test_recovered_light_has_separate_columns() -> None:
     figures = {"psnr_srgb_db": 21.5, "dssim": 0.125}
     own = {"input": {"psnr_srgb_db": 30.0, "dssim": 0.05}}
     method = MethodResult(

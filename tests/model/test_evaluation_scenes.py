@@ -63,7 +63,7 @@ def card(**assets: str) -> CheckpointCard:
     return CheckpointCard(network=NetworkConfig(), loss="l1", phase="joint", step=1, data=(record,))
 
 
-def test_photographs_hold_the_truth(prepared: PreparedScene) -> None:
+def test_photographs_contain_the_ground_truth(prepared: PreparedScene) -> None:
     capture = read_capture(prepared.capture, CaptureOptions(library=prepared.library))
     names = [view.name for view in capture.views]
     assert names == [*prepared.input_names, *prepared.novel_names]
@@ -85,7 +85,7 @@ def test_photographs_hold_the_truth(prepared: PreparedScene) -> None:
     assert np.abs(seen - copper).max(axis=1).min() < 0.01  # the metal that is there is in the truth
 
 
-def test_a_finished_scene_is_not_made_again(prepared: PreparedScene) -> None:
+def test_a_finished_scene_is_not_prepared_again(prepared: PreparedScene) -> None:
     cache = prepared.library[0].parents[1]
     files = {path: path.stat().st_mtime_ns for path in cache.rglob("*") if path.is_file()}
     stages: list[str] = []
@@ -98,7 +98,7 @@ def test_a_finished_scene_is_not_made_again(prepared: PreparedScene) -> None:
     assert {p: p.stat().st_mtime_ns for p in kept} == kept
 
 
-def test_other_settings_lie_elsewhere(prepared: PreparedScene, tmp_path: Path) -> None:
+def test_other_settings_have_another_folder(prepared: PreparedScene, tmp_path: Path) -> None:
     """The folder's name covers what decides the pixels: the source's content too, but not its place."""
     cache = prepared.library[0].parents[1]
     moved = tmp_path / "elsewhere"
@@ -113,7 +113,7 @@ def test_other_settings_lie_elsewhere(prepared: PreparedScene, tmp_path: Path) -
     assert changed.novel_names == ()
 
 
-def test_a_package_is_a_source_too(prepared: PreparedScene, tmp_path: Path) -> None:
+def test_a_package_can_be_a_source(prepared: PreparedScene, tmp_path: Path) -> None:
     found = prepare_scene(small_scene(source=prepared.package, views=2, novel_views=0), tmp_path)
     assert found.package == prepared.package
     assert found.asset_sha256 == prepared.asset_sha256
@@ -121,7 +121,7 @@ def test_a_package_is_a_source_too(prepared: PreparedScene, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("unit_m", [1.0, 2.0])
-def test_cameras_stand_where_people_do(unit_m: float, tmp_path: Path) -> None:
+def test_cameras_are_at_plausible_positions(unit_m: float, tmp_path: Path) -> None:
     """At the height of a held camera above the floor, whatever the file's unit; nowhere inside things; the
     walk through free air, between photographs."""
     options = ImportOptions(unit_scale=unit_m, asset_id="room")
@@ -162,7 +162,7 @@ def test_other_seeds_give_other_cameras(prepared: PreparedScene) -> None:
     assert first != other
 
 
-def test_a_checkpoint_that_knows_the_scene_is_refused(prepared: PreparedScene) -> None:
+def test_a_checkpoint_trained_on_the_scene_is_refused(prepared: PreparedScene) -> None:
     sha = prepared.asset_sha256
     texture = next(name for name in sha if name.endswith((".png", ".jpg", ".exr")))
     assert_not_trained_on(prepared, card(chair="1" * 64))
@@ -178,7 +178,7 @@ def test_a_checkpoint_that_knows_the_scene_is_refused(prepared: PreparedScene) -
         assert_not_trained_on(prepared, card())
 
 
-def test_the_bundled_checkpoint_knows_no_test_scene(prepared: PreparedScene) -> None:
+def test_the_bundled_checkpoint_is_trained_on_no_test_scene(prepared: PreparedScene) -> None:
     shipped = read_card(bundled_checkpoint())
     assert shipped.data and all(record.assets for record in shipped.data)
     assert_not_trained_on(prepared, shipped)
@@ -198,7 +198,7 @@ materials: {replace_probability: 1.0, any_class_probability: 1.0, include: [mapl
 """
 
 
-def test_a_recipe_draws_a_scene(tmp_path: Path) -> None:
+def test_a_recipe_defines_a_scene(tmp_path: Path) -> None:
     """Furniture, materials and lights are the recipe's, cameras the scene's; what must be unknown to a
     checkpoint is everything, or the materials alone."""
     recipe = tmp_path / "drawn.yaml"
@@ -221,7 +221,7 @@ def test_a_recipe_draws_a_scene(tmp_path: Path) -> None:
         plan_scene(scene.model_copy(update={"configuration": 2}), tmp_path / "cache")
 
 
-def test_a_scene_brings_assets_to_draw_from(tmp_path: Path, shared_data: Path) -> None:
+def test_a_scene_can_provide_assets(tmp_path: Path, shared_data: Path) -> None:
     """The living room of Poly Haven is furnished with things that are imported with it."""
     suite = read_suite(REPOSITORY / "scenes" / "suites" / "development.yaml")
     room = next(scene for scene in suite.scenes if scene.name == "living-room")

@@ -48,7 +48,7 @@ def _times(cache: Path) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in cache.rglob("*") if path.is_file()}
 
 
-def test_figures_are_in_a_believable_order(small: tuple[Suite, Evaluation]) -> None:
+def test_figures_are_in_a_plausible_order(small: tuple[Suite, Evaluation]) -> None:
     methods = _methods(small[1])
     oracle, ours, constant = (methods[name] for name in ("oracle", "ours", "constant"))
     for light in ("own", "modified"):
@@ -69,9 +69,7 @@ def test_figures_are_in_a_believable_order(small: tuple[Suite, Evaluation]) -> N
         assert method.peak_memory_mb > 100 and method.seconds["merge"] > 0
 
 
-def test_everything_is_written_and_needs_nothing_beside_it(
-    small: tuple[Suite, Evaluation], tmp_path: Path
-) -> None:
+def test_results_are_written_and_self_contained(small: tuple[Suite, Evaluation], tmp_path: Path) -> None:
     evaluation = small[1]
     write_results(evaluation.result, evaluation.truth, tmp_path)
     assert is_written(evaluation.result, tmp_path)
@@ -110,7 +108,7 @@ def test_everything_is_written_and_needs_nothing_beside_it(
         assert image.width > 5 * 96 and image.height > 4 * 64
 
 
-def test_finished_suite_is_not_done_again(small: tuple[Suite, Evaluation], cache: Path) -> None:
+def test_finished_suite_is_not_repeated(small: tuple[Suite, Evaluation], cache: Path) -> None:
     suite, evaluation = small
     before = _times(cache / _scene_folder(cache) / "results")
     assert evaluate(suite, cache).result == evaluation.result
@@ -148,7 +146,7 @@ def test_inserted_object_is_in_every_picture(small: tuple[Suite, Evaluation]) ->
         assert nearer.mean() > 0.005, method.method
 
 
-def test_maps_of_another_method_are_judged_like_ours(
+def test_maps_of_another_method_are_evaluated_like_ours(
     small: tuple[Suite, Evaluation], cache: Path, tmp_path: Path
 ) -> None:
     suite, evaluation = small
@@ -165,7 +163,7 @@ def test_maps_of_another_method_are_judged_like_ours(
     assert lost.stem in faulty.result.failures["small-room"] and not faulty.result.scenes
 
 
-def test_cameras_and_seeds_go_the_whole_way(small: tuple[Suite, Evaluation], cache: Path) -> None:
+def test_cameras_and_seeds_reach_the_results(small: tuple[Suite, Evaluation], cache: Path) -> None:
     """Texture on photographs of a phone differs from that on rendered ones; the truth is judged once, and
     rendered apart from the photographs; a second seed says how far its figures can be trusted."""
     suite, evaluation = small
@@ -213,7 +211,7 @@ def test_methods_of_one_checkpoint_share_its_predictions(
     assert views[0].samefile(views[1])
 
 
-def test_estimates_need_less_than_the_truth(
+def test_estimates_need_fewer_samples_than_the_truth(
     small: tuple[Suite, Evaluation], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is far from the truth stops where noise is a small share of that, and has the same figures."""
@@ -244,7 +242,7 @@ def test_estimates_need_less_than_the_truth(
             assert early == pytest.approx(full, abs=0.3), (light, views)
 
 
-def test_a_scene_that_fails_leaves_the_others_whole(
+def test_a_failed_scene_does_not_stop_the_others(
     small: tuple[Suite, Evaluation], cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A scene that a checkpoint knows and one that cannot be imported, beside one that can be judged: the two

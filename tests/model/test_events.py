@@ -27,7 +27,7 @@ def hear(event: Event) -> None:
     HEARD.append(event)
 
 
-def test_listeners_hear_what_the_log_holds(tmp_path: Path) -> None:
+def test_listeners_get_the_entries_of_the_log(tmp_path: Path) -> None:
     data = make_dataset(tmp_path / "set", {"room-0": ("train", 4), "room-1": ("validation", 2)})
     HEARD.clear()
     listeners = load_listeners([f"{__name__}:hear"])
@@ -51,7 +51,7 @@ def test_listeners_hear_what_the_log_holds(tmp_path: Path) -> None:
     assert [(e.kind, e.source, e.folder) for e in HEARD[-1:]] == [("end", "train", tmp_path / "run")]
 
 
-def test_a_listener_that_fails_is_told_of_and_dropped(
+def test_a_failing_listener_is_reported_and_dropped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calls = []
@@ -70,7 +70,7 @@ def test_a_listener_that_fails_is_told_of_and_dropped(
 
 
 @pytest.mark.parametrize("quiet", [(), ("--quiet",)])
-def test_inference_tells_its_stages(
+def test_inference_reports_its_stages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: tuple[str, ...]
 ) -> None:
     def infer(capture: object, out: Path, source: object, options: object, progress: Progress) -> InferReport:
@@ -88,7 +88,7 @@ def test_inference_tells_its_stages(
     assert HEARD[-1].kind == "end" and HEARD[-1].values == {"seconds": 4.0} and HEARD[-1].folder == tmp_path
 
 
-def test_names_that_lead_nowhere_are_refused_all_at_once() -> None:
+def test_all_unresolvable_names_are_refused_at_once() -> None:
     with pytest.raises(InputError) as caught:
         load_listeners(["no_such_module:f", "json:no_such_function", "json", "json:decoder"])
     assert len(caught.value.problems) == 4

@@ -101,7 +101,7 @@ def test_usd_validators_find_nothing(tmp_path: Path) -> None:
 
 
 @needs_usd
-def test_surfaces_arrive_whole(tmp_path: Path) -> None:
+def test_surfaces_are_exported_completely(tmp_path: Path) -> None:
     """In metres with Y up; D, S and R as the atlas's images have them, connected where they belong."""
     from pxr import Usd, UsdGeom, UsdShade
 
@@ -146,7 +146,7 @@ def test_surfaces_arrive_whole(tmp_path: Path) -> None:
     assert (inside["orm.png"][..., 0] == 255).all() and len(np.unique(inside["orm.png"][..., 2])) > 100
 
 
-def test_one_index_stands_for_what_is_no_metal() -> None:
+def test_one_index_represents_all_dielectrics() -> None:
     atlas = empty_atlas(16)
     atlas.face[2:] = 0
     atlas.maps["specular_albedo"][:] = 0.5
@@ -156,7 +156,7 @@ def test_one_index_stands_for_what_is_no_metal() -> None:
 
 
 @needs_usd
-def test_lights_arrive_where_they_were_found(tmp_path: Path) -> None:
+def test_lights_are_exported_at_their_positions(tmp_path: Path) -> None:
     from pxr import Usd, UsdLux, UsdShade
 
     stage = Usd.Stage.Open(str(all_lights(tmp_path)))
@@ -195,7 +195,7 @@ def radiance(prim: Any) -> NDArray[np.float64]:
 
 
 @needs_usd
-def test_known_lights_serve_where_none_were_found(tmp_path: Path) -> None:
+def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None:
     """A point has the intensity of the sphere that stands for it."""
     from pxr import Usd, UsdLux
 

@@ -80,7 +80,7 @@ def lights_of(out: Path) -> dict[str, dict[str, Any]]:
     return {row["slot"]: row for row in report_of(out)["light"]["lights"]}
 
 
-def test_lamp_and_window_are_where_they_are(inferred: Path) -> None:
+def test_lamp_and_window_are_found(inferred: Path) -> None:
     """Radiance, area and power within 5 %; a lamp's is known better than a window's, whose edge is found by
     rays."""
     lights = lights_of(inferred)
@@ -104,7 +104,7 @@ def gains_of(run: Inferred, factors: dict[str, Color]) -> dict[str, NDArray[np.f
     return {slot: np.array(gain) * factors[slot] for slot, gain in found.gains.items()}
 
 
-def test_wrong_lights_are_balanced(run: Inferred) -> None:
+def test_wrong_lights_are_corrected(run: Inferred) -> None:
     """Each light and channel comes back from its own error."""
     found = gains_of(run, {"lamp-0": (0.4, 0.5, 0.4), "window-0": (2.5, 2.5, 2.0)})
     for slot in ("lamp-0", "window-0"):
@@ -123,7 +123,7 @@ def test_right_lights_keep_their_radiance(inferred: Path) -> None:
         np.testing.assert_allclose(light.get("gain", (1, 1, 1)), 1, rtol=0.07)
 
 
-def test_nothing_is_balanced_without_light_or_samples(run: Inferred) -> None:
+def test_without_light_or_samples_nothing_is_corrected(run: Inferred) -> None:
     few = radiance_samples(photographed_room(), 72)
     assert len(few) < balance.MIN_SAMPLES
     assert balance.balanced(run.reconstruction, few) is None
@@ -178,13 +178,13 @@ def apart(shown: dict[int, NDArray[np.float64]]) -> tuple[float, float]:
     return abs(float(np.log(sums[0] / sums[1]))), float(np.median(np.concatenate(blocks)))
 
 
-def test_mitsuba_scene_shows_the_photographs_under_what_was_found(inferred: Path) -> None:
+def test_mitsuba_scene_reproduces_the_photographs(inferred: Path) -> None:
     """Materials and lights are found, nothing else is told: the closed room renders lit."""
     mean, block = apart(rendered(inferred))
     assert mean < 0.05 and block < 0.06, (mean, block)
 
 
-def test_light_that_is_wrong_by_a_tenth_fails(inferred: Path) -> None:
+def test_a_ten_per_cent_light_error_is_detected(inferred: Path) -> None:
     """The twin: the lamp and the window 10 % brighter."""
     import re
 
@@ -200,7 +200,7 @@ def test_light_that_is_wrong_by_a_tenth_fails(inferred: Path) -> None:
     assert mean > 0.05 and block > 0.06, (mean, block)
 
 
-def test_package_holds_the_lights(inferred: Path) -> None:
+def test_package_contains_the_lights(inferred: Path) -> None:
     with open_package(inferred / "asset") as package:
         asset = package.asset
         assert isinstance(asset, EnvironmentAsset)
@@ -231,7 +231,7 @@ def glb_document(path: Path) -> dict[str, Any]:
     return json.loads(data[20 : 20 + length])  # type: ignore[no-any-return]
 
 
-def test_glb_comes_back_with_its_lights(inferred: Path, tmp_path: Path) -> None:
+def test_glb_round_trips_with_its_lights(inferred: Path, tmp_path: Path) -> None:
     """Emission by the project's importer and by trimesh; the lamp as a point light is too large here."""
     import trimesh
 
@@ -266,7 +266,7 @@ def test_confidence_has_an_image_and_pictures(inferred: Path) -> None:
     np.testing.assert_allclose(exr[..., :3], confidence / 255, atol=5e-4)
 
 
-def test_reports_tell_lights_confidence_and_cost(inferred: Path) -> None:
+def test_reports_contain_lights_confidence_and_cost(inferred: Path) -> None:
     report, page = report_of(inferred), (inferred / "report.html").read_text()
     steps = report["light"]["seconds"]
     assert {"surfels", "irradiance", "solve", "maps", "lights"} <= set(steps)

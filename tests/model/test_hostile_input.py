@@ -39,7 +39,7 @@ OPTIONS = CaptureOptions(up="z", unit_m=1.0, max_width_px=32)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_readers_read_or_refuse(name: str, tmp_path: Path) -> None:
+def test_readers_return_objects_or_refuse(name: str, tmp_path: Path) -> None:
     attack("tests.model.hostile_cases", name, tmp_path / "case")
 
 
@@ -70,7 +70,7 @@ FORMS = ("capture_json", "transforms", "colmap_text", "openmvg", "realitycapture
 
 @pytest.mark.parametrize("how", ["absolute", "parent", "link", "linked_folder"])
 @pytest.mark.parametrize("form", FORMS)
-def test_photographs_outside_are_refused_unless_their_folder_is_given(
+def test_photographs_outside_are_refused_unless_allowed(
     form: str, how: str, tmp_path: Path, outside: Path
 ) -> None:
     root = tmp_path / "capture"
@@ -87,7 +87,7 @@ def test_photographs_outside_are_refused_unless_their_folder_is_given(
     assert np.isfinite(read_capture(root, given).views[0].read().color).all()
 
 
-def test_meshes_outside_are_refused_unless_given(tmp_path: Path, outside: Path) -> None:
+def test_meshes_outside_are_refused_unless_allowed(tmp_path: Path, outside: Path) -> None:
     root = _write_form(tmp_path / "capture", "capture_json", "a.png")
     (root / "a.png").write_bytes((outside / "a.png").read_bytes())
     record = json.loads((root / "capture.json").read_text())
@@ -106,7 +106,7 @@ def test_meshes_outside_are_refused_unless_given(tmp_path: Path, outside: Path) 
         read_capture(root, OPTIONS)
 
 
-def test_folders_that_a_document_names_are_not_searched(tmp_path: Path, outside: Path) -> None:
+def test_folders_named_in_a_document_are_not_searched(tmp_path: Path, outside: Path) -> None:
     """OpenMVG's root_path is another computer's; only its last name counts, beside the file."""
     root = _write_form(tmp_path / "capture", "openmvg", "a.png")
     path = root / "sfm_data.json"
@@ -120,7 +120,7 @@ def test_folders_that_a_document_names_are_not_searched(tmp_path: Path, outside:
     "name", ["cameras.xml", "cameras.csv", "bundle.out", "transforms.json", "sfm_data.json", "capture.json",
              "scene.xml", "a.xmp", "asset.json", "images.txt", "room.ply"],
 )  # fmt: skip
-def test_pipes_are_not_waited_for(name: str, tmp_path: Path) -> None:
+def test_pipes_do_not_block(name: str, tmp_path: Path) -> None:
     if name == "images.txt":
         (tmp_path / "cameras.txt").write_text("7 PINHOLE 12 8 10 11 6 4\n")
     os.mkfifo(tmp_path / name)
@@ -130,7 +130,7 @@ def test_pipes_are_not_waited_for(name: str, tmp_path: Path) -> None:
         read_capture(tmp_path / name, OPTIONS)
 
 
-def test_scene_includes_stay_inside(tmp_path: Path, outside: Path) -> None:
+def test_scene_includes_outside_are_refused(tmp_path: Path, outside: Path) -> None:
     root = tmp_path / "scene"
     root.mkdir()
     (outside / "more.xml").write_text('<scene version="3.0.0"/>')
@@ -157,7 +157,7 @@ def _gltf(**changes: Any) -> dict[str, Any]:
     return {**data, **changes}
 
 
-def test_gltf_reads_nothing_outside_and_takes_no_more_than_it_holds(tmp_path: Path, outside: Path) -> None:
+def test_gltf_reads_nothing_outside_and_bounds_its_memory(tmp_path: Path, outside: Path) -> None:
     folder = tmp_path / "gltf"
     folder.mkdir()
     set_traps(folder)

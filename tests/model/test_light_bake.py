@@ -142,7 +142,7 @@ def test_specular_shading(roughness: float, has_sky: bool) -> None:
 
 
 @pytest.mark.parametrize(("albedo", "roughness"), [(0.8, 0.25), (0.3, 0.7)])
-def test_rays_go_on_at_metals(albedo: float, roughness: float) -> None:
+def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
     """A point above a metal floor under a uniform sky gets what the lobe reflects of it, within 1 %, and not
     the floor's radiance in the cameras' directions."""
     corners = np.array([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], np.float32)
@@ -259,7 +259,7 @@ def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) 
 
 
 @pytest.mark.parametrize("noise", [0.005, 0.02])
-def test_what_shows_no_gloss_is_matte(noise: float) -> None:
+def test_surfaces_without_evidence_of_gloss_are_matte(noise: float) -> None:
     """Matte where S explains no more than a share of the noise; glossy where it explains a fifth more."""
     matte, glossy = decided(costs_of_levels(noise, 0.0)), decided(costs_of_levels(noise, 0.2 * noise))
     assert matte.specular_albedo.max() < 0.03 and matte.roughness[0] > 0.75
@@ -270,7 +270,7 @@ def test_what_shows_no_gloss_is_matte(noise: float) -> None:
     np.testing.assert_allclose(clearly.roughness, 1.0, atol=1e-3)
 
 
-def test_hypotheses_that_explain_alike_share() -> None:
+def test_equally_likely_hypotheses_are_averaged() -> None:
     """R of two that cost the same lies between, not at the one that rounding prefers."""
     costs = costs_of_levels(0.01, 0.01, (1, 2))
     costs[4, 2] = 0.01
@@ -304,7 +304,7 @@ def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
         np.testing.assert_allclose(unclear.confidence[0, :2], 1.0)
 
 
-def test_cost_is_that_of_a_dense_solve() -> None:
+def test_cost_equals_that_of_a_dense_solve() -> None:
     """Of every hypothesis for dielectrics, against float64 NumPy."""
     radiance, weight, diffuse, ls0, ls1 = observations(12, False, 9)
     weight = np.random.default_rng(2).uniform(0.2, 2.0, weight.shape).astype(np.float32)

@@ -23,7 +23,7 @@ from model.reconstruction.light.confidence import (
 OBSERVATIONS = 20
 
 
-def test_confidence_grows_with_what_photographs_show() -> None:
+def test_confidence_grows_with_the_evidence() -> None:
     found = surfel_confidence(np.array([0.0, D_EVIDENCE[0], np.mean(D_EVIDENCE), D_EVIDENCE[1], 1.0]))
     np.testing.assert_allclose(found[:, 0], [0, 0, 0.5, 1, 1], atol=1e-6)
     assert (found[:, 1] == found[:, 2]).all() and (found[:, 1] >= found[:, 0]).all()
@@ -54,7 +54,7 @@ def shares_of(
     return impossible_shares(wall(radiance), np.ones((num, 3)), is_metal, region)
 
 
-def test_light_is_not_trusted_where_more_is_reflected_than_arrives() -> None:
+def test_confidence_falls_where_surfaces_reflect_more_than_arrives() -> None:
     """A lamp that no photograph shows lights one end of a wall: that end is handed over, smoothly."""
     num = 10 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
@@ -66,7 +66,7 @@ def test_light_is_not_trusted_where_more_is_reflected_than_arrives() -> None:
     np.testing.assert_array_equal(shares_of(radiance, is_metal=radiance[:, 0] > 1).trust(), 1.0)
 
 
-def test_surfels_with_radiance_of_other_surfaces_take_no_trust_away() -> None:
+def test_surfels_with_mixed_radiance_do_not_lower_confidence() -> None:
     radiance = np.full((10 * BLOCK_CELLS, 3), 0.5)
     radiance[: 2 * BLOCK_CELLS] = 1.5
     mixed = replace(wall(radiance), is_mixed=radiance[:, 0] > 1)
@@ -75,7 +75,7 @@ def test_surfels_with_radiance_of_other_surfaces_take_no_trust_away() -> None:
     np.testing.assert_array_equal(shares.trust(), 1.0)
 
 
-def test_few_bright_surfels_of_a_room_take_no_trust_away() -> None:
+def test_few_bright_surfels_do_not_lower_confidence() -> None:
     """Three blocks of thirty, as frames of windows are, leave their own neighbourhood trusted; six do not."""
     num = 30 * BLOCK_CELLS
     for blocks, trusted in ((3, 1.0), (6, 0.0)):
@@ -84,7 +84,7 @@ def test_few_bright_surfels_of_a_room_take_no_trust_away() -> None:
         assert shares_of(radiance).trust()[0] == pytest.approx(trusted)
 
 
-def test_light_of_a_dark_room_is_trusted_nowhere() -> None:
+def test_confidence_is_low_everywhere_in_an_unlit_room() -> None:
     """If four tenths of the surface reflect more than arrives, no photograph shows the lamps: no block is
     sure."""
     num = 10 * BLOCK_CELLS
@@ -96,7 +96,7 @@ def test_light_of_a_dark_room_is_trusted_nowhere() -> None:
 
 
 @pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5)])
-def test_trust_follows_the_share_around(share: float, trusted: float) -> None:
+def test_confidence_follows_the_share_around(share: float, trusted: float) -> None:
     """Noise alone, up to a tenth, takes nothing away; a white surface may shine by a tenth more."""
     num = 4 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
@@ -105,7 +105,7 @@ def test_trust_follows_the_share_around(share: float, trusted: float) -> None:
     np.testing.assert_array_equal(shares_of(0.7 * radiance).trust(), 1.0)
 
 
-def test_a_bright_surface_takes_nothing_from_the_wall_around_it() -> None:
+def test_a_bright_surface_does_not_affect_the_wall_around_it() -> None:
     """Every fourth surfel is the frame of a window: the frame's light is no evidence, the wall's is."""
     num = 40 * BLOCK_CELLS
     is_frame = (np.arange(num) % 4 == 0) & (np.arange(num) < 8 * BLOCK_CELLS)
@@ -124,7 +124,7 @@ def test_few_observations_count_less_than_the_room() -> None:
     assert shares_of(radiance, region=region).evidence()[0] > 0.5
 
 
-def test_normals_of_a_plane_and_an_edge_have_no_spread_and_those_of_a_bumpy_wall_have() -> None:
+def test_only_bumpy_surfaces_have_a_spread_of_normals() -> None:
     """The planes of an edge count apart; normals that are off by 0.2 rad spread by 0.2 to 0.3."""
     flat = wall(np.ones((100, 3)))
     np.testing.assert_allclose(normal_spread(flat), 0, atol=1e-6)

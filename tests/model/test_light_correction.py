@@ -42,7 +42,7 @@ def _fading() -> np.ndarray:
     return np.clip((y - 20) / 40, 0, 1)
 
 
-def test_a_surface_keeps_its_albedo_where_the_light_is_estimated_wrongly(wall: Surfels) -> None:
+def test_albedo_is_kept_where_light_is_misestimated(wall: Surfels) -> None:
     true = _checks(0.8, 0.6)
     away = _fading()
     albedo = true * np.exp(-np.log(4.0) * away)[:, None]
@@ -57,7 +57,7 @@ def test_a_surface_keeps_its_albedo_where_the_light_is_estimated_wrongly(wall: S
     assert step < 0.02  # the checks are not smoothed away
 
 
-def test_without_light_the_level_is_the_networks_and_the_pattern_that_of_the_photographs(
+def test_unlit_albedo_has_the_networks_level_and_the_photographs_pattern(
     wall: Surfels,
 ) -> None:
     true = _checks(0.8, 0.4)
@@ -70,7 +70,7 @@ def test_without_light_the_level_is_the_networks_and_the_pattern_that_of_the_pho
     np.testing.assert_allclose(corrected, 1.1 * true, rtol=0.05)
 
 
-def test_known_light_stays_and_an_unlike_network_counts_little(wall: Surfels) -> None:
+def test_known_light_is_kept_and_a_deviating_network_counts_little(wall: Surfels) -> None:
     """Half of the wall is known; the network is three times too dark there, so it says nothing beside it."""
     true = _checks(0.6, 0.5)
     known = (np.arange(len(true)) % SIDE < SIDE // 2).astype(np.float32)
@@ -81,7 +81,7 @@ def test_known_light_stays_and_an_unlike_network_counts_little(wall: Surfels) ->
     assert np.abs(found).max() < 0.25
 
 
-def test_metal_neither_tells_nor_is_told(wall: Surfels) -> None:
+def test_metal_is_excluded_from_the_correction(wall: Surfels) -> None:
     true = _checks(0.6, 0.5)
     is_diffuse = np.arange(len(true)) % SIDE >= SIDE // 2
     albedo = np.where(is_diffuse[:, None], true, 0.0)

@@ -57,7 +57,7 @@ def walls_found(found: NDArray) -> NDArray[np.float64]:
     return np.mean(apart < 0.2)
 
 
-def test_atlas_has_the_walls_albedos_whatever_was_predicted(tmp_path: Path) -> None:
+def test_atlas_has_the_walls_albedos_for_any_prediction(tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: told.append(progress))
     assert walls_found(found) > 0.7
@@ -80,14 +80,14 @@ def test_light_alone_needs_no_level(tmp_path: Path) -> None:
     assert report.light["confidence"] == (1.0, 1.0, 1.0)
 
 
-def test_network_alone_leaves_light_out(tmp_path: Path) -> None:
+def test_network_alone_ignores_light(tmp_path: Path) -> None:
     """The twin: untrained networks do not know the walls."""
     report, found = inferred(tmp_path, 3, "network")
     assert report.light == {} and "light" not in report.seconds
     assert walls_found(found) < 0.5
 
 
-def test_clipped_lamp_is_found_from_what_it_lights(tmp_path: Path) -> None:
+def test_clipped_lamp_is_recovered_from_lit_surfaces(tmp_path: Path) -> None:
     """The lamp is 17 to 23 times as bright as the sensor takes, and a part of the ceiling is beyond it."""
     report, found = inferred(tmp_path, 3, "both", white=0.6)
     (source,) = report.radiometry["sources"][:1]

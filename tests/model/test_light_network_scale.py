@@ -28,7 +28,7 @@ def test_scale_comes_from_confident_surfels() -> None:
     )
 
 
-def test_little_known_light_scales_little() -> None:
+def test_little_evidence_scales_little() -> None:
     predicted_albedo = np.full((1000, 3), 0.3)
     rare = (np.arange(1000) < 5).astype(np.float64)
     np.testing.assert_allclose(
@@ -72,7 +72,7 @@ def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
 
 
 @pytest.mark.usefixtures("mitsuba_variant")
-def test_unexplained_surface_keeps_the_scale_of_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unexplained_surface_gets_the_scale_of_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
     assert south_wall(1.0, monkeypatch) == pytest.approx(0.95, abs=0.06)
 
 

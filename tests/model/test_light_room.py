@@ -78,7 +78,7 @@ def test_light_of_lamp_and_sky_is_found() -> None:
     np.testing.assert_allclose(np.median(sky, axis=0), SKY, rtol=0.05)
 
 
-def test_diffuse_albedo_of_coloured_walls() -> None:
+def test_diffuse_albedo_of_coloured_walls_is_found() -> None:
     """Within 3 %: what is left is specular albedo that noise allows, 0.01."""
     assert wall_error(room()) < 0.03
 
@@ -91,7 +91,7 @@ def test_tiles_of_a_floor_keep_their_pattern() -> None:
     assert np.quantile(np.abs(found - true), 0.9) < 0.03
 
 
-def test_glossy_panel() -> None:
+def test_glossy_panel_is_found() -> None:
     panel = of_quad(room(), "glossy")
     assert np.abs(np.median(room().solved.specular_albedo[panel]) - 0.04) < 0.03
     assert np.abs(np.median(room().solved.roughness[panel]) - 0.25) < 0.08
@@ -99,7 +99,7 @@ def test_glossy_panel() -> None:
 
 
 @pytest.mark.parametrize(("name", "tolerance"), [("metal", 0.03), ("mirror", 0.03)])
-def test_metal_has_no_diffuse_part_and_its_colour(name: str, tolerance: float) -> None:
+def test_metal_has_its_colour_and_no_diffuse_part(name: str, tolerance: float) -> None:
     """It is told from dark paint by how its radiance follows the view; nothing predicted it."""
     (quad,) = (quad for quad in quads() if quad.name == name)
     panel = of_quad(room(), name)
@@ -127,13 +127,13 @@ def test_order_of_views_changes_nothing() -> None:
             assert values.tobytes() == shuffled.maps[place][name].tobytes()
 
 
-def test_prediction_of_diffuse_albedo_does_not_count_where_light_is_known() -> None:
+def test_predicted_diffuse_albedo_is_ignored_where_light_is_known() -> None:
     other = solved(photographed_room(), predicted(photographed_room(), diffuse=0.7))
     for name in WALLS:
         np.testing.assert_allclose(median_albedo(other, name), median_albedo(room(), name), rtol=0.03)
 
 
-def test_irradiance_that_is_wrong_by_a_tenth_fails() -> None:
+def test_a_ten_per_cent_irradiance_error_is_detected() -> None:
     """The twin of the walls' test."""
     found = room()
     wrong = surfel_albedo(
@@ -179,7 +179,7 @@ def cropped_room() -> LightMaterials:
     return solved(views, predicted(views))
 
 
-def test_surface_in_light_that_is_not_sure_is_no_whiter_than_paint() -> None:
+def test_surface_in_uncertain_light_is_no_whiter_than_paint() -> None:
     packed = [
         np.dstack([m["diffuse_albedo"].max(axis=2), m["confidence"][..., 0]]) for m in cropped_room().maps
     ]
@@ -191,7 +191,7 @@ def test_surface_in_light_that_is_not_sure_is_no_whiter_than_paint() -> None:
     ).any()
 
 
-def test_light_of_a_lamp_that_no_photograph_shows_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_of_an_unseen_lamp_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the ceiling and word of its lamp, the surface there is more than three times too bright for
     what it reflects; without the west wall, nothing is."""
     monkeypatch.setattr(estimated_light, "HIDDEN_GAIN", 3.0)
@@ -206,12 +206,12 @@ def test_light_of_a_lamp_that_no_photograph_shows_is_told(monkeypatch: pytest.Mo
     assert most < 0.04
 
 
-def test_trust_falls_with_the_share_of_hidden_light() -> None:
+def test_confidence_falls_with_the_share_of_hidden_light() -> None:
     trust = trust_in_hidden(np.array([0.0, 0.3, 0.4, 0.5, 1.0]))
     np.testing.assert_allclose(trust, [1, 1, 0.5, 0, 0], atol=1e-6)
 
 
-def test_surface_that_no_photograph_shows_reflects_light() -> None:
+def test_unseen_surface_reflects_light() -> None:
     """The west wall is outside of the box of all that is seen; its light is estimated nevertheless."""
     found = cropped_room()
     assert found.lit.surfels.grid.low[0] > 0.5
@@ -220,7 +220,7 @@ def test_surface_that_no_photograph_shows_reflects_light() -> None:
     assert found.lit.irradiance.known.mean() > 0.99
 
 
-def test_albedo_where_a_third_of_the_room_is_unseen() -> None:
+def test_albedo_is_found_with_a_third_of_the_room_unseen() -> None:
     found = cropped_room()
     for quad in quads():
         if quad.name in ("south", "north", "ceiling", "east-low"):

@@ -77,7 +77,7 @@ def bundle(
     return LeavingRays(origin, direction, face, radiance.astype(np.float32), np.ones(num, bool))
 
 
-def test_window_lies_where_rays_are_closest_together() -> None:
+def test_window_is_where_rays_are_closest() -> None:
     """0.4 m inside of the box: its footprint on the box is 1.5 times as large, and has parts on all faces."""
     rays = bundle(60_000, (3.6, 0.8, 0.9), (1.2, 1.0))
     (window,) = found_windows(rays, background(), 1.0)
@@ -92,7 +92,7 @@ def test_window_lies_where_rays_are_closest_together() -> None:
         assert np.cross(rectangle.edge_u_m, rectangle.edge_v_m)[0] < 0  # into the room
 
 
-def test_windows_side_by_side_stay_apart_and_dark_ones_are_left_out() -> None:
+def test_adjacent_windows_are_separate_and_dark_ones_dropped() -> None:
     first, second = (
         bundle(40_000, (3.9, 0.3, 0.9), (0.8, 1.0)),
         bundle(20_000, (3.9, 2.0, 0.9), (0.5, 0.6), 1),
@@ -142,7 +142,7 @@ def pixels_of(color_of: object, num_views: int = 12) -> OutsidePixels:
     return OutsidePixels(origin, direction, color, np.arange(num_views).repeat(500))
 
 
-def test_far_light_is_told_from_near() -> None:
+def test_far_and_near_light_are_distinguished() -> None:
     def far(through: NDArray, direction: NDArray) -> NDArray:
         return np.asarray(1 + 0.9 * np.sin(6 * direction[:, 1]) * np.cos(5 * direction[:, 2]))
 
@@ -160,7 +160,7 @@ def glow(direction: NDArray) -> NDArray[np.float64]:
     return np.asarray(1 + 50 * np.exp(20 * (to_sun - 1)))
 
 
-def test_sky_with_a_glow_is_known_by_direction() -> None:
+def test_sky_with_a_glow_is_stored_by_direction() -> None:
     """Where photographs look, and elsewhere as an estimate; bins of places, which few pixels each fall into,
     hardly know it."""
     random = np.random.default_rng(5)
@@ -195,7 +195,7 @@ def test_sky_with_a_glow_is_known_by_direction() -> None:
     np.testing.assert_array_equal(found.is_photographed[bins], [False, True])
 
 
-def test_image_of_the_sky_points_where_rays_went() -> None:
+def test_image_of_the_sky_has_the_directions_of_rays() -> None:
     radiance = np.zeros((FAR.size, 3), np.float32)
     ways = np.array([[0, 1.0, 0.01], [0, -1.0, 0.2]])
     bins = FAR.bins_of(np.zeros((2, 3)), ways, LOW, HIGH)
@@ -211,7 +211,7 @@ def test_image_of_the_sky_points_where_rays_went() -> None:
     assert sky_image(Background(LOW, HIGH, dark, dark[:, 0] >= 0, known, FAR)).max() > 0.3
 
 
-def test_lamp_that_no_geometry_names_is_found() -> None:
+def test_unnamed_lamp_is_found() -> None:
     """The box with its lamp as any other surface: a panel before it, with its power."""
     named = room_geometry()
     parts = tuple(replace(part, emission=None) for part in named.parts)
@@ -265,7 +265,7 @@ PANEL = Rectangle((9.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (2.0, 2.0, 
 WINDOW = FoundPatch("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
 
 
-def test_sky_leaves_as_an_image_that_points_the_same_way_everywhere(tmp_path: Path) -> None:
+def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) -> None:
     """In Mitsuba's scene, and in the package as the project's renderer takes it."""
     import mitsuba as mi
 
@@ -306,7 +306,7 @@ def test_sky_leaves_as_an_image_that_points_the_same_way_everywhere(tmp_path: Pa
     np.testing.assert_allclose(window["power"], np.pi * 2, rtol=1e-5)
 
 
-def test_surface_that_was_found_to_shine_leaves_with_its_material(tmp_path: Path) -> None:
+def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
     """A triangle that no part names, on the side that was photographed; and lamps by the names of parts."""
     capture = room_capture(2, (32, 24))
     mesh = Mesh(capture.geometry.mesh.positions, capture.geometry.mesh.faces)
@@ -345,7 +345,7 @@ def test_surface_that_was_found_to_shine_leaves_with_its_material(tmp_path: Path
     assert shining["emissiveFactor"] == [1, 1, 1] and "baseColorTexture" in shining["pbrMetallicRoughness"]
 
 
-def test_small_lamps_leave_as_points_on_demand(tmp_path: Path) -> None:
+def test_small_lamps_are_exported_as_points_on_demand(tmp_path: Path) -> None:
     """A bulb of 20 cm: by its shadow's quarter of the area, in candela."""
     capture = room_capture(2, (32, 24))
     faces = np.array([0], np.int32)
@@ -420,7 +420,7 @@ def test_blender_reads_the_lights(tmp_path: Path) -> None:
     np.testing.assert_allclose(found["places"]["lamp-0"], middle, atol=1e-5)
 
 
-def test_no_light_is_told_and_leaves_the_capture_s(tmp_path: Path) -> None:
+def test_without_light_that_of_the_capture_is_exported(tmp_path: Path) -> None:
     assert lights_text([]) == "no light was found"
     dark = FoundLamp("lamp-0", np.zeros(1, np.int32), 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, True)
     assert FoundLights((dark,)).is_dark and FoundLights((dark,)).described() == []

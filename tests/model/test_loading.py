@@ -26,7 +26,7 @@ def _keys(samples) -> list[str]:
     return [f"{s['configuration']}/{s['view']}" for s in samples]
 
 
-def test_whole_views_are_what_the_shards_hold(shards) -> None:
+def test_whole_views_equal_the_shards(shards) -> None:
     stream = ViewStream(shards, ["beauty", "depth_z_m", "material_id"], shuffle=False)
     views = [view for path in shards for view in ShardReader(path)]
     samples = list(stream)
@@ -39,7 +39,7 @@ def test_whole_views_are_what_the_shards_hold(shards) -> None:
         assert sample["exposure"] == pytest.approx(view.record.exposure)
 
 
-def test_every_view_comes_once_for_any_ranks_and_processes(shards) -> None:
+def test_every_view_occurs_once_for_any_ranks_and_processes(shards) -> None:
     everything = sorted(_keys(ViewStream(shards, ["roughness"], shuffle=False)))
     for num_ranks, workers in ((1, 0), (1, 2), (2, 2)):
         seen: list[str] = []
@@ -52,7 +52,7 @@ def test_every_view_comes_once_for_any_ranks_and_processes(shards) -> None:
         assert sorted(seen) == everything, (num_ranks, workers)
 
 
-def test_ranks_get_equally_many_where_views_do_not_divide(shards) -> None:
+def test_ranks_get_equal_counts_of_indivisible_views(shards) -> None:
     parts = [_keys(ViewStream(shards, ["roughness"], rank=r, num_ranks=3)) for r in range(3)]
     assert [len(part) for part in parts] == [3, 3, 3]
     assert len(set().union(*parts)) == 9
@@ -107,7 +107,7 @@ def test_batches_and_splits_of_a_dataset(tmp_path) -> None:
     assert batch["beauty"].shape == (3, 3, 16, 16) and batch["world_from_camera"].shape == (3, 4, 4)
 
 
-def test_wrong_uses_are_told(shards, tmp_path) -> None:
+def test_wrong_arguments_are_refused(shards, tmp_path) -> None:
     with pytest.raises(InputError, match=r"buffers = albedo; expected beauty, "):
         ViewStream(shards, ["albedo"])
     with pytest.raises(InputError, match=r"rank = 2; expected a number from 0 to num_ranks - 1 = 1"):

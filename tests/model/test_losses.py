@@ -47,7 +47,7 @@ def test_the_truth_has_zero_loss(scene):
 
 
 @pytest.mark.parametrize("name", ["diffuse_albedo", "specular_albedo", "roughness"])
-def test_each_map_is_pulled_towards_the_truth(scene, name):
+def test_gradients_move_each_map_towards_the_truth(scene, name):
     """Gradients are finite, vanish where there is no surface, and a step along them lowers the loss."""
     truth, geometry = scene
     loss = MaterialLoss(LossConfig(), GradientSsim())
@@ -65,7 +65,7 @@ def test_each_map_is_pulled_towards_the_truth(scene, name):
     assert after < before
 
 
-def test_a_phase_predicts_some_maps_and_borrows_the_rest(scene):
+def test_a_phase_predicts_some_maps_and_is_given_the_rest(scene):
     truth, geometry = scene
     diffuse = {"diffuse_albedo": truth["diffuse_albedo"] * 0.5}
     terms = MaterialLoss(LossConfig(), None)(diffuse, truth, geometry, _draws(3), generator_for(3))
@@ -92,12 +92,12 @@ def test_draws_come_from_the_generator(scene):
     assert not torch.equal(totals[0], totals[2])
 
 
-def test_the_loss_names_its_distance():
+def test_the_loss_has_the_name_of_its_distance():
     assert MaterialLoss(LossConfig(), GradientSsim()).name == "l1+gradient-ssim-3"
     assert MaterialLoss(LossConfig(perceptual_weight=0.0), GradientSsim()).name == "l1+none"
 
 
-def test_squares_pull_an_uncertain_map_to_its_mean(scene):
+def test_squared_errors_lead_to_the_mean(scene):
     """Rare metal: under L1 the best constant is the median, under squared errors the mean."""
     truth, geometry = scene
     metal = torch.rand(truth["roughness"].shape, generator=torch.Generator().manual_seed(3)) < 0.1
@@ -119,7 +119,7 @@ def test_squares_pull_an_uncertain_map_to_its_mean(scene):
 
 
 @pytest.mark.parametrize(("count", "calls"), [(None, 6 + 3), (2, 2 + 3), (0, 3)])
-def test_fewer_re_renderings_may_enter_the_perceptual_term(scene, count, calls):
+def test_the_perceptual_term_may_use_fewer_re_renderings(scene, count, calls):
     class Counter(torch.nn.Module):
         name = "counter"
         num_calls = 0
@@ -136,6 +136,6 @@ def test_fewer_re_renderings_may_enter_the_perceptual_term(scene, count, calls):
     assert ("render_perceptual" in terms.parts) == (count != 0)
 
 
-def test_log_encoding_has_the_stated_ends():
+def test_log_encoding_has_the_documented_range():
     ends = encode_log_unit(torch.tensor([0.0, 1.0, 50.0]))
     torch.testing.assert_close(ends, torch.tensor([0.0, 1.0, 1.0]))

@@ -197,7 +197,7 @@ def opened() -> list[str]:
 
 @pytest.mark.parametrize("way", ["parent", "absolute", "uri", "link", "linked_folder"])
 @pytest.mark.parametrize("name", READERS)
-def test_no_reader_is_led_out_of_its_folder(name: str, way: str, tmp_path: Path, opened: list[str]) -> None:
+def test_no_reader_leaves_its_folder(name: str, way: str, tmp_path: Path, opened: list[str]) -> None:
     reader = READERS[name]
     root, outside = tmp_path / "root", tmp_path / "outside"
     root.mkdir()

@@ -73,7 +73,7 @@ def test_receptive_field(monkeypatch):
     assert sides == {126, 142}
 
 
-def test_global_track_carries_information_across_the_image():
+def test_global_track_connects_distant_pixels():
     """A change in one corner reaches the opposite corner, far outside the convolutions' receptive field."""
     torch.manual_seed(2)
     track = Track(3, 3, TINY).double().eval()

@@ -47,7 +47,7 @@ def _own(name: str) -> NetworkConfig:
     return NetworkConfig(factory=f"tests.model.toy_network:{name}")
 
 
-def test_the_command_trains_it_and_the_checkpoint_brings_it_back(dataset: Path, tmp_path: Path) -> None:
+def test_the_command_trains_it_and_the_checkpoint_restores_it(dataset: Path, tmp_path: Path) -> None:
     from model.cli import app
 
     out = tmp_path / "run"
@@ -71,13 +71,13 @@ def test_the_command_trains_it_and_the_checkpoint_brings_it_back(dataset: Path, 
     }
 
 
-def test_a_dry_run_says_how_large_it_is(dataset: Path) -> None:
+def test_a_dry_run_prints_its_size(dataset: Path) -> None:
     text = describe_run(_config(f"network.factory={TOY}"), [dataset], CPU)
     num = 12 * 8 * 9 + 8 + 2 * 8 + 8 * 7 + 7
     assert f"{TOY}: {num:,} parameters" in text and "joint: " in text
 
 
-def test_all_of_it_is_trained(dataset: Path, tmp_path: Path) -> None:
+def test_all_parameters_are_trained(dataset: Path, tmp_path: Path) -> None:
     config = _config(f"network.factory={TOY}", "phases=[{name: joint, steps: 3}]")
     trainer = Trainer(config, [dataset], tmp_path / "run", device=CPU)
     before = {name: value.clone() for name, value in trainer.models.network.named_parameters()}
@@ -123,12 +123,12 @@ def test_settings_of_the_tracks_are_refused(settings: tuple[str, ...], message: 
         ("tests.model.toy_network:Aimless", "inputs = None"),
     ],
 )
-def test_what_is_no_network_is_refused(factory: str, message: str) -> None:
+def test_classes_that_are_no_networks_are_refused(factory: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         make_network(NetworkConfig(factory=factory))
 
 
-def test_a_checkpoint_cannot_call_what_is_no_network(tmp_path: Path) -> None:
+def test_a_checkpoint_cannot_call_other_classes(tmp_path: Path) -> None:
     """Weights come from elsewhere: what their card names is not called unless it is a class of networks."""
     card = CheckpointCard(network=NetworkConfig(factory=TOY), loss="none", phase="joint", step=0)
     path = tmp_path / "weights.safetensors"
@@ -141,7 +141,7 @@ def test_a_checkpoint_cannot_call_what_is_no_network(tmp_path: Path) -> None:
     assert not (tmp_path / "called").exists()
 
 
-def test_arguments_that_it_does_not_take_are_named() -> None:
+def test_unknown_arguments_are_named() -> None:
     with pytest.raises(
         InputError, match=r"unexpected keyword argument 'depth'.*arguments of tests.model.toy_network:Toy"
     ):
@@ -155,21 +155,21 @@ def test_arguments_that_it_does_not_take_are_named() -> None:
         ("Halved", r"\(1, 3, 12, 19\).*\(1, 3, 23, 38\)"),
     ],
 )
-def test_outputs_that_are_no_maps_stop_a_run_before_it_starts(
+def test_invalid_outputs_stop_a_run_before_it_starts(
     dataset: Path, tmp_path: Path, name: str, message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
         Trainer(_config(f"network.factory=tests.model.toy_network:{name}"), [dataset], tmp_path, device=CPU)
 
 
-def test_data_without_its_inputs_is_refused(tmp_path: Path) -> None:
+def test_data_without_the_inputs_is_refused(tmp_path: Path) -> None:
     plain = make_dataset(tmp_path / "plain", {"room-0": ("train", 4)})
     config = _config("network.factory=tests.model.toy_network:Echo", "phases=[{name: joint, steps: 1}]")
     with pytest.raises(InputError, match="no reflectance, known_share"):
         Trainer(config, [plain], tmp_path / "run", device=CPU)
 
 
-def test_the_contract_feeds_each_input_by_name() -> None:
+def test_each_input_is_passed_by_name() -> None:
     batch = synthetic_batch(2, 16, CPU)
     exposure = batch["exposure"].reshape(-1, 1, 1, 1)
     for name in INPUTS:
@@ -190,7 +190,7 @@ def test_the_contract_feeds_each_input_by_name() -> None:
 LIT = NetworkConfig(base_channels=2, global_channels=4, light_inputs=("known_share", "reflectance"))
 
 
-def test_light_is_fed_to_both_tracks_in_one_order() -> None:
+def test_light_follows_the_other_inputs_of_both_tracks() -> None:
     assert track_inputs("diffuse", LIT) == (
         "beauty",
         "color_median",
@@ -213,7 +213,7 @@ def test_light_is_fed_to_both_tracks_in_one_order() -> None:
     }
 
 
-def test_tracks_learn_from_light(dataset: Path, tmp_path: Path) -> None:
+def test_tracks_train_with_light(dataset: Path, tmp_path: Path) -> None:
     config = _config("network.light_inputs=[reflectance, known_share, mirror_sharp, mirror_broad]")
     final = Trainer(config, [dataset], tmp_path / "run", device=CPU).run()
     card = load_checkpoint(final).card
@@ -275,6 +275,6 @@ def test_training_with_reflectance_starts_from_a_checkpoint_without(dataset: Pat
     assert load_checkpoint(trainer.run()).card.network.blends_reflectance
 
 
-def test_cards_without_light_are_as_they_were() -> None:
+def test_cards_without_light_are_unchanged() -> None:
     optional = {"light_inputs", "blends_reflectance", "factory", "arguments"}
     assert not optional & NetworkConfig().model_dump().keys()

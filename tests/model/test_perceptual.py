@@ -30,7 +30,7 @@ def test_lpips_has_the_published_value(vgg):
     assert perceptual.lpips_check_value(vgg) == pytest.approx(perceptual.LPIPS_CHECK_VALUE, abs=5e-5)
 
 
-def test_one_wrong_layer_moves_lpips(vgg):
+def test_one_wrong_layer_changes_lpips(vgg):
     wrong = [weights.Convolution(1.05 * vgg[0].weight, vgg[0].bias), *vgg[1:]]
     images = torch.rand(2, 1, 3, 64, 64, generator=torch.Generator().manual_seed(0)) * 2 - 1
     values = [float(perceptual.lpips_vgg(layers, *images)) for layers in (vgg, wrong)]
@@ -73,13 +73,13 @@ def test_elpips_in_bfloat16_is_close(elpips):
     torch.testing.assert_close(coarse, exact, rtol=0.02, atol=0)
 
 
-def test_lpips_heads_serve_as_a_named_fallback(vgg):
+def test_lpips_heads_are_a_named_fallback(vgg):
     metric = perceptual.Elpips(vgg, weights.load_lpips_heads())
     assert metric.name == "elpips-vgg16-lpips5"
     assert float(metric(torch.rand(1, 3, 64, 64), torch.rand(1, 3, 64, 64), generator_for(1))) > 0
 
 
-def test_no_weights_no_silent_swap(tmp_path, monkeypatch):
+def test_missing_weights_are_never_replaced_silently(tmp_path, monkeypatch):
     monkeypatch.setenv("SCENE_MATERIALS_WEIGHTS", str(tmp_path))
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
     with pytest.raises(InputError, match="gradient_ssim"):
@@ -118,7 +118,7 @@ def test_transform_keeps_colour_and_mean(size):
             assert (out[index].std(dim=(1, 2)) < 1e-6).all()
 
 
-def test_flip_and_transpose_do_what_they_say():
+def test_flip_and_transpose_match_their_names():
     image = torch.arange(12.0).reshape(1, 1, 3, 4).expand(1, 3, 3, 4)
     plain = perceptual.Transform(1, (0, 0), False, ((0, 0),), (0,), ((0, 1, 2),), torch.ones(1, 3))
     big = torch.nn.functional.interpolate(image, size=(30, 40))

@@ -102,7 +102,7 @@ def test_webp_is_read(tmp_path: Path) -> None:
     assert PhotographSource(tmp_path / "a.webp", camera, None, "auto").read(camera).color.shape[2] == 3
 
 
-def test_heic_without_its_reader_names_what_to_install(tmp_path: Path, without_heic: None) -> None:
+def test_heic_without_its_reader_names_the_package_to_install(tmp_path: Path, without_heic: None) -> None:
     """It had been "not found", once a photograph."""
     folder = colmap_of(tmp_path / "room", ".HEIC")
     for k in range(3):
@@ -182,7 +182,7 @@ def write_dng(path: Path, linear: NDArray[np.float64], orientation: int = 1) -> 
 
 
 @pytest.mark.skipif(not HAS_RAW, reason="needs rawpy")
-def test_raw_photographs_are_linear_and_know_their_limit(tmp_path: Path) -> None:
+def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> None:
     """Black level, white balance as shot, exposure; clipped where a sensor value is, in all channels."""
     height, width = 80, 120
     linear = np.empty((height, width, 3))
@@ -232,7 +232,7 @@ def test_16_bits_are_kept(tmp_path: Path, suffix: str) -> None:
         (".bmp", "BMP.*convert them to PNG"),
     ],
 )
-def test_photographs_of_other_forms_are_there_but_not_read(
+def test_unsupported_photographs_are_distinguished_from_missing_ones(
     tmp_path: Path, suffix: str, expected: str, without_raw: None
 ) -> None:
     folder = colmap_of(tmp_path / "room", suffix)
@@ -247,7 +247,7 @@ def test_photographs_of_other_forms_are_there_but_not_read(
         read_photograph(folder / "images" / f"img0{suffix}")
 
 
-def test_every_reader_tells_of_forms_that_are_not_read(tmp_path: Path, without_heic: None) -> None:
+def test_every_reader_names_unsupported_formats(tmp_path: Path, without_heic: None) -> None:
     """transforms.json and Bundler here; RealityCapture takes the same way."""
     (tmp_path / "a.heic").write_bytes(b"anything")
     write_mesh(tmp_path)
@@ -268,13 +268,13 @@ def test_every_reader_tells_of_forms_that_are_not_read(tmp_path: Path, without_h
         read_capture(tmp_path)
 
 
-def test_a_raw_beside_its_jpeg_is_no_second_photograph(tmp_path: Path) -> None:
+def test_a_raw_beside_its_jpeg_is_ignored(tmp_path: Path) -> None:
     picture().save(tmp_path / "a.jpg")
     (tmp_path / "a.cr2").write_bytes(b"anything")
     assert ImageFinder(tmp_path).find("somewhere/a") == (tmp_path / "a.jpg").resolve()
 
 
-def test_a_mesh_of_another_form_is_named(tmp_path: Path) -> None:
+def test_a_mesh_of_an_unsupported_format_is_named(tmp_path: Path) -> None:
     """It had been "no mesh beside the cameras"."""
     folder = colmap_of(tmp_path / "room", ".webp", 1)
     picture().save(folder / "images" / "img0.webp", lossless=True)

@@ -150,7 +150,7 @@ def test_without_the_program_the_commands_are_printed(tmp_path: Path) -> None:
     assert refused.exit_code != 0 and "photographs = 0" in str(refused.exception) + refused.output
 
 
-def test_cameras_by_hand_need_no_program(tmp_path: Path) -> None:
+def test_given_cameras_need_no_program(tmp_path: Path) -> None:
     """After the printed commands ran elsewhere, the model is used as it is; points without a surface are an
     error that says so."""
     images, _, truth = photographed(tmp_path)

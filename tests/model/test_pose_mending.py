@@ -61,7 +61,7 @@ def pixels_off(cameras: list[Camera], views: list[TracedView]) -> NDArray[np.flo
     return np.array(found)
 
 
-def test_errors_of_millimetres_and_tenths_of_degrees_are_mended() -> None:
+def test_errors_of_millimetres_and_tenths_of_degrees_are_corrected() -> None:
     cameras = [off(view.camera, number) for number, view in enumerate(photographed_room().views)]
     views = traced(cameras)
     found = mended_poses(views)
@@ -71,7 +71,7 @@ def test_errors_of_millimetres_and_tenths_of_degrees_are_mended() -> None:
     assert 1 < np.median(found.moved_mm) < 30 and 0.05 < np.median(found.turned_deg) < 0.6
 
 
-def test_right_poses_stay() -> None:
+def test_correct_poses_are_kept() -> None:
     views = traced([view.camera for view in photographed_room().views])
     found = mended_poses(views)
     assert (found.moved_mm == 0).all() and found.residual[1] > 0.9 * found.residual[0]

@@ -59,31 +59,31 @@ def completed() -> Completed:
     return completed_views(views, traced, geometry.emitter_mask(), smooth_regions(traced.mesh))
 
 
-def test_exposures_that_differ() -> None:
+def test_different_exposures_are_found() -> None:
     found = radiometry(taken(stops=0.4))
     assert np.sqrt((np.log(found.gain / gains(0.4)[:, None]) ** 2).mean()) < 0.015
     assert found.vignetting == 0 and found.curve == 0
 
 
-def test_white_balance_that_differs() -> None:
+def test_different_white_balance_is_found() -> None:
     views = taken()
     views[3] = replace(views[3], color=views[3].color * np.array([0.8, 1.0, 1.25], np.float32))
     found = radiometry(views)
     np.testing.assert_allclose(found.gain[3], [0.8, 1.0, 1.25], rtol=0.04)
 
 
-def test_one_exposure_stays_as_it_is() -> None:
+def test_a_common_exposure_is_unchanged() -> None:
     found = radiometry(taken())
     assert not found.changes and (found.gain == 1).all()
 
 
-def test_vignetting() -> None:
+def test_vignetting_is_found() -> None:
     found = radiometry(taken(vignetting=0.7))
     assert abs(found.vignetting - 0.7) < 0.1
     assert np.abs(np.log(found.gain)).max() < 0.05
 
 
-def test_response_is_told_where_exposures_differ() -> None:
+def test_response_is_found_where_exposures_differ() -> None:
     """Without the curve, gains would be off by a tenth."""
     found = radiometry(taken(stops=0.4, curve=0.08))
     assert 0.05 < found.curve < 0.1
@@ -91,12 +91,12 @@ def test_response_is_told_where_exposures_differ() -> None:
 
 
 @pytest.mark.parametrize("curve", [-0.1, 0.08])
-def test_curve_is_undone(curve: float) -> None:
+def test_response_curve_is_inverted(curve: float) -> None:
     value = np.linspace(0.001, 0.999, 100)
     np.testing.assert_allclose(unbent(shown(value, curve), curve), value, atol=1e-3)
 
 
-def test_clipped_lamp_and_sky_are_found_from_what_they_light() -> None:
+def test_clipped_lamp_and_sky_are_recovered_from_lit_surfaces() -> None:
     """The lamp within 10 %, the sky within 15 %: surfaces see little of it."""
     found = completed()
     assert found.sources is not None and found.clipped_share > 0.04
@@ -107,7 +107,7 @@ def test_clipped_lamp_and_sky_are_found_from_what_they_light() -> None:
     assert found.spread[[lamp, sky]].max() < 0.2
 
 
-def test_materials_of_completed_photographs() -> None:
+def test_materials_of_completed_photographs_are_found() -> None:
     """Within 10 % where exact photographs give 6 %; as they are, the photographs give nothing like it."""
     found = completed()
     views = tuple(found.views)
@@ -117,7 +117,7 @@ def test_materials_of_completed_photographs() -> None:
     assert wall_error(solved(clipped, predicted(clipped), EXPOSURE)) > 0.3
 
 
-def test_doubt_is_light_of_sources_that_nothing_tells() -> None:
+def test_uncertainty_is_light_of_undetermined_sources() -> None:
     """Of the sources' spread, none is near 1, and so little of the light is in doubt."""
     found = completed()
     assert found.doubt_at is not None

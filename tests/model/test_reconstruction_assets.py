@@ -121,7 +121,7 @@ def test_blender_opens_the_usdz(
     assert np.corrcoef(x, y)[0, 1] > 0.98
 
 
-def test_the_glb_holds_the_written_maps(asset: Path) -> None:
+def test_the_glb_contains_the_written_maps(asset: Path) -> None:
     """D, S and R from its textures and factors by the equations of glTF 2.0 and KHR_materials_specular,
     against the EXR files, where F0 is a dielectric's; the packed texture as engines take it, with an
     occlusion of 1."""

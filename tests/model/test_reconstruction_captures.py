@@ -143,7 +143,7 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["text", "binary"])
-def test_a_lens_that_is_not_supported_is_told_once(tmp_path: Path, form: str) -> None:
+def test_an_unsupported_lens_is_reported_once(tmp_path: Path, form: str) -> None:
     """It had been blamed on ``images``, once a photograph."""
     write_colmap(tmp_path / "m", make_cameras(5), form, "FOV", [50, 50, 32, 20, 0.5])
     with pytest.raises(InputError) as caught:
@@ -154,7 +154,7 @@ def test_a_lens_that_is_not_supported_is_told_once(tmp_path: Path, form: str) ->
     assert "colmap image_undistorter" in str(caught.value)
 
 
-def test_a_lens_that_nobody_knows_is_told_as_such(tmp_path: Path) -> None:
+def test_an_unknown_lens_is_reported(tmp_path: Path) -> None:
     write_colmap(tmp_path / "m", make_cameras(3), "text", "RAD_TAN_THIN_PRISM_FISHEYE", [50.0] * 16)
     with pytest.raises(InputError, match=r"cameras\.txt: camera 7 model = RAD_TAN\w+; .*PINHOLE"):
         read_colmap(tmp_path / "m", Budget("x"))
@@ -164,7 +164,7 @@ def test_a_lens_that_nobody_knows_is_told_as_such(tmp_path: Path) -> None:
     assert len(caught.value.problems) == 1 and "cameras.txt: camera 7 parameters" in str(caught.value)
 
 
-def test_one_fault_of_all_frames_is_told_once(tmp_path: Path) -> None:
+def test_one_fault_of_all_frames_is_reported_once(tmp_path: Path) -> None:
     write_images(tmp_path / "images", 3)
     frames = [{"file_path": f"images/img{k}.png", "transform_matrix": np.eye(4).tolist()} for k in range(3)]
     data = {"fl_x": 55.0, "w": SIZE[0], "h": SIZE[1], "camera_model": "EQUIRECTANGULAR", "frames": frames}
@@ -349,7 +349,7 @@ def test_exr_and_wide_views(tmp_path: Path) -> None:
     np.testing.assert_allclose(view.read().color, expected, atol=1e-6)
 
 
-def test_exif_exposures_are_evened_out(tmp_path: Path) -> None:
+def test_exif_exposures_are_equalised(tmp_path: Path) -> None:
     write_mesh(tmp_path)
     frames = []
     for index, time_s in enumerate((0.01, 0.02, 0.04)):
@@ -376,7 +376,7 @@ def test_exif_exposures_are_evened_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("exposure_scale", [1.0, 0.5])
-def test_photographs_say_where_they_clip(tmp_path: Path, exposure_scale: float) -> None:
+def test_clipped_pixels_are_marked(tmp_path: Path, exposure_scale: float) -> None:
     """A pixel of 255 in one channel, a quarter of one of the smaller image's; 245 is 0.91 of the limit."""
     pixels = np.full((6, 8, 3), 128, np.uint8)
     pixels[2, 4, 1] = 255
@@ -407,7 +407,7 @@ def test_sixteen_bits_from_files(tmp_path: Path, suffix: str, encoding: Literal[
     np.testing.assert_allclose(view.read().color, linear, atol=3e-5)
 
 
-def test_photographs_of_several_shapes_one_of_them_turned(tmp_path: Path) -> None:
+def test_photographs_of_several_shapes_may_be_rotated(tmp_path: Path) -> None:
     """A JPEG that its EXIF turns by 90 degrees, calibrated upright; a wide one beside it."""
     write_mesh(tmp_path)
     ramp = np.tile(np.linspace(40, 220, 60).astype(np.uint8)[:, None, None], (1, 90, 3))  # dark at the top

@@ -141,7 +141,7 @@ def test_realitycapture_csv(tmp_path: Path) -> None:
     [((0, 0, 0), (0, 0, -1), (0, 1, 0)), ((0, 90, 0), (0, 1, 0), (0, 0, 1)),
      ((90, 90, 0), (1, 0, 0), (0, 0, 1)), ((0, 0, 90), (-1, 0, 0), (0, 1, 0))],
 )  # fmt: skip
-def test_realitycapture_angles_of_a_compass(angles: tuple, forward: tuple, top: tuple) -> None:
+def test_realitycapture_compass_angles(angles: tuple, forward: tuple, top: tuple) -> None:
     from model.reconstruction.captures.realitycapture import rotation_of_angles
 
     rotation = rotation_of_angles(*map(float, angles))
@@ -393,7 +393,7 @@ def test_faults_of_realitycapture_are_collected(tmp_path: Path) -> None:
     assert read_capture(tmp_path, OPTIONS).views[0].camera.fx_px == pytest.approx(600 * 20 / 36)
 
 
-def test_up_is_judged_by_the_cameras() -> None:
+def test_up_is_estimated_from_the_cameras() -> None:
     from datagen.foundation.cameras import Camera
 
     for up in AXES:
@@ -414,7 +414,7 @@ def test_up_is_judged_by_the_cameras() -> None:
     assert judged_up(oblique)[0] == "z" and "set it with --up" in judged_up(oblique)[1]
 
 
-def test_a_tilted_world_is_levelled_by_the_cameras() -> None:
+def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
     """Cameras that look down by 10 to 35 degrees, in a world turned at random: the mean up is off for those
     that look into one half of the room; of cameras with one heading, nothing better is known."""
     from datagen.foundation.cameras import Camera, look_at
@@ -440,7 +440,7 @@ def test_a_tilted_world_is_levelled_by_the_cameras() -> None:
 @pytest.mark.parametrize(
     ("size", "unit"), [(7.0, 1.0), (95.0, 1.0), (650.0, 0.01), (6500.0, 0.001), (0.2, 1.0)]
 )
-def test_unit_is_judged_by_the_mesh(size: float, unit: float) -> None:
+def test_unit_is_estimated_from_the_mesh(size: float, unit: float) -> None:
     found, said = judged_unit(size)
     assert found == unit and "--unit" in said
     assert ("small for a room" in said) == (size < 1)

@@ -35,7 +35,7 @@ from tests.model.photographed_room import (
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
-def test_what_fits_is_left_in_peace_and_pictures_are_written(tmp_path: Path) -> None:
+def test_a_consistent_capture_passes_and_pictures_are_written(tmp_path: Path) -> None:
     capture = photographed_room()
     report = check_capture(capture, tmp_path)
     assert report.all_warnings == []
@@ -77,7 +77,7 @@ def test_a_rolled_camera_is_named(degrees: float) -> None:
 @pytest.mark.parametrize(
     ("metres", "said"), [(0.12, "large in it; the camera is about"), (-0.12, "small in")]
 )
-def test_a_camera_moved_along_its_view_is_named(metres: float, said: str) -> None:
+def test_a_camera_moved_along_its_axis_is_named(metres: float, said: str) -> None:
     capture = photographed_room()
     camera = capture.views[1].camera
     pose = camera.world_from_camera.copy()
@@ -93,7 +93,7 @@ def test_a_camera_moved_along_its_view_is_named(metres: float, said: str) -> Non
 @pytest.mark.parametrize(
     ("offset", "scale"), [((0.02, -0.01, 0.015), 1.02), ((0, 0, 0), 0.98), ((0.02, 0, 0), 1)]
 )
-def test_offset_and_scale_of_a_mesh_are_told_apart(offset: tuple[float, float, float], scale: float) -> None:
+def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, float], scale: float) -> None:
     """A point 3 m ahead of each camera, projected before and after the mistake, exactly; two views are off by
     themselves."""
     rng = np.random.default_rng(0)
@@ -123,7 +123,7 @@ def test_offset_and_scale_of_a_mesh_are_told_apart(offset: tuple[float, float, f
     assert common_mistake(still) is None
 
 
-def test_a_focal_length_that_is_off_is_told_once() -> None:
+def test_a_wrong_focal_length_is_reported_once() -> None:
     capture = photographed_room()
     for index, view in enumerate(capture.views):
         longer = replace(view.camera, fx_px=1.04 * view.camera.fx_px, fy_px=1.04 * view.camera.fy_px)
@@ -158,7 +158,7 @@ def test_a_photograph_of_another_room_is_named() -> None:
     assert warning.startswith("view_06: its edges do not match the mesh's; it shows another scene")
 
 
-def test_views_of_no_use_are_named() -> None:
+def test_useless_views_are_named() -> None:
     capture = photographed_room()
     source = capture.views[0].source
     assert isinstance(source, Photograph)
@@ -186,7 +186,7 @@ def test_views_of_no_use_are_named() -> None:
         assert any(w.startswith(f"{name}: ") and text in w for w in warnings), (name, warnings)
 
 
-def test_another_axis_that_fits_is_found_and_inference_refuses(tmp_path: Path) -> None:
+def test_a_better_up_axis_is_found_and_inference_refuses(tmp_path: Path) -> None:
     """The mesh as a Y-up file, read as Z-up."""
     capture = photographed_room()
     mesh = capture.geometry.mesh
@@ -201,7 +201,7 @@ def test_another_axis_that_fits_is_found_and_inference_refuses(tmp_path: Path) -
     assert not (tmp_path / "report.json").exists()
 
 
-def test_a_unit_that_fits_is_found() -> None:
+def test_a_better_unit_is_found() -> None:
     """A mesh in centimetres among cameras in metres, away from the origin, where both would agree."""
     capture = photographed_room()
     shift = np.array([1.3, -0.7, 0.4])
@@ -215,7 +215,7 @@ def test_a_unit_that_fits_is_found() -> None:
     assert report.better == "a unit of the mesh 0.01 times as long"
 
 
-def test_shifts_are_told_exactly() -> None:
+def test_shifts_are_measured_exactly() -> None:
     """The mesh's edges against themselves, moved: the peak lies where they were moved to."""
     capture = photographed_room()
     view = capture.views[1]
@@ -244,7 +244,7 @@ def test_edges_are_creases_and_jumps_only() -> None:
     assert set(columns) == {99, 100} and corner[0, 0] == pytest.approx(100)
 
 
-def test_command(tmp_path: Path) -> None:
+def test_command_returns_codes(tmp_path: Path) -> None:
     """Photographs on disk with transforms.json: exit code 0, then 1 with a camera that is off."""
     from model.cli import app
 

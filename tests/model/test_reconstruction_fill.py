@@ -45,7 +45,7 @@ def nearest_index(source: np.ndarray) -> np.ndarray:
     return places[labels]
 
 
-def test_every_texel_gets_a_value_from_where_it_belongs() -> None:
+def test_every_texel_gets_a_value_from_its_surroundings() -> None:
     """Half-seen charts fill themselves; the unseen top of the block takes a side of the block, not a far
     wall."""
     seen = [f for f in range(24) if f // 2 not in (3, 11)]  # quad 3: a wall; quad 11: the block's top
@@ -70,7 +70,7 @@ def test_every_texel_gets_a_value_from_where_it_belongs() -> None:
     assert (roughness[gutter] > 0).mean() > 0.8  # quad 0 is 0
 
 
-def test_an_atlas_in_files_is_filled_alike(tmp_path: Path) -> None:
+def test_an_atlas_in_files_is_filled_identically(tmp_path: Path) -> None:
     """Also band by band, with what was touched let go of."""
     mesh, atlas = seen_atlas([f for f in range(24) if f // 2 not in (3, 11)], [6, 7])
     filed = empty_atlas(SIZE, tmp_path)
@@ -85,7 +85,7 @@ def test_an_atlas_in_files_is_filled_alike(tmp_path: Path) -> None:
         assert array.any()
 
 
-def test_nothing_seen_stays_empty() -> None:
+def test_an_unseen_atlas_stays_empty() -> None:
     mesh, atlas = seen_atlas([], [])
     fill_unseen(atlas, mesh)
     assert not any(array.any() for array in atlas.maps.values())
@@ -104,7 +104,7 @@ def test_nearest_index_against_brute_force() -> None:
     assert (got <= least * 1.05 + 1e-9).all()  # OpenCV's 5 x 5 distances are 2 % off
 
 
-def test_charts() -> None:
+def test_charts_are_the_quads() -> None:
     np.testing.assert_array_equal(chart_of_faces(room_mesh()), np.arange(24) // 2)
 
 
@@ -128,7 +128,7 @@ def test_size_follows_the_density_of_pixels() -> None:
     ]  # 400, 800, 1600 up to the next multiple of 256; corners are a hair coarser
 
 
-def test_images_of_an_atlas(tmp_path: Path) -> None:
+def test_images_of_an_atlas_are_written(tmp_path: Path) -> None:
     _, atlas = seen_atlas(list(range(24)), [])
     rng = np.random.default_rng(0)
     for array in atlas.maps.values():

@@ -79,7 +79,7 @@ def truth(rendered: Rendered) -> tuple[Path, InferReport]:
     return out, report
 
 
-def test_geometry_of_a_shard_is_what_was_rendered(rendered: Rendered) -> None:
+def test_geometry_of_a_shard_equals_the_rendered_one(rendered: Rendered) -> None:
     capture = rendered.capture()
     traced = TracedGeometry(capture.geometry)
     for view in capture.views[:3]:
@@ -125,7 +125,7 @@ def test_asset_renders_like_the_room(rendered: Rendered, truth: tuple[Path, Infe
     assert np.mean(brighter) < np.mean(scores) - 0.5, (scores, brighter)
 
 
-def test_atlas_holds_the_rooms_materials(rendered: Rendered, truth: tuple[Path, InferReport]) -> None:
+def test_atlas_contains_the_rooms_materials(rendered: Rendered, truth: tuple[Path, InferReport]) -> None:
     """Parts of one material have its values: medians over each part's seen texels."""
     out, report = truth
     assert report.atlas_size == 512 and 0.3 < report.seen_share <= 1
@@ -143,14 +143,14 @@ def test_atlas_holds_the_rooms_materials(rendered: Rendered, truth: tuple[Path, 
     assert (mask == 128).any() and (mask == 0).any()
 
 
-def test_asset_is_a_sound_package(truth: tuple[Path, InferReport]) -> None:
+def test_asset_is_a_valid_package(truth: tuple[Path, InferReport]) -> None:
     with open_package(truth[0] / "asset") as package:
         assert check_package(package).errors == ()
         assert isinstance(package.asset, EnvironmentAsset)
         assert len(package.asset.cameras) == 8 and len(package.asset.lights) == 2
 
 
-def test_glb_comes_back_as_the_same_materials(truth: tuple[Path, InferReport], tmp_path: Path) -> None:
+def test_glb_round_trips_to_the_same_materials(truth: tuple[Path, InferReport], tmp_path: Path) -> None:
     out, report = truth
     assert report.gltf_error["diffuse_max"] < 0.01 and report.gltf_error["specular_max"] < 0.01
     glb = out / "capture-00000.glb"
@@ -260,7 +260,7 @@ def test_a_shard_finds_its_library(
         )
 
 
-def test_metallic_conversion() -> None:
+def test_metallic_conversion_keeps_dielectrics_and_metals() -> None:
     """Dielectrics and metals survive; in between the remainder is taken up as far as channels allow."""
     rng = np.random.default_rng(0)
     diffuse = rng.random((50, 3)).astype(np.float32)
@@ -289,7 +289,7 @@ def test_mitsuba_scene_loads_and_renders(truth: tuple[Path, InferReport]) -> Non
     np.testing.assert_allclose(image.mean(axis=(0, 1)), ours.color.mean(axis=(0, 1)), rtol=0.02)
 
 
-def test_relighting_and_insertion(
+def test_assets_can_be_relit_and_get_inserted_objects(
     rendered: Rendered, truth: tuple[Path, InferReport], tmp_path: Path
 ) -> None:
     out = truth[0]
@@ -345,7 +345,7 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
         )
 
 
-def test_weights_by_confidence_continue_too(rendered: Rendered) -> None:
+def test_inference_with_confidence_continues(rendered: Rendered) -> None:
     """Confidence is kept beside the maps: where it is missing the view is predicted again, to the same
     maps; given maps have none."""
     out = rendered.root / "weighted"
@@ -367,7 +367,7 @@ def test_weights_by_confidence_continue_too(rendered: Rendered) -> None:
         infer(rendered.capture(), rendered.root / "none", TRUTH, options)
 
 
-def test_a_mesh_elsewhere_is_refused(rendered: Rendered, tmp_path: Path) -> None:
+def test_a_mesh_that_no_view_sees_is_refused(rendered: Rendered, tmp_path: Path) -> None:
     from dataclasses import replace
 
     from datagen.formats.capture import CaptureGeometry

@@ -90,7 +90,7 @@ def test_corrected_maps_are_clipped_and_leave_the_rest(level: AlbedoLevel) -> No
     assert (diffuse == np.float16(PREDICTED)).all()
 
 
-def test_same_photographs_same_level(level: AlbedoLevel) -> None:
+def test_the_same_photographs_give_the_same_level(level: AlbedoLevel) -> None:
     again = level_of(photographed_box())
     np.testing.assert_array_equal(level.gains, again.gains)
     assert level.report == again.report
@@ -108,7 +108,7 @@ def test_too_little_evidence_changes_nothing(kept: slice, reason: str) -> None:
     assert (found.gains == 1).all()
 
 
-def test_what_is_not_known_is_taken_to_be_like_the_rest() -> None:
+def test_unknown_light_is_estimated_from_known_light() -> None:
     """Every third square over all surfaces, lamp included, is missing from the photographs: walls do not seem
     to reflect more for it, though less light is seen to arrive. Undivided by the known share, all would be a
     fifth too pale."""
@@ -149,7 +149,7 @@ def test_contradictory_evidence_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(("part", "is_applied"), [(0.05, True), (0.7, False)])
-def test_light_that_is_not_sure_does_not_count(part: float, is_applied: bool) -> None:
+def test_uncertain_light_does_not_count(part: float, is_applied: bool) -> None:
     """``part`` of what arrives anywhere, about."""
     views = photographed_box()
     traced = TracedGeometry(box_geometry())
@@ -163,7 +163,7 @@ def test_light_that_is_not_sure_does_not_count(part: float, is_applied: bool) ->
     assert found.report.is_applied == is_applied
 
 
-def test_background_is_found_by_place_and_direction() -> None:
+def test_background_depends_on_position_and_direction() -> None:
     """A window that shows two colours: a ray meets the one that was photographed where it goes."""
     views = [
         TracedView(
@@ -224,7 +224,7 @@ def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("white", [np.inf, 0.6])
-def test_share_of_clipped_pixels(white: float) -> None:
+def test_share_of_clipped_pixels_is_exact(white: float) -> None:
     """Of photographs with a limit."""
     traced = trace_capture(box_capture(white))
     colors = np.stack([view.color for view in photographed_box()])

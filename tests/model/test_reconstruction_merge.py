@@ -266,7 +266,7 @@ def test_no_texel_falls_between_triangles() -> None:
     assert (TexelSurface(torn, face_normals(torn), size).faces(0, 0, size, size) < 0).any()
 
 
-def test_tiles_do_not_matter() -> None:
+def test_tile_size_does_not_matter() -> None:
     mesh, size = room_mesh(), 30
     views = noise_views(mesh, 5)
     surface = TexelSurface(mesh, face_normals(mesh), size)
@@ -319,7 +319,7 @@ def texel_uv(size: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mode", ["depth", "trace"])
-def test_ground_truth_maps_give_the_atlas_back(mode: str) -> None:
+def test_ground_truth_maps_reproduce_the_atlas(mode: str) -> None:
     """A median over views, each between pixels h apart of a wave of period p = 3.6 m or less:
     interpolation errs by at most h^2/8 (2 pi/p)^2 A, A = 0.3; where a view grazes, h grows, and the median
     passes over it. h is 0.05 m for pixels 3 m away at 60 degrees; that is 0.3 * 0.0009 / p^2 * 5 = 1e-3 on
@@ -344,7 +344,7 @@ def test_ground_truth_maps_give_the_atlas_back(mode: str) -> None:
     assert atlas.unseen_mask[bottom].all()
 
 
-def test_depth_and_traced_visibility_agree_but_for_edges() -> None:
+def test_depth_and_traced_visibility_agree_except_at_edges() -> None:
     mesh, size = room_mesh(), 64
     views = traced_views(mesh, 8)
     counts = []

@@ -127,7 +127,7 @@ def test_faults_of_the_mesh(tmp_path: Path, fault: Callable[[Mesh], Mesh]) -> No
     assert len(mesh.faces) == (384 if fault is not holed else len(holed(fine_room()).faces))
 
 
-def test_views_that_are_wrong_are_named_in_the_result(tmp_path: Path) -> None:
+def test_wrong_views_are_named_in_the_result(tmp_path: Path) -> None:
     """Black, clipped, of another room, turned by 1.2 degrees: a result all the same."""
     capture = photographed_room()
     shape = capture.views[0].source.color.shape  # type: ignore[attr-defined]
@@ -145,7 +145,7 @@ def test_views_that_are_wrong_are_named_in_the_result(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("level", "said"), [(0.0, "is black"), (1.0, "at the sensor's limit")])
-def test_photographs_that_are_all_black_or_all_white(tmp_path: Path, level: float, said: str) -> None:
+def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: float, said: str) -> None:
     """Every view is named, and the maps are numbers all the same."""
     capture = room_capture(3, (64, 48))
     for index, view in enumerate(capture.views):

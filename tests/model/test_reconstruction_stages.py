@@ -37,7 +37,7 @@ def test_only_predictions_are_corrected() -> None:
     assert map_stages(TRUTH, OPTIONS) == []
 
 
-def test_a_stage_between_prediction_and_merge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_runs_between_prediction_and_merge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is given the traced capture and the maps; what it returns is merged, and what it was given stays."""
     capture = room_capture(2, (32, 24))
     given: list[Maps] = []

@@ -68,7 +68,7 @@ def test_orbit_is_one_turn_within_the_cameras() -> None:
     assert len(set(alone)) == 1  # one camera: a small level circle
 
 
-def test_way_goes_through_the_cameras_and_comes_back() -> None:
+def test_path_visits_the_cameras_and_is_closed() -> None:
     cameras = room_cameras(6)
     made = way_cameras(cameras, TurntableOptions(way="cameras", frames=24, max_width_px=40))
     for k, camera in enumerate(cameras):
@@ -80,7 +80,7 @@ def test_way_goes_through_the_cameras_and_comes_back() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
-def test_files_show_the_frames(asset: Path, tmp_path: Path, suffix: str) -> None:
+def test_files_contain_the_frames(asset: Path, tmp_path: Path, suffix: str) -> None:
     """Every frame is there, in order, like the rendering from its camera."""
     out = tmp_path / "new" / f"room{suffix}"
     told: list[tuple[int, int]] = []
@@ -135,7 +135,7 @@ def brightness(path: Path) -> float:
     return float(read_image(path)[..., :3].mean())
 
 
-def test_a_closed_room_under_a_sky_has_its_own_lights(asset: Path, tmp_path: Path) -> None:
+def test_a_closed_room_under_a_sky_keeps_its_lights(asset: Path, tmp_path: Path) -> None:
     warnings: list[str] = []
     sky = RelightOptions(samples=4, views=("view_00",), sky=(1.0, 1.0, 1.0))
     write_renders(asset, tmp_path / "sky", sky, warnings.append)
@@ -149,7 +149,7 @@ def test_a_closed_room_under_a_sky_has_its_own_lights(asset: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("sky", [None, (1.0, 1.0, 1.0)])
-def test_a_room_without_light_has_a_lamp(
+def test_a_room_without_light_gets_a_lamp(
     asset: Path, sky: tuple[float, float, float] | None, tmp_path: Path
 ) -> None:
     with open_package(asset) as package:
@@ -163,7 +163,7 @@ def test_a_room_without_light_has_a_lamp(
     assert len(warnings) == 1 and "a lamp in the middle of its cameras is used" in warnings[0]
 
 
-def test_a_warm_lamp_and_exposure_compensation(asset: Path, tmp_path: Path) -> None:
+def test_lamp_colour_and_exposure_compensation_are_applied(asset: Path, tmp_path: Path) -> None:
     """A stop less is half the light of the PNG, and the same EXR; the intensity's colour tints both."""
     from model.cli import app
 

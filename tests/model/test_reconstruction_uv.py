@@ -83,7 +83,7 @@ def test_triangles_too_small_for_xatlas_are_unwrapped(has_room: bool) -> None:
     assert report.stretch < 1.6
 
 
-def test_a_piece_of_which_nothing_is_placed_is_laid_out_by_triangles(
+def test_an_unplaced_piece_is_laid_out_by_triangles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(uv_module, "XATLAS_PROCESS", "tests.model.places_nothing")
@@ -94,7 +94,7 @@ def test_a_piece_of_which_nothing_is_placed_is_laid_out_by_triangles(
     assert made.uv is not None and np.isfinite(made.uv).all()
 
 
-def test_pieces_and_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_share_one_density_also_after_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small pieces share one density; pieces on which xatlas dies are laid out triangle by triangle."""
     mesh = tiled_room()
     monkeypatch.setattr(uv_module, "PIECE_FACES", 70)
@@ -109,7 +109,7 @@ def test_pieces_and_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.bpy
-def test_blender_takes_what_xatlas_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blender_replaces_a_failed_xatlas(monkeypatch: pytest.MonkeyPatch) -> None:
     """xatlas' process fails; Blender's layout is valid and of one density, and the report says so."""
     pytest.importorskip("bpy", reason="Blender's Python module is not installed")
     mesh = tiled_room()

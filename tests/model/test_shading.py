@@ -65,7 +65,7 @@ def test_smith_matches_the_textbook_form_and_stays_finite_at_the_horizon():
     assert float(at_horizon) == pytest.approx(2 * math.sqrt(math.pi) / 0.25, rel=1e-6)
 
 
-def test_reciprocal_but_for_the_cosine():
+def test_brdf_is_reciprocal_except_for_the_cosine():
     d, s, r, n, o, i = _random_surface(500, torch.float64)
     forward = shading.brdf_cos(d, s, r, n, o, i) / shading.dot(n, i)
     backward = shading.brdf_cos(d, s, r, n, i, o) / shading.dot(n, o)
@@ -290,7 +290,7 @@ def _draws(batch: int, seed: int = 0) -> conditions.SampleDraws:
     return conditions.SampleDraws.for_samples(seed, range(batch))
 
 
-def test_an_image_keeps_its_conditions_in_any_batch():
+def test_conditions_of_an_image_do_not_depend_on_the_batch():
     geometry = _geometry()
     whole = conditions.sample_area_condition(geometry, _draws(3))
     part = conditions.Geometry(*(t[1:2] for t in (geometry.position, geometry.normal, geometry.mask)))
@@ -309,7 +309,7 @@ def test_conditions_are_reproducible_and_distinct():
     assert not torch.allclose(first.light_position[0], first.light_position[1])
 
 
-def test_views_stay_on_the_disc_and_are_cosine_weighted():
+def test_views_are_on_the_disc_and_cosine_weighted():
     """E[cos] under a disc of r^2 <= 0.9 is (1 - 0.1^1.5)/0.9/1.5; a bias of 5 % is detected."""
     geometry = _geometry(batch=4000, size=2)
     view = conditions.sample_views(geometry, _draws(4000))
@@ -322,7 +322,7 @@ def test_views_stay_on_the_disc_and_are_cosine_weighted():
     assert abs(cosine.mean() * 1.05 - expected) > 4 * error
 
 
-def test_point_light_stands_in_the_mirror_direction_of_one_pixel():
+def test_point_light_is_in_the_mirror_direction_of_one_pixel():
     geometry = _geometry()
     condition = conditions.sample_point_condition(geometry, _draws(3))
     light_dir = shading.normalize(condition.light_position - geometry.position)
@@ -333,7 +333,7 @@ def test_point_light_stands_in_the_mirror_direction_of_one_pixel():
     assert aligned.float().mean() < 0.5  # and not everywhere: the lobe's shape shows
 
 
-def test_area_lights_have_unit_mean_energy_and_the_stated_range():
+def test_area_lights_have_unit_mean_energy_and_the_documented_range():
     condition = conditions.sample_area_condition(_geometry(), _draws(3))
     lights = condition.lights
     assert ((lights.sharpness >= 2.0) & (lights.sharpness <= 200.0)).all()

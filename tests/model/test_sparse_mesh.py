@@ -66,7 +66,7 @@ def distances(points: NDArray) -> NDArray:
     return np.asarray(np.minimum(to_walls, np.where(outside > 0, outside, inside)))
 
 
-def test_surface_of_a_room_with_a_block() -> None:
+def test_surface_of_a_room_with_a_block_is_closed() -> None:
     """Closed, facing the cameras, where walls and block are, in spite of false points in the air."""
     mesh = sparse_surface(room_sights(num_false=40))
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
@@ -97,7 +97,7 @@ def write_model(folder: Path) -> None:
     (folder / "points3D.bin").write_bytes(points)
 
 
-def test_sights_of_a_binary_model(tmp_path: Path) -> None:
+def test_sights_of_a_binary_model_are_read(tmp_path: Path) -> None:
     write_model(tmp_path / "model")
     sights = read_sights(tmp_path / "model", Budget(tmp_path), 2.0)
     np.testing.assert_array_equal(sights.points, [[0, 0, 5], [2, 0, 5]])

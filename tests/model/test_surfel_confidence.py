@@ -30,7 +30,7 @@ def random_surfels(seed: int) -> tuple[SurfelConfidence, np.ndarray, np.ndarray]
     return SurfelConfidence.of(surfels, confidence), surfel, confidence  # type: ignore[arg-type]
 
 
-def test_confidence_is_that_of_the_nearest_cell_of_the_side() -> None:
+def test_confidence_is_taken_from_the_nearest_cell_of_the_side() -> None:
     found, surfel, confidence = random_surfels(1)
     random = np.random.default_rng(2)
     points = random.uniform(-0.4, 1.1, (400, 3)) * SHAPE * CELL_M

@@ -14,7 +14,7 @@ from tests.model.lit_box import SIDES, box_geometry
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
-def test_outside_of_walls_cannot_be_seen_from_the_room() -> None:
+def test_faces_outside_of_the_room_are_not_reachable() -> None:
     """The box, and a roof above it."""
     box = box_geometry().mesh
     roof = np.array([[0, 0, 3], [4, 0, 3], [4, 3, 3], [0, 3, 3]], np.float32)

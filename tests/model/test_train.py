@@ -123,7 +123,7 @@ def test_the_rate_falls_along_half_a_cosine(dataset, tmp_path, monkeypatch):
     assert seen == [0.002] * 3
 
 
-def test_phases_train_their_own_part_only(dataset, tmp_path):
+def test_phases_train_only_their_part(dataset, tmp_path):
     config = _config("phases=[{name: diffuse, steps: 2}]")
     trainer = Trainer(config, [dataset], tmp_path / "run", device=CPU)
     before = {n: v.clone() for n, v in trainer.models.state_dict().items()}
@@ -197,7 +197,7 @@ def test_checkpoints_have_averaged_weights(dataset, tmp_path):
     assert logs[0] == logs[1]
 
 
-def test_a_killed_run_goes_back_to_its_last_state(dataset, whole, tmp_path):
+def test_a_killed_run_resumes_from_its_last_state(dataset, whole, tmp_path):
     """Killed without warning between two saved states: the steps in between are done again, with the same
     result."""
     parts = tmp_path / "parts"
@@ -217,7 +217,7 @@ def test_a_killed_run_goes_back_to_its_last_state(dataset, whole, tmp_path):
     assert read_log(whole, "train", "total") == read_log(parts, "train", "total")
 
 
-def test_validation_does_not_disturb_training(dataset, tmp_path):
+def test_validation_does_not_change_training(dataset, tmp_path):
     """Validating after every step changes neither dropout nor the loss curve, also across an interruption."""
     settings = ("phases=[{name: diffuse, steps: 4}]", "network.dropout=0.5")
     curves = []

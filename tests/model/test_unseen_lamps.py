@@ -34,24 +34,24 @@ def room() -> LightMaterials:
     return solved(without_lamp(), predicted(without_lamp()))
 
 
-def test_radiance_follows_from_the_surfaces_around() -> None:
+def test_radiance_follows_from_the_surrounding_surfaces() -> None:
     """Within 8 %, with a network that takes all surfaces for the same grey."""
     (found,) = room().lit.baker.field.emitters.radiance
     np.testing.assert_allclose(found, LAMP, rtol=0.08)
 
 
-def test_albedo_in_the_light_of_an_unseen_lamp() -> None:
+def test_albedo_in_the_light_of_an_unseen_lamp_is_found() -> None:
     """Within 8 %, where a photographed lamp gives 3.5 %."""
     assert wall_error(room()) < 0.08
 
 
-def test_network_takes_over_where_its_light_prevails() -> None:
+def test_network_replaces_materials_where_estimated_light_prevails() -> None:
     """It gives four tenths of the room's light: half of D, and all of S and R, are the network's."""
     assert 0 < room().solved.replaced.max() < 0.5
     assert room().solved.confidence[:, 1:].max() == 0
 
 
-def test_a_lamp_that_counts_as_dark_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lamp_treated_as_dark_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
     """The twin of the two tests above."""
 
     def dark(lit: Lit, *_: object) -> UnseenLamps:
@@ -100,13 +100,13 @@ def kinds_of(sides: list[float], shown: dict[int, float]) -> tuple[NDArray, NDAr
     return kind[first], found[first, 0]
 
 
-def test_all_sides_of_a_lamp_shine_alike() -> None:
+def test_all_sides_of_a_lamp_have_the_same_radiance() -> None:
     kind, radiance = kinds_of([1.0, 2.0], {0: 5.0, 1: 3.0})
     np.testing.assert_array_equal(kind, -1)
     np.testing.assert_allclose(radiance, [5, 3])
 
 
-def test_a_lamp_has_the_radiance_of_those_like_it() -> None:
+def test_a_lamp_has_the_radiance_of_similar_lamps() -> None:
     """Of the mean of both photographed ones; larger ones are of another kind, of unknown radiance."""
     kind, radiance = kinds_of([1.0, 2.0, 1.0, 1.0, 2.0, 3.0], {0: 4.0, 2: 6.0})
     np.testing.assert_allclose(radiance, [4, 0, 6, 5, 0, 0])

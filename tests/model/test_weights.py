@@ -28,7 +28,7 @@ class _Importer:
         return (importlib.import_module, ("antigravity",))
 
 
-def test_arrays_come_through():
+def test_arrays_are_restored():
     tree = {"a": {"kernel": np.arange(6, dtype=np.float32).reshape(2, 3)}, "b": np.ones(2, dtype=np.float64)}
     read = weights.load_array_pickle(pickle.dumps(tree, protocol=3), "here")
     np.testing.assert_array_equal(read["a"]["kernel"], tree["a"]["kernel"])
@@ -47,7 +47,7 @@ def test_arrays_come_through():
         [1, 2, 3],
     ],
 )
-def test_anything_else_is_refused(payload, tmp_path):
+def test_other_contents_are_refused(payload, tmp_path):
     data = pickle.dumps(payload)
     with pytest.raises(InputError, match="pickle"):
         weights.load_array_pickle(data, "here")
@@ -106,7 +106,7 @@ def test_other_values_and_other_shapes_are_refused(tmp_path):
         weights.load_vgg(path)
 
 
-def test_a_pickled_state_file_does_not_run(tmp_path):
+def test_a_pickled_state_file_is_not_executed(tmp_path):
     path = tmp_path / "vgg16.pth"
     torch.save({"features.0.weight": _Evil()}, path)
     with pytest.raises(InputError, match="unreadable"):
@@ -121,7 +121,7 @@ def test_missing_weights_name_the_remedy(tmp_path, monkeypatch):
         weights.find_vgg()
 
 
-def test_heads_fall_back_to_the_lpips_package_and_say_so(tmp_path, monkeypatch):
+def test_heads_fall_back_to_the_lpips_package_with_a_notice(tmp_path, monkeypatch):
     monkeypatch.setenv("SCENE_MATERIALS_WEIGHTS", str(tmp_path))
     monkeypatch.delenv("SCENE_DATA", raising=False)
     heads = weights.find_heads()
@@ -144,6 +144,6 @@ def test_bad_head_files_are_refused(tmp_path):
     assert not Path("/tmp/never").exists()
 
 
-def test_real_heads(shared_data):
+def test_real_heads_are_read(shared_data):
     heads = weights.load_elpips_heads(shared_data / "weights" / weights.HEADS_FILE)
     assert sum(len(v) for v in heads.vectors) == 4227

@@ -78,7 +78,7 @@ def test_reducing_maps_again_gives_the_same_panoramas(shared_data: Path, tmp_pat
 
 @needs_bpy
 @pytest.mark.bpy
-def test_every_source_is_bundled_and_the_other_way_round() -> None:
+def test_every_source_is_bundled_and_vice_versa() -> None:
     listed = [line.split() for line in run_sources("list").splitlines()]
     with Library([bundled_library()]) as library:
         bundled = {(package.asset.kind, package.id) for package in library}
@@ -119,7 +119,7 @@ def test_tiled_textures_have_no_seam() -> None:
     assert {name: value for name, value in seams.items() if value > 1.35} == {}
 
 
-def test_a_seam_would_be_found() -> None:
+def test_a_seam_is_detected() -> None:
     """Twin: with a twentieth of each texture cut off, the borders of many no longer meet."""
     textures = tiled_textures()
     large = [p for _, p in textures if min(p.shape[:2]) >= 32]

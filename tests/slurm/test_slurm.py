@@ -99,7 +99,7 @@ def test_array_runs_the_plan_and_the_dependent_job_collects(
     assert again.num_units == 0 and again.job_ids == ()
 
 
-def test_a_killed_node_costs_time_only(
+def test_a_killed_node_costs_only_time(
     cluster: Cluster,
     expected: dict[str, str],
     tmp_path: Path,
@@ -120,7 +120,7 @@ def test_a_killed_node_costs_time_only(
     assert len(list(folder.shards_path.iterdir())) == 4
 
 
-def test_cancel_and_resume(
+def test_a_cancelled_plan_resumes(
     cluster: Cluster,
     expected: dict[str, str],
     tmp_path: Path,
@@ -185,7 +185,7 @@ def test_a_full_disk_and_one_more_submission(
         assert _hashes(folder) == expected
 
 
-def test_a_controller_that_dies_loses_nothing_that_was_finished(
+def test_a_killed_controller_loses_no_finished_units(
     expected: dict[str, str],
     tmp_path: Path,
     library_root: Path,
@@ -217,7 +217,7 @@ def test_a_controller_that_dies_loses_nothing_that_was_finished(
     assert not cluster.leftovers()
 
 
-def test_a_unit_that_always_fails_is_set_aside(
+def test_a_unit_that_always_fails_is_recorded(
     cluster: Cluster, tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = plan_small(tmp_path / "failing", library_root, num_units=2)
@@ -232,7 +232,7 @@ def test_a_unit_that_always_fails_is_set_aside(
 
 
 @pytest.mark.slow
-def test_time_limit_with_notice_requeues_until_done(
+def test_jobs_signalled_before_their_time_limit_requeue_until_done(
     cluster: Cluster, tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A unit longer than its limit is told in time, keeps its views, is requeued, and comes to an end."""
@@ -244,7 +244,7 @@ def test_time_limit_with_notice_requeues_until_done(
     assert "interrupted; finished views are kept" in log
 
 
-def test_scripts_are_readable_shell(tmp_path: Path, library_root: Path) -> None:
+def test_scripts_are_valid_shell(tmp_path: Path, library_root: Path) -> None:
     folder = plan_small(tmp_path / "it's a set", library_root, num_units=2)
     script = array_script(folder.root, _options(gpus=1, throttle=5), 0, [0, 1])
     checked = subprocess.run(["bash", "-n"], input=script, text=True, capture_output=True)
