@@ -64,7 +64,7 @@ class EstimateGains:
 
 
 def background_groups(layout: Layout) -> NDArray[np.int64]:
-    """Group (B,), below :data:`NUM_OUTSIDE`, of each of the B bins of a background's ``layout``."""
+    """Index (B,), less than :data:`NUM_OUTSIDE`, of the gain group of each bin of ``layout``."""
     shape = layout.faces, layout.places, layout.places, layout.heights, layout.azimuths
     places, heights, azimuths = layout.gain_blocks
     blocks = layout.faces, places, places, heights, azimuths

@@ -257,7 +257,7 @@ class _Tiles:
         return self._sums(np.broadcast_to(image, self.shape)) / self.areas
 
     def spread_out(self, values: NDArray) -> NDArray:
-        """Image (H, W) with the value (R, C) of its tile in each pixel."""
+        """Expand ``values`` (R, C) of the tiles to an image (H, W): each pixel gets the value of its tile."""
         rows, columns = (np.arange(side) // TILE_PX for side in self.shape)
         return values[rows[:, None], columns[None, :]]
 

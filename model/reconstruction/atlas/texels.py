@@ -136,7 +136,9 @@ def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
 
 @compiled
 def _texel_range(a: Any, b: Any, c: Any, offset: Any, first: Any, last: Any) -> Any:
-    """First and last texel of [first, last] whose samples are between the extremes of three coordinates."""
+    """First and last of the texels in [first, last] whose sample points, at texel + ``offset``, lie between
+    the smallest and largest of three coordinates; last < first if there are none.
+    """
     low, high = np.ceil(min(a, b, c) - offset), np.floor(max(a, b, c) - offset)
     return int(max(low, np.float64(first))), int(min(high, np.float64(last)))
 

@@ -87,7 +87,7 @@ class Prior:
 
 
 class SourceField:
-    """Makes radiance fields of a room in which the radiance of sources is replaced."""
+    """A captured room whose clipped sources get other radiances, and the light that results."""
 
     def __init__(self, scene: mi.Scene, surfels: Surfels, emitters: Emitters, background: Background):
         self._scene, self.surfels = scene, surfels
