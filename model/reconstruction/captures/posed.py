@@ -97,8 +97,8 @@ class ImageFinder:
         return image
 
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
-        """Problems of the images ``names`` that :meth:`find` does not find: one per unsupported format, and one
-        with ``remedy`` per missing image.
+        """Problems of ``names``, which :meth:`find` did not find: one per unsupported format, and one with
+        ``remedy`` per missing image.
         """
         others = self.unread(names)
         expected = f"one image of this name in {self.folder}"

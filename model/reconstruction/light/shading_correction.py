@@ -113,10 +113,10 @@ def _log(albedo: NDArray) -> NDArray[np.float64]:
 def _minimised(
     matrix: sparse.csr_matrix, right: NDArray, blocks: sparse.csr_matrix, start: NDArray
 ) -> NDArray:
-    """Solve ``matrix`` (N, N) x = ``right`` (N, 3) by preconditioned conjugate gradients from ``start`` (N, 3).
+    """Solve ``matrix`` (N, N) x = ``right`` (N, 3) by preconditioned conjugate gradients from ``start``.
 
     The preconditioner is Jacobi plus a coarse solve with one unknown per block, so smooth long-range
-    corrections converge fast; ``blocks`` (N, K) is the membership. Raises ArithmeticError without convergence.
+    corrections converge fast; ``blocks`` (N, K) is the membership. Raises ArithmeticError if it diverges.
     """
     coarse = splu((blocks.T @ matrix @ blocks).tocsc())
     diagonal = matrix.diagonal()
