@@ -141,7 +141,7 @@ def _nothing(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
 
 
 def invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Channels of the ``null`` BSDF, which rays pass through."""
+    """D, S, R, normal and opacity of the ``null`` BSDF, which rays pass through: all 0 but the normal."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(0.0)
 
 

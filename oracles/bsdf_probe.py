@@ -91,5 +91,5 @@ def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **option
 
 
 def unit_float32(w: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) rounded to float32, as the BSDF receives them, as float64; not normalised again."""
+    """Round directions (n, 3) to float32, the precision of the BSDF; returns float64, not normalised."""
     return np.asarray(w, np.float32).astype(np.float64)

@@ -81,7 +81,7 @@ def sample_material(package: Package, material: Material, means: MeanMaterials) 
 
 
 def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
-    """Measure every material with neither emission nor opacity in a library, grouped by main class."""
+    """Measure the materials of a library that set neither emission nor opacity, grouped by main class."""
     means = MeanMaterials()
     found: dict[str, list[MaterialSample]] = defaultdict(list)
     for package in library:

@@ -136,7 +136,9 @@ def option_name(field: str) -> str:
 
 
 def _wrong_setup(setup: str) -> list[Problem]:
-    """The fault of setup code, if any: bash would join an incomplete command with the lines after it."""
+    """The problem of ``setup``, if any: control characters, invalid bash, or an incomplete command, which
+    bash would continue on the following lines.
+    """
     if not setup.strip():
         return []
     remedy = "write complete bash commands, such as: source .venv/bin/activate"

@@ -87,7 +87,9 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 
 def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
-    """Larger cells with the estimated ``radiance`` (N, 3) of points (N, 3); None if none contains a point."""
+    """Larger cells that extend beyond ``grid``, with the estimated ``radiance`` (N, 3) of their first point;
+    None if they contain no point.
+    """
     outer = _outer_grid(grid)
     keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
     keys, first = keys[keys >= 0], first[keys >= 0]

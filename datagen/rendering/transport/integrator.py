@@ -178,9 +178,10 @@ class PathTracer:
         with_visible_emission: bool,
         limit: float,
     ) -> list[NDArray[np.float64]]:
-        """Sums over ``count`` samples of each entry: red, green, blue and removed luminance, (N,) each.
+        """Sums over ``count`` samples of N entries: red, green, blue and removed luminance, (N,) each.
 
-        ``entries``: flat cell indices (N,), and the index (N,) of the first sample of each.
+        ``entries``: index (N,) of the cell of an image of ``size``, row by row, and position (N,) in the
+        cell's sequence of samples at which the entry starts.
         """
         cells, firsts = entries
         num_lanes = cells.size * count

@@ -119,7 +119,9 @@ def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Loo
 
 
 def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]) -> float:
-    """Median over views of score without a shift times coverage, if ``linear`` (3, 3) transforms the mesh."""
+    """Fit of the mesh transformed by ``linear`` (3, 3): the median over views of ``EdgeMatch.at_zero`` times
+    the share of pixels that show the mesh.
+    """
     matrix = np.eye(4)
     matrix[:3, :3] = linear
     mesh = replace(capture.geometry.mesh.transformed(matrix), normals=None)
