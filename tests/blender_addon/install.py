@@ -23,7 +23,7 @@ ROUND_TRIP = (
 
 
 def build(folder: Path) -> tuple[Path, str]:
-    """The extension's zip, built and validated by Blender's own tool, and what the tool said."""
+    """Build and validate the extension's zip with Blender's tool; returns its path and the tool's output."""
     import bpy
 
     tool = Path(bpy.utils.resource_path("LOCAL")) / "scripts/addons_core/bl_pkg/cli/blender_ext.py"
@@ -39,7 +39,7 @@ def build(folder: Path) -> tuple[Path, str]:
 
 
 def main(folder: Path, packages: Path) -> None:
-    import bpy  # isort: skip  (it brings addon_utils)
+    import bpy  # isort: skip  (it provides addon_utils)
 
     import addon_utils
 

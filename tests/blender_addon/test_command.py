@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The export as a command: its version, and in a log a line every half a minute, on a terminal a bar."""
+"""The export command: version, and progress as a bar on a terminal, else a log line per half minute."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A .blend file from a stranger: what it would run is not run, and the exporter leaves when it is done."""
+"""Untrusted .blend files: none of their code is run, and the exporter exits when it is done."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _export(blend: Path, out: Path, *words: str, allowed: bool = False) -> tuple[int, str, float]:
-    """Exit code, what was said, and the seconds between the last word of ours and the end."""
+    """Exit code, output, and the seconds from the last line of the exporter to the exit."""
     start = ["-c", _WITH_SCRIPTS_ALLOWED] if allowed else ["-m", "blender_addon"]
     log = out.with_suffix(".log")
     with log.open("wb") as sink:

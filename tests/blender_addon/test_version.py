@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Blender that is too old refuses by name, before it reads or writes anything."""
+"""An old Blender is refused by name before anything is read or written."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things stand: at rest, stable, clear of each other, inside their limits; checked by other, slow means."""
+"""Placed objects are at rest, stable, disjoint and within limits, by independent slow checks."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_the_slow_check_detects_an_intersection(scenes: list[list[PlacedThing]],
     for one in scenes[0]:
         assert triangles_cross(
             world_triangles(one, -0.002), ground
-        )  # 2 mm into the table: also "does not hover"
+        )  # 2 mm into the table: so it does not hover either
     one = scenes[0][0]
     assert triangles_cross(world_triangles(one), world_triangles(one) + [0.01, 0.013, 0.005])  # noqa: RUF005
 
@@ -292,7 +292,7 @@ def test_an_object_inside_a_closed_box_is_detected(library: Library, tmp_path: P
     can, chair = things_of(library, "can", "chair")
     assert is_enclosed(at(can, 2.0, 0.1), at(crate, 2.0, 0.0))
     assert not is_enclosed(at(can, 3.0, 0.1), at(crate, 2.0, 0.0))
-    assert not is_enclosed(at(can, 2.0, 0.0), at(chair, 2.0, 0.0))  # under the seat is not inside
+    assert not is_enclosed(at(can, 2.0, 0.0), at(chair, 2.0, 0.0))  # under the seat does not count as inside
 
 
 def test_too_many_objects_are_reported_with_counts(library: Library, room: Room) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things that are never placed are reported with the reason; libraries have weights."""
+"""Unplaceable assets are reported with the reason; libraries have weights."""
 
 from __future__ import annotations
 

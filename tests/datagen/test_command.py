@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen`` as a person uses it: from a recipe to verified shards, and what it prints."""
+"""The command ``datagen`` from a recipe to verified shards, and its output."""
 
 from __future__ import annotations
 

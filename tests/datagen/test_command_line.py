@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options as dataclasses, the verbs and those of before, completion, and what a run of a folder takes."""
+"""Options as dataclasses, current and former verbs, completion, and runs of planned folders."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Shared:
 
 @dataclass(frozen=True)
 class Given(Shared):
-    """Further ones."""
+    """Options of one verb."""
 
     names: Annotated[tuple[str, ...], typer.Option("--name", help="Repeatable.")] = ()
     way: Annotated[Literal["orbit", "cameras"], typer.Option(help="Choice.")] = "orbit"

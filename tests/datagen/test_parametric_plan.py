@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Generated rooms in datasets: planned, kept in the folder, rendered; old recipes mean what they meant."""
+"""Generated rooms in datasets: planned, stored in the folder, rendered; old recipes keep their meaning."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_a_folder_of_an_older_plan_revision_is_refused(
 
 
 def test_plain_slots_get_materials(planned: DatasetFolder, library: Library) -> None:
-    """Every slot of a plain colour for which the library has something is assigned one of its materials."""
+    """Every slot of constant colour for which the library has materials is assigned one."""
     recipe = _recipe()
     for unit in planned.read_plan().units:
         configuration = planned.read_configuration(unit)
@@ -141,7 +141,7 @@ def test_plain_slots_get_materials(planned: DatasetFolder, library: Library) -> 
 
 
 def test_a_moved_dataset_renders(planned: DatasetFolder, tmp_path: Path) -> None:
-    """The folder brings its rooms along, wherever it goes."""
+    """The folder contains its rooms, so it can be moved."""
     root = tmp_path / "elsewhere"
     shutil.copytree(planned.root, root)
     summary = run_local(root, LocalOptions(workers=1))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Real input end to end: an imported scene, scanned furniture and photographed materials, recombined by the
-recipe ``real`` at a small size."""
+"""Real input end to end: an imported scene, scanned furniture and photographed materials, recombined with the
+recipe ``real`` at small size."""
 
 from __future__ import annotations
 

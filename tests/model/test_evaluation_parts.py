@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Suites, worse meshes, figures of merit, lights and tables of the evaluation, each by itself."""
+"""Suites, degraded meshes, figures of merit, lights and tables of the evaluation."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_noise_has_its_size_and_keeps_lamps(geometry: CaptureGeometry) -> None:
     room = worse.mesh.faces[: worse.parts[0].num_faces]
     points = worse.mesh.positions[np.unique(room)].astype(np.float64)
     low, high = np.zeros(3), np.array([4, 3, 2.5])
-    # noise across the nearest wall is what moves a point off the box
+    # only noise normal to the nearest wall moves a point off the box
     off = np.minimum(np.abs(points - low), np.abs(points - high)).min(axis=1)
     assert len(points) > 1000
     assert np.sqrt((off**2).mean()) == pytest.approx(0.01, rel=0.1)
@@ -134,7 +134,7 @@ def test_decimation_and_holes_remove_their_shares(geometry: CaptureGeometry) -> 
 
 
 def _slow_ssim(a: NDArray, b: NDArray) -> float:
-    """Wang et al. 2004, pixel by pixel, where the window fits."""
+    """SSIM of Wang et al. 2004, pixel by pixel, where the window fits."""
     x = np.arange(-5, 6)
     window = np.exp(-(x[:, None] ** 2 + x[None] ** 2) / (2 * 1.5**2))
     window /= window.sum()

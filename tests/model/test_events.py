@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The hook for training and inference: what listeners hear, and that a broken one ends nothing."""
+"""The event hook of training and inference: events of listeners, and failing listeners."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`materials photos`: a folder of photographs to an asset, with a stand-in for COLMAP's program."""
+"""`materials photos`: from a folder of photographs to an asset, with a substitute for COLMAP."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def points_of(capture: Capture) -> bytes:
 
 
 def photographed(folder: Path) -> tuple[Path, Path, Path]:
-    """Photographs of the lit box, a program that knows its cameras and points, and what the program keeps."""
+    """Photographs of the lit box, a stub program that outputs their cameras and points, and its folder."""
     images, truth = folder / "kitchen", folder / "truth"
     images.mkdir()
     (truth / "model").mkdir(parents=True)
@@ -94,8 +94,8 @@ def photographed(folder: Path) -> tuple[Path, Path, Path]:
 
 
 def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
-    """A step that fails is named, with what the program said; the same command goes on from there, and once
-    all is done it does nothing more."""
+    """A failed step is named with the program's output; the same command continues there, and repeats no
+    finished step."""
     images, program, truth = photographed(tmp_path)
     out = tmp_path / "asset"
     checkpoint = tmp_path / "random-3.safetensors"
@@ -151,8 +151,7 @@ def test_without_the_program_the_commands_are_printed(tmp_path: Path) -> None:
 
 
 def test_given_cameras_need_no_program(tmp_path: Path) -> None:
-    """After the printed commands ran elsewhere, the model is used as it is; points without a surface are an
-    error that says so."""
+    """A model from the printed commands is used unchanged; points without a surface are an error."""
     images, _, truth = photographed(tmp_path)
     told: list[str] = []
     run = ColmapRun("no-such-colmap", images, tmp_path / "work", told.append)
