@@ -89,7 +89,7 @@ class Outcome:
 
 
 def mutate(document: Any, rng: random.Random) -> Any:
-    """A JSON document with one to four places replaced, removed, added or repeated."""
+    """A JSON document with one to four values replaced, removed, added or repeated."""
     document = copy.deepcopy(document)
     if rng.random() < PRISTINE:
         return document

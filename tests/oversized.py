@@ -127,7 +127,7 @@ def gltf(folder: Path, changes: dict | None = None) -> Path:
 
 
 def _gltf_nodes(folder: Path) -> Path:
-    """60,000 nodes that place one mesh."""
+    """60,000 nodes that each instance one mesh."""
     return gltf(folder, {"nodes": [{"mesh": 0}] * 60_000, "scenes": [{"nodes": list(range(60_000))}]})
 
 

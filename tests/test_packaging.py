@@ -154,8 +154,8 @@ def test_the_doctor_names_a_command_per_fault(tmp_path: Path, monkeypatch: pytes
     from datagen.inspection import doctor
 
     monkeypatch.setenv("PATH", str(tmp_path))
-    for title, told in doctor.PROGRAMS.items():
-        finding = doctor.program_finding(title, *told)
+    for title, program in doctor.PROGRAMS.items():
+        finding = doctor.program_finding(title, *program)
         assert not finding.is_fine and not finding.is_required
         assert re.search(r"apt-get install|https://", finding.remedy), finding
     for system, command in (("darwin", "brew install colmap"), ("win32", "COLMAP's own page")):

@@ -39,9 +39,9 @@ def _run(*arguments: object) -> str:
 
 def render(assets: Path, out: Path, width: int, samples: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Two linear images (2, H, W, 3) each from Cycles and Mitsuba, and the remarks of the export."""
-    said = _run("tests.blender_addon.living_room", assets, out, "--width", width, "--samples", samples // 2)
+    text = _run("tests.blender_addon.living_room", assets, out, "--width", width, "--samples", samples // 2)
     _run("tests.blender_addon.render_twice", out / "packages" / "living_room", out, samples // 2)
-    return np.load(out / "cycles.npy"), np.load(out / "mitsuba.npy"), json.loads(said.splitlines()[-1])
+    return np.load(out / "cycles.npy"), np.load(out / "mitsuba.npy"), json.loads(text.splitlines()[-1])
 
 
 def encoded(linear: np.ndarray) -> np.ndarray:
@@ -98,10 +98,10 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=320)
     parser.add_argument("--samples", type=int, default=128)
     arguments = parser.parse_args()
-    cycles, mitsuba, said = render(
+    cycles, mitsuba, text = render(
         arguments.assets.resolve(), arguments.out.resolve(), arguments.width, arguments.samples
     )
-    print("\n".join(said))
+    print("\n".join(text))
     print(json.dumps(figures(cycles, mitsuba), indent=2))
     picture(cycles, mitsuba).save(arguments.out / "comparison.jpg", quality=88)
 

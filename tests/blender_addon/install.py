@@ -27,15 +27,15 @@ def build(folder: Path) -> tuple[Path, str]:
     import bpy
 
     tool = Path(bpy.utils.resource_path("LOCAL")) / "scripts/addons_core/bl_pkg/cli/blender_ext.py"
-    said = ""
+    output = ""
     source = ["--source-dir", str(REPOSITORY / "blender_addon"), "--output-dir", str(folder)]
     for command in (["build", *source], ["validate", str(folder / "scene_materials-0.1.0.zip")]):
         done = subprocess.run(
             [sys.executable, str(tool), *command], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
-        said += done.stdout
-    return folder / "scene_materials-0.1.0.zip", said
+        output += done.stdout
+    return folder / "scene_materials-0.1.0.zip", output
 
 
 def main(folder: Path, packages: Path) -> None:
@@ -43,8 +43,8 @@ def main(folder: Path, packages: Path) -> None:
 
     import addon_utils
 
-    archive, said = build(folder)
-    outcome: dict[str, Any] = {"tool": said}
+    archive, output = build(folder)
+    outcome: dict[str, Any] = {"tool": output}
     sys.path = [p for p in sys.path if Path(p or ".").resolve() != REPOSITORY]  # the installed copy, not ours
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.extensions.package_install_files(

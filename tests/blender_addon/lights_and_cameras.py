@@ -229,7 +229,7 @@ def _cycles(bpy: Any, scene: Any, path: Path) -> None:
 
 
 def _projected(bpy: Any, scene: Any) -> list[dict[str, Any]]:
-    """Blender's own projection of world points: pixel coordinates, v downwards."""
+    """World points projected by Blender: pixel coordinates, v downwards."""
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
 

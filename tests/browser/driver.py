@@ -164,8 +164,8 @@ class Page:
         self.driver.save_screenshot(str(path))
 
     def _renderers(self, what: Callable[[psutil.Process], float]) -> float:
-        """Sum of a figure over the page's renderer processes, including the one or two spare ones of the
-        browser."""
+        """Sum of a figure over the page's renderer processes, including the browser's one or two spare
+        ones."""
         total, num = 0.0, 0
         for process in psutil.Process(self.driver.service.process.pid).children(recursive=True):
             try:

@@ -319,7 +319,7 @@ def test_camera_turns_and_moves(page: Page) -> None:
     from selenium.webdriver.common.by import By
 
     state = page.run("return VIEW.state()")
-    np.testing.assert_allclose(state["camera"], (0, -2, 0.3), atol=1e-6)  # the asset's own camera
+    np.testing.assert_allclose(state["camera"], (0, -2, 0.3), atol=1e-6)  # the asset's camera
     assert state["fov"] == pytest.approx(np.degrees(2 * np.arctan(24 / 50)))
     assert page.run("return document.getElementById('mode').value") == "fly"
     page.keys("w", to="#picture")
@@ -346,7 +346,7 @@ def test_camera_turns_and_moves(page: Page) -> None:
 
 
 def test_page_starts_with_the_whole_room(browser: Page, quad: Quad, tmp_path: Path) -> None:
-    """Opens at the outermost camera, looking at the centre of all; then outside, and the cameras in turn."""
+    """Opens at the outermost camera, looking at the mean position; then an outside view, and each camera."""
     places = [(-0.9, -0.9, 1.0), (0.5, 0.2, 1.0), (0.6, 0.4, 1.2), (0.4, 0.5, 1.0)]
     with open_package(quad.asset / "asset") as package:
         asset = package.asset
@@ -438,7 +438,7 @@ def test_atlas_of_4096_texels_opens_quickly(tmp_path: Path) -> None:
     assert first < MAX_OPEN_S
 
 
-# ---------------------------------------------------------------------- shadows and the asset's own lights
+# ---------------------------------------------------------------------- shadows and the asset's lights
 
 SHELF = 0.25 * CORNERS + [0, 0, 0.4]
 

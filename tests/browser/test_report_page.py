@@ -215,8 +215,8 @@ def test_value_under_the_cursor_equals_the_file(page: Page, views: dict[str, Vie
         page.until(lambda x=x, y=y: cursor(page) == (x, y), f"{x}, {y}")
         for name in SHOWN_BUFFERS:
             stored = views[key].buffers[name][y, x]
-            told = np.array(page.values(name)).astype(stored.dtype)
-            assert told.tobytes() == stored.tobytes(), (name, x, y)
+            displayed = np.array(page.values(name)).astype(stored.dtype)
+            assert displayed.tobytes() == stored.tobytes(), (name, x, y)
             seen.add(name)
     assert len(seen) == len(SHOWN_BUFFERS)
     record = views[key].record
@@ -280,7 +280,7 @@ def _origin(element):
 def test_exposure_changes_the_picture_and_no_value(page: Page, views: dict[str, View]) -> None:
     key = "small-00001/view-000"
     page.go(f"#view/{key}@10,10")
-    told = page.values("beauty")
+    displayed = page.values("beauty")
     page.run(
         "const e = document.getElementById('exposure'); e.value = -2; e.dispatchEvent(new Event('input'))"
     )
@@ -290,7 +290,7 @@ def test_exposure_changes_the_picture_and_no_value(page: Page, views: dict[str, 
     assert expected.max() < screen_bytes(view.buffers["beauty"][30, 31], view.record.exposure).max() - 5
     albedo = screen_bytes(view.buffers["diffuse_albedo"][30, 31])
     np.testing.assert_allclose(shown_color(page, "diffuse_albedo", 31, 30), albedo, atol=1)
-    assert page.values("beauty") == told
+    assert page.values("beauty") == displayed
     page.keys("]")
     assert "-1.5 stops" in page.run("return document.getElementById('exposure-text').textContent")
 
@@ -375,14 +375,14 @@ def test_prediction_is_chosen_and_its_error_is_read(
         page.hover(f"error:{slug}:roughness", x, y)
         page.until(lambda x=x, y=y: cursor(page) == (x, y), f"{x}, {y}")
         for name in MATERIAL_MAPS:
-            told = np.array(page.values(f"predicted:{slug}:{name}")).astype(np.float16)
-            assert told.tobytes() == predicted[name][y, x].tobytes()
+            displayed = np.array(page.values(f"predicted:{slug}:{name}")).astype(np.float16)
+            assert displayed.tobytes() == predicted[name][y, x].tobytes()
             error = np.abs(predicted[name][y, x].astype(float) - truth[name][y, x].astype(float))
             np.testing.assert_allclose(page.values(f"error:{slug}:{name}"), error, rtol=1e-5, atol=1e-12)
     mask = (truth["depth_z_m"][..., 0] > 0) & (truth["surface_mask"][..., 0] >= 0.5)
     squares = (predicted["roughness"].astype(float) - truth["roughness"].astype(float))[mask] ** 2
-    told = page.run("return document.querySelector(`tr[data-mse='roughness'] td`).textContent")
-    assert float(told) == pytest.approx(squares.mean(), rel=6e-3)  # three digits
+    displayed = page.run("return document.querySelector(`tr[data-mse='roughness'] td`).textContent")
+    assert float(displayed) == pytest.approx(squares.mean(), rel=6e-3)  # three digits
     page.keys("+", "+")  # larger pixels: no filter between them
     errors = np.abs(predicted["diffuse_albedo"].astype(float) - truth["diffuse_albedo"].astype(float)).mean(
         axis=-1

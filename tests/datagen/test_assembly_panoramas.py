@@ -142,16 +142,16 @@ def test_user_rooms_without_a_sky_are_reported(tmp_path: Path, library: Library)
     write_room(root, "with-sky", lights=(EnvironmentLight(name="sky"),))
     own = Library([root, *library.paths])
 
-    def told(**lights: Any) -> dict[str, str]:
+    def reported(**lights: Any) -> dict[str, str]:
         fields = {"environments": {"include": ["closed", "open", "with-sky"]}, "lights": lights}
         wanted = recipe({"day": 1}).model_dump(mode="json") | fields
         return {line.split()[0]: line for line in rooms_without_sky(Recipe.model_validate(wanted), own)}
 
-    by_chance = told(daylight_probability=0.7)
+    by_chance = reported(daylight_probability=0.7)
     assert set(by_chance) == {"closed", "open"}
     assert "70% of its configurations" in by_chance["open"] and "mark its windows" in by_chance["closed"]
-    assert "panorama" in told(panoramas={"day": 1})["open"]
-    assert told(daylight_probability=0) == {}
+    assert "panorama" in reported(panoramas={"day": 1})["open"]
+    assert reported(daylight_probability=0) == {}
     bundled = Recipe.model_validate({"name": "b", "configurations": 1, "views": 1})
     with Library([bundled_library()]) as library:
         assert rooms_without_sky(bundled, library) == []

@@ -171,7 +171,7 @@ def test_category_weights_determine_the_shares(library: Library, room: Room) -> 
 def placed_on(
     tmp_path: Path, shapes: dict[str, trimesh.Trimesh], room: Room, **fields: object
 ) -> Counter[str]:
-    """Counts of rejections when a single thing of these shapes had to be placed."""
+    """Counts of rejections when placing a single object of these shapes."""
     write_object(tmp_path, "thing", "thing", shapes, **fields)
     thing = things_of(Library([tmp_path]))[0]
     rejections: Counter[str] = Counter()

@@ -82,7 +82,7 @@ def test_partition_uses_all_assets_and_favours_training(library: Library) -> Non
     assert len(pools["train"].environments) == 2
     woods = [p.id for p in pools["train"].materials if "wood" in p.asset.material.classes]  # type: ignore[union-attr]
     assert len(woods) == 5  # one of 6 is reserved for the test split
-    assert "steel" in [p.id for p in pools["train"].materials]  # a class of one goes to training
+    assert "steel" in [p.id for p in pools["train"].materials]  # a class of one asset is used for training
 
 
 def test_assets_that_share_a_file_share_a_split(tmp_path: Path, library: Library) -> None:

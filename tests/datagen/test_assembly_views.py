@@ -81,7 +81,7 @@ def test_cameras_follow_the_recipe(rooms: list[tuple[Configuration, WorldScene]]
                 camera.world_from_camera[:3, :3].T @ camera.world_from_camera[:3, :3], np.eye(3), atol=1e-8
             )
             assert abs(camera.world_from_camera[2, 0]) < math.sin(math.radians(3.5))  # held level
-            assert camera.world_from_camera[2, 1] < 0  # and the right way up
+            assert camera.world_from_camera[2, 1] < 0  # and upright
 
 
 def seen(camera: Camera, rays: RayScene) -> tuple[NDArray, NDArray]:

@@ -174,9 +174,9 @@ def test_a_full_disk_stops_the_run_at_the_first_error(tmp_path: Path, library_ro
         command = [sys.executable, "-m", "datagen", "run", str(folder.root), "--only", "render"]
         command.append("--no-space-check")
         result = subprocess.run(command, capture_output=True, text=True)
-        said = " ".join(result.stderr.split())
-        assert result.returncode == 1 and "Traceback" not in said, said
-        assert said.count("no space left on device") == 1 and "free space" in said and ".partial" not in said
+        text = " ".join(result.stderr.split())
+        assert result.returncode == 1 and "Traceback" not in text, text
+        assert text.count("no space left on device") == 1 and "free space" in text and ".partial" not in text
         assert len(_logs(folder)) == 1 and not folder.failed_path.exists()
         assert list(folder.root.glob("work/*/rendered/*.json")), "what had room was kept"
         disk.make_room()

@@ -162,8 +162,8 @@ def test_all_options_without_pbs_equivalents_are_refused_at_once(desk: Desk) -> 
     options = SlurmOptions(qos="high", sbatch_options=("exclusive",), time_limit="1", notice_s=90)
     with pytest.raises(InputError) as caught:
         submit(desk.folder.root, options, "pbs")
-    told = [f"{p.field}: {p.expected}" for p in caught.value.problems]
-    assert told == [
+    problems = [f"{p.field}: {p.expected}" for p in caught.value.problems]
+    assert problems == [
         "--qos: nothing: PBS does not support it",
         "--sbatch-option: nothing: PBS does not support it",
         "--notice: less than --time 1",

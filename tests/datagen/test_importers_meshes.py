@@ -127,8 +127,8 @@ def test_units_are_guessed_and_reported(tmp_path: Path, suffix: str, scale: floa
     box(scale).export(tmp_path / f"sofa{suffix}")
     (record,) = import_asset(tmp_path / f"sofa{suffix}", tmp_path / "library", OPTIONS)
     np.testing.assert_allclose(size_of(record), SIZE, rtol=1e-5)
-    told = [note for note in record.notes if "taken as" in note]
-    assert [unit in note for note in told] == ([True] if unit else [])
+    sentences = [note for note in record.notes if "taken as" in note]
+    assert [unit in note for note in sentences] == ([True] if unit else [])
 
 
 def test_a_given_unit_is_used(tmp_path: Path) -> None:
@@ -292,9 +292,9 @@ def test_similar_sentences_are_merged() -> None:
 
 def test_a_report_is_short_and_names_the_full_one(tmp_path: Path) -> None:
     kinds = ["alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta"]
-    told = tuple(f"part: {kind} left out" for kind in kinds)
+    sentences = tuple(f"part: {kind} left out" for kind in kinds)
     record = ImportedAsset(
-        "sofa", "object", tmp_path / "sofa", "0", "CC0-1.0", told, (), "1.60 × 0.50 × 0.80 m"
+        "sofa", "object", tmp_path / "sofa", "0", "CC0-1.0", sentences, (), "1.60 × 0.50 × 0.80 m"
     )
     lines = summary_lines(record)
     assert lines[0].startswith("object sofa (CC0-1.0): 1.60 × 0.50 × 0.80 m; ")

@@ -388,7 +388,7 @@ def test_faults_are_named_and_the_other_pieces_imported(tmp_path: Path) -> None:
         import_sweet_home(path, tmp_path / "library", on_step=lambda step, total: steps.append(step))
     assert len(steps) == 13
     assert [s.name for s in steps if s.outcome == "imported"] == [f"Test#box{k}" for k in range(4)]
-    told = "\n".join(str(p) for p in refused.value.problems)
+    messages = "\n".join(str(p) for p in refused.value.problems)
     for sentence in (
         "absent.obj: no such file in the catalogue",
         "broken.obj: a face refers to entry 9 of 2",
@@ -402,7 +402,7 @@ def test_faults_are_named_and_the_other_pieces_imported(tmp_path: Path) -> None:
         "Test#untextured: material 'oak' = 'Planks.PNG' (no such file)",
         "Test#colourless: materials = material 'unheard_of'",
     ):
-        assert sentence in told
+        assert sentence in messages
     assert check_library([tmp_path / "library"]).errors == ()
 
 

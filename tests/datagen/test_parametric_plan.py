@@ -132,12 +132,12 @@ def test_plain_slots_get_materials(planned: DatasetFolder, library: Library) -> 
         configuration = planned.read_configuration(unit)
         room = room_of(recipe, configuration, NUM_TRIES)
         assert room is not None and isinstance(room.package.asset, EnvironmentAsset)
-        dressed = configuration.environment.materials
+        materials = configuration.environment.materials
         assert {slot for _, slot in room.bare_slots} >= {"floor", "ceiling"}
-        assigned = [dressed[slot].asset for _, slot in room.bare_slots if slot in dressed]
+        assigned = [materials[slot].asset for _, slot in room.bare_slots if slot in materials]
         assert assigned and all(asset is not None for asset in assigned)
         fixed = {slot for slot, m in room.package.asset.materials.items() if not m.replaceable_by}
-        assert all(dressed[slot].asset is None for slot in fixed & dressed.keys())
+        assert all(materials[slot].asset is None for slot in fixed & materials.keys())
 
 
 def test_a_moved_dataset_renders(planned: DatasetFolder, tmp_path: Path) -> None:

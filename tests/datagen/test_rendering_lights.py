@@ -129,7 +129,7 @@ def test_soft_sun_has_half_its_irradiance_where_an_edge_hides_its_centre(tmp_pat
     profile = view.buffers["beauty"][..., 0].astype(np.float64).mean(axis=0) * math.pi / ALBEDO
     x = camera.unproject(camera.pixel_centers(), np.full((4, 64), 0.4))[0, :, 0]
     edge = np.clip(x / half_width, -1, 1)
-    seen = 0.5 + (edge * np.sqrt(1 - edge**2) + np.arcsin(edge)) / math.pi  # share of a disc beside a chord
+    seen = 0.5 + (edge * np.sqrt(1 - edge**2) + np.arcsin(edge)) / math.pi  # disc share cut by a chord
     assert np.abs(profile - seen).max() < 0.03
 
 
@@ -212,7 +212,7 @@ def test_environment_image_follows_its_convention(tmp_path: Path) -> None:
     beauty = view.buffers["beauty"]
     assert beauty[..., 0] == pytest.approx(2 * expected_u, abs=2e-3)
     assert beauty[..., 1] == pytest.approx(2 * expected_v, abs=2e-3)
-    # A quarter turn about Z brings the centre to -X.
+    # A quarter rotation about Z moves the centre to -X.
     turned = light.model_copy(
         update={"world_from_environment": ((0, -1, 0, 0), (1, 0, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1.0))}
     )

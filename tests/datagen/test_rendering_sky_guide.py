@@ -32,7 +32,7 @@ LAMP = AreaLight(
 
 
 def walled_room(*, window: bool = True, curtain: bool = False) -> SmallScene:
-    """4 x 4 x 2 m, closed but for a window of 0.6 x 0.8 m in the wall at y = 2."""
+    """A room of 4 x 4 x 2 m, closed except for a window of 0.6 x 0.8 m in the wall at y = 2."""
     parts: dict[str, Any] = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
         "ceiling": (quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]), "grey"),

@@ -121,7 +121,7 @@ def test_points_are_means_over_configurations() -> None:
     assert (found[0].rel_mse, found[0].worst_rel_mse) == (pytest.approx(0.2), 0.3)
 
 
-# ---- what is planned
+# ---- planned trials
 
 
 def test_every_setting_is_planned_once() -> None:

@@ -187,7 +187,7 @@ def test_a_network_gets_the_inputs_of_its_training(lit_shard: Path, tmp_path: Pa
     save_checkpoint(tmp_path / "echo.safetensors", card, make_network(config))
     (tmp_path / "views").mkdir()
     traced = trace_capture(read_capture(lit_shard))
-    run = Run(tmp_path, InferOptions(precision="float32"), InferReport(), lambda *told: None)
+    run = Run(tmp_path, InferOptions(precision="float32"), InferReport(), lambda *progress: None)
     maps = predicted_maps(traced, tmp_path / "echo.safetensors", run)
     for view, found in zip(ShardReader(lit_shard), maps, strict=True):
         stored = np.minimum(view.buffers["reflectance"].astype(np.float32) / MAX_REFLECTANCE, 1)

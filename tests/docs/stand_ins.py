@@ -55,8 +55,8 @@ def _rooms(out: Path, has_light: bool = False) -> None:
     _library(desk / LIBRARY)
     recipe = desk / "scenes" / "recipes" / "paper.yaml"
     if has_light:
-        told = yaml.safe_load(recipe.read_text()) | {"statistics": {"light": True}}
-        recipe.write_text(yaml.safe_dump(told))
+        fields = yaml.safe_load(recipe.read_text()) | {"statistics": {"light": True}}
+        recipe.write_text(yaml.safe_dump(fields))
     command = [sys.executable, "-m", "datagen", "run", str(recipe), "--out", str(out), "--workers", "1"]
     subprocess.run(command, cwd=desk, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, check=True)
 

@@ -107,8 +107,8 @@ def _run_block(block: Block, folder: Path) -> None:
         "MPLBACKEND": "agg",
     }
     done = subprocess.run(command, input=given, cwd=folder, env=environment, capture_output=True, text=True)
-    said = f"{done.stdout[-2000:]}{done.stderr[-4000:]}"
-    assert done.returncode == 0, f"{block}: ended with {done.returncode}\n{block.text}\n{said}"
+    output = f"{done.stdout[-2000:]}{done.stderr[-4000:]}"
+    assert done.returncode == 0, f"{block}: ended with {done.returncode}\n{block.text}\n{output}"
 
 
 FAST = [p for p, page in READ.items() if any(b.action == "run" for b in page.blocks)]

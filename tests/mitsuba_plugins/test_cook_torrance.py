@@ -350,11 +350,11 @@ def test_all_lanes_are_active_by_default() -> None:
         (bsdf.eval_attribute_3, ("specular_albedo", si)),
     ]
     for method, words in calls:
-        usual, told, none = (
+        usual, given, none = (
             [array(part) for part in (found if isinstance(found, tuple) else (found,))]
             for found in (method(*words), method(*words, True), method(*words, False))
         )
-        for a, b, c in zip(usual, told, none, strict=True):
+        for a, b, c in zip(usual, given, none, strict=True):
             np.testing.assert_array_equal(a, b)
             assert (a > 0).all() and (c == 0).all(), method
     assert bsdf.has_attribute("roughness") and not bsdf.has_attribute("sheen")
@@ -454,7 +454,7 @@ def test_bad_textures_are_refused_with_their_file(tmp_path: Path) -> None:
     scene = {"type": "scene", "oak": {"type": "cook_torrance", "diffuse_albedo": texture, "roughness": 2.0}}
     with pytest.raises(InputError) as error:
         load_dict(scene)
-    first, second = (str(problem) for problem in error.value.problems)  # all at once
+    first, second = (str(problem) for problem in error.value.problems)  # all in one error
     assert first.startswith(
         "oak: diffuse_albedo.data = 1 of 48 values NaN or Inf in oak_color.exr (first at (3, 0"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sampling against density (chi-square) and renders against Mitsuba's own BSDFs (Z-test).
+"""Sampling against density (chi-square) and renders against Mitsuba's BSDFs (Z-test).
 
 Each test is corrected for the number of tests (Sidak), and an injected 5 % error must be detected.
 """

@@ -27,7 +27,7 @@ RADIANCE = np.geomspace(0.004, 12.0, SIZE[0] * SIZE[1]).reshape(SIZE[1], SIZE[0]
 def write_bracket(
     folder: Path, times: tuple[float, ...] = TIMES_S, *, step_m: float = 0.0, has_exif: bool = True
 ) -> None:
-    """Write JPEGs of the best quality, each camera ``step_m`` beside the previous one."""
+    """Write JPEGs of the best quality, each camera ``step_m`` from the previous one."""
     folder.mkdir(exist_ok=True)
     write_mesh(folder)
     frames = []

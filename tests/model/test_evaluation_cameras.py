@@ -149,12 +149,12 @@ def test_a_suite_may_name_faults_and_bundles(tmp_path: Path) -> None:
     own = read_suite(suite("[{name: dim, exposure_stops: 1}]"))
     assert own.cameras == (CameraFaults(name="dim", exposure_stops=1.0),)
     assert read_suite(SMALL).cameras == ()
-    for camera, said in {
+    for camera, expected in {
         "[fisheye]": "expected each, bits-8",
         "[phone, phone]": "its own name",
         "[{name: x, jpeg: 90}]": "bits: 8 with jpeg",
     }.items():
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=expected):
             read_suite(suite(camera))
     with pytest.raises(ValidationError, match="linear"):
         CameraFaults(name="x", bits=14, contrast=0.1)

@@ -58,12 +58,12 @@ def walls_found(found: NDArray) -> NDArray[np.float64]:
 
 
 def test_atlas_has_the_walls_albedos_for_any_prediction(tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
-    report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: told.append(progress))
+    steps: list[tuple[str, int, int]] = []
+    report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: steps.append(progress))
     assert walls_found(found) > 0.7
-    told_of_the_end = {stage for stage, done, total in told if done == total}
-    assert set(report.seconds) - told_of_the_end == {"statistics", "write maps"}  # within predict
-    assert {("light", 1, 11), ("lights", 0, 1), ("export", 1, 4), ("trace", 0, 1)} <= set(told)
+    finished = {stage for stage, done, total in steps if done == total}
+    assert set(report.seconds) - finished == {"statistics", "write maps"}  # within predict
+    assert {("light", 1, 11), ("lights", 0, 1), ("export", 1, 4), ("trace", 0, 1)} <= set(steps)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95
     # Roughness is less certain: the untrained network predicts gloss that fits no worse than matte.

@@ -106,7 +106,7 @@ def test_adjacent_windows_are_separate_and_dark_ones_dropped() -> None:
 
 
 def test_rectangles_of_a_mask() -> None:
-    """Against exhaustive search in small random masks."""
+    """Equal to an exhaustive search in small random masks."""
     random = np.random.default_rng(2)
     for _ in range(30):
         mask = random.random((7, 9)) < 0.7
@@ -285,7 +285,7 @@ def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) ->
     scene = mi.load_file(str(tmp_path / "mitsuba" / "scene.xml"))
     with open_package(tmp_path / "asset") as package:
         assert isinstance(package.asset, EnvironmentAsset)
-        (light,) = package.asset.lights  # no panels beside the sky
+        (light,) = package.asset.lights  # no panels in addition to the sky
         assert isinstance(light, EnvironmentLight)
         configuration = configuration_of(package.path, package.sha256)
     with Library([tmp_path / "asset"]) as library:

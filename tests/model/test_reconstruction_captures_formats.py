@@ -212,8 +212,8 @@ def write_metashape(
         numbers = " ".join(repr(float(v)) for v in matrix.ravel())
         label = f"b{k}" + (".PNG" if k == 1 else "")
         cameras += f'<camera id="{k}" sensor_id="4" label="{label}"><transform>{numbers}</transform></camera>'
-    said = " ".join(repr(float(v)) for v in turn.ravel())
-    text = METASHAPE.format(kind=kind, lens=lens, cameras=cameras, rotation=said, reference=reference)
+    note = " ".join(repr(float(v)) for v in turn.ravel())
+    text = METASHAPE.format(kind=kind, lens=lens, cameras=cameras, rotation=note, reference=reference)
     (folder / "cameras.xml").write_text(text)
     write_images(folder / "images", [f"b{k}.png" for k in range(3)])
     write_mesh(folder)
@@ -402,8 +402,8 @@ def test_up_is_estimated_from_the_cameras() -> None:
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = turned @ rotation.T, turned @ center
             cameras.append(Camera(*SIZE, 500, 500, 300, 200, matrix))
-        found, said = judged_up(cameras)
-        assert found == up and f"up: {up}" in said
+        found, note = judged_up(cameras)
+        assert found == up and f"up: {up}" in note
     tilted = Rotation.from_euler("x", 45, degrees=True).as_matrix()
     oblique = [
         Camera(*SIZE, 500, 500, 300, 200, np.block([[tilted @ r.T, np.zeros((3, 1))], [0, 0, 0, 1]]))
@@ -439,9 +439,9 @@ def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
     ("size", "unit"), [(7.0, 1.0), (95.0, 1.0), (650.0, 0.01), (6500.0, 0.001), (0.2, 1.0)]
 )
 def test_unit_is_estimated_from_the_mesh(size: float, unit: float) -> None:
-    found, said = judged_unit(size)
-    assert found == unit and "--unit" in said
-    assert ("small for a room" in said) == (size < 1)
+    found, note = judged_unit(size)
+    assert found == unit and "--unit" in note
+    assert ("small for a room" in note) == (size < 1)
 
 
 @pytest.mark.parametrize("has_uv", [True, False])

@@ -74,16 +74,16 @@ def test_a_rolled_camera_is_named(degrees: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("metres", "said"), [(0.12, "large in it; the camera is about"), (-0.12, "small in")]
+    ("metres", "expected"), [(0.12, "large in it; the camera is about"), (-0.12, "small in")]
 )
-def test_a_camera_moved_along_its_axis_is_named(metres: float, said: str) -> None:
+def test_a_camera_moved_along_its_axis_is_named(metres: float, expected: str) -> None:
     capture = photographed_room()
     camera = capture.views[1].camera
     pose = camera.world_from_camera.copy()
     pose[:3, 3] += metres * camera.forward
     report = check_capture(with_view(capture, 1, camera=replace(camera, world_from_camera=pose)))
     (warning,) = report.all_warnings
-    assert warning.startswith("view_01: the mesh looks") and said in warning
+    assert warning.startswith("view_01: the mesh looks") and expected in warning
     warp = report.views[1].warp
     assert warp is not None
     assert (1 - warp.zoom) * report.views[1].zoom_depth_m == pytest.approx(metres, abs=0.05)
@@ -113,8 +113,8 @@ def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, fl
     found = common_mistake(views)
     assert found is not None
     assert found.scale == pytest.approx(scale, abs=0.002)
-    told = np.zeros(3) if found.offset_m is None else found.offset_m
-    np.testing.assert_allclose(told, offset, atol=0.003)
+    measured = np.zeros(3) if found.offset_m is None else found.offset_m
+    np.testing.assert_allclose(measured, offset, atol=0.003)
     assert (found.offset_m is None) == (not any(offset))
     left = np.linalg.norm(found.left_px, axis=1)
     assert left[[3, 8]].min() > 15 and np.delete(left, [3, 8]).max() < 1

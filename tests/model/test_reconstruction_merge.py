@@ -339,7 +339,7 @@ def test_ground_truth_maps_reproduce_the_atlas(mode: str) -> None:
         assert np.quantile(error, 0.99) < 0.02, name
         worse = np.abs(array.astype(np.float64) * 1.05 - truth[name])[enough]
         assert np.median(worse) > 1e-3, name
-    bottom = np.isin(atlas.face, [20, 21])  # the block stands on it
+    bottom = np.isin(atlas.face, [20, 21])  # covered by the block
     assert not atlas.count[bottom].any()
     assert atlas.unseen_mask[bottom].all()
 

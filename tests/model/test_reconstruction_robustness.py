@@ -120,10 +120,10 @@ def test_faults_of_the_mesh(tmp_path: Path, fault: Callable[[Mesh], Mesh]) -> No
     assert report.unwrap["source"] == "mesh"
     found = errors(tmp_path / "out")
     assert np.median(found) < 0.01 and np.quantile(found, 0.95) < 0.06
-    said = {"doubled": "96 repeated triangles", "collapsed": "40 triangles of zero area",
+    expected = {"doubled": "96 repeated triangles", "collapsed": "40 triangles of zero area",
             "flipped": "edges join triangles of opposite winding"}  # fmt: skip
-    if fault.__name__ in said:
-        assert any(said[fault.__name__] in note for note in notes), notes
+    if fault.__name__ in expected:
+        assert any(expected[fault.__name__] in note for note in notes), notes
     assert len(mesh.faces) == (384 if fault is not holed else len(holed(fine_room()).faces))
 
 
@@ -144,8 +144,8 @@ def test_wrong_views_are_named_in_the_result(tmp_path: Path) -> None:
     assert (tmp_path / "asset" / "asset.json").is_file()
 
 
-@pytest.mark.parametrize(("level", "said"), [(0.0, "is black"), (1.0, "at the sensor's limit")])
-def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: float, said: str) -> None:
+@pytest.mark.parametrize(("level", "expected"), [(0.0, "is black"), (1.0, "at the sensor's limit")])
+def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: float, expected: str) -> None:
     """Every view is named, and the maps are finite."""
     capture = room_capture(3, (64, 48))
     for index, view in enumerate(capture.views):
@@ -160,7 +160,7 @@ def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: floa
         capture, tmp_path / "out", CheckpointMaps(tmp_path / "random.safetensors"), InferOptions(atlas=64)
     )
     for view in capture.views:
-        assert any(w.startswith(f"{view.name}: ") and said in w for w in report.warnings), report.warnings
+        assert any(w.startswith(f"{view.name}: ") and expected in w for w in report.warnings), report.warnings
     assert np.isfinite(read_image(tmp_path / "out" / "atlas" / "diffuse_albedo.exr")).all()
 
 

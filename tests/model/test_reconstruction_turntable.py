@@ -83,10 +83,10 @@ def test_path_visits_the_cameras_and_is_closed() -> None:
 def test_files_contain_the_frames(asset: Path, tmp_path: Path, suffix: str) -> None:
     """All frames exist, in order, and match renderings from their cameras."""
     out = tmp_path / "new" / f"room{suffix}"
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     options = TurntableOptions(frames=4, frames_per_second=10, max_width_px=48, render=QUICK)
-    cameras = write_turntable(asset, out, options, lambda stage, done, total: told.append((done, total)))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    cameras = write_turntable(asset, out, options, lambda stage, done, total: steps.append((done, total)))
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert [path.name for path in out.parent.iterdir()] == [out.name]
     frames = read_frames(out)
     assert len(frames) == 4 and frames[0].shape == (36, 48, 3)
@@ -139,8 +139,8 @@ def test_a_closed_room_under_a_sky_keeps_its_lights(asset: Path, tmp_path: Path)
     warnings: list[str] = []
     sky = RelightOptions(samples=4, views=("view_00",), sky=(1.0, 1.0, 1.0))
     write_renders(asset, tmp_path / "sky", sky, warnings.append)
-    (said,) = warnings
-    assert said == "no light of the sky reaches view_00: the room is closed; its own lights are used"
+    (warning,) = warnings
+    assert warning == "no light of the sky reaches view_00: the room is closed; its own lights are used"
     write_renders(asset, tmp_path / "own", replace(sky, sky=None), warnings.append)
     write_renders(asset, tmp_path / "lamp", replace(sky, lamps=(Lamp((2.0, 1.5, 2.0)),)), warnings.append)
     assert len(warnings) == 1

@@ -211,7 +211,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             return []  # the controller is still starting
 
     def jobs(self) -> list[str]:
-        """Lines ``id state reason`` of the queue, array tasks one by one."""
+        """Lines ``id state reason`` of the queue, one per array task."""
         return self.run("squeue", "--noheader", "-r", "--format=%i %T %r").splitlines()
 
     def wait_for(self, condition: Callable[[], object], what: str, timeout_s: float = 90.0) -> None:
