@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Shared fixtures. Real scenes are read from ``../shared/data`` (or ``SCENE_DATA``) and never required."""
+"""Shared fixtures. Real scenes in ``../shared/data`` (or ``SCENE_DATA``) are optional."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of the real scenes, furniture and textures; skips where it is absent."""
+    """Folder of the real scenes, furniture and textures; skips the test where it is absent."""
     if not (SHARED_DATA / "MANIFEST.md").is_file():
         pytest.skip(f"real test data not found at {SHARED_DATA} (set SCENE_DATA to its folder)")
     return SHARED_DATA
@@ -22,7 +22,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def mitsuba_variant() -> str:
-    """Selects the CPU variant before a test imports mitsuba."""
+    """Set the CPU variant before a test imports mitsuba."""
     from mitsuba_plugins.variant import select_variant
 
     return select_variant("llvm_ad_rgb")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Readers with the faults that :mod:`tests.hostile` is there to find."""
+"""Readers with the faults that :mod:`tests.hostile` must find."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tests.hostile import Case, CaseMaker, set_traps
 
 
 def opens_outside(folder: Path) -> Case:
-    """Reads a file that is not in the folder."""
+    """Reads a file outside of the folder."""
     return Case(lambda rng: Path("/etc/hostname"), lambda path: path.read_bytes())
 
 
 def follows_links(folder: Path) -> Case:
-    """Reads what a link in the folder leads to."""
+    """Reads the target of a link in the folder."""
     set_traps(folder)
     return Case(lambda rng: folder / "link.png", lambda path: path.read_bytes())
 
@@ -30,23 +30,23 @@ def unpickles(folder: Path) -> Case:
 
 
 def aborts(folder: Path) -> Case:
-    """Ends the process as native code does."""
+    """Aborts the process as native code may."""
     return Case(lambda rng: folder, lambda path: os.abort())
 
 
 def waits(folder: Path) -> Case:
-    """Opens a pipe that nobody writes to."""
+    """Blocks on a pipe without a writer."""
     set_traps(folder)
     return Case(lambda rng: folder / "fifo", lambda path: path.read_bytes())
 
 
 def eats(folder: Path) -> Case:
-    """Takes over two gigabytes."""
+    """Allocates more than two gigabytes."""
     return Case(lambda rng: folder, lambda path: np.ones(9 << 28, np.uint8).sum())
 
 
 def raises(folder: Path) -> Case:
-    """Lets an error through that is not an InputError."""
+    """Raises an error that is not an InputError."""
     return Case(lambda rng: folder, lambda path: {}["missing"])
 
 

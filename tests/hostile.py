@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Attacks readers with damaged and malicious files: a clear error or a valid object, and nothing else.
+"""Attacks readers with damaged and malicious files, which must give a valid object or a clear error.
 
 A case writes one input into a folder and reads it. :func:`attack` runs a case many times in a child process,
-which a native library may crash and an endless loop may stall without taking the tests along. Within the
-child every file that is opened, listed, made or removed while a reader works must lie in the case's folder,
-no global of a pickle may be looked up, and no process or connection may be started.
+which a native library may crash and an endless loop may stall without ending the tests. In the child a reader
+may open, list, make or remove files only in the case's folder, look up no global of a pickle, and start no
+process or connection.
 
-``HOSTILE_EXAMPLES=20000`` sets the number of inputs a case. One input again, outside a child:
+``HOSTILE_EXAMPLES=20000`` sets the number of inputs per case. To repeat one input in the same process:
 
     python -m tests.hostile tests.datagen.hostile_cases shard 1234
 """
@@ -63,7 +63,7 @@ HOSTILE_VALUES: list[Any] = [
 
 @dataclass(frozen=True)
 class Case:
-    """``write`` puts one input into the case's folder and returns its path; ``read`` reads it there."""
+    """``write`` writes one input into the case's folder and returns its path; ``read`` reads it."""
 
     write: Callable[[random.Random], Path]
     read: Callable[[Path], object]
@@ -76,7 +76,7 @@ PRELOADED = ("tests.datagen.hostile_cases", "tests.model.hostile_cases")
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of an attack: inputs that were read, that were refused, and the child's peak memory."""
+    """Outcome of an attack: numbers of accepted and of refused inputs, and the child's peak memory."""
 
     name: str
     accepted: int
@@ -89,7 +89,7 @@ class Outcome:
 
 
 def mutate(document: Any, rng: random.Random) -> Any:
-    """A JSON document with one to four places replaced, removed, added or repeated."""
+    """A JSON document with one to four values replaced, removed, added or repeated."""
     document = copy.deepcopy(document)
     if rng.random() < PRISTINE:
         return document
@@ -112,7 +112,7 @@ def mutate(document: Any, rng: random.Random) -> Any:
 
 
 def hostile_value(rng: random.Random) -> Any:
-    """One of the values that readers trip over."""
+    """A value that readers often mishandle."""
     return copy.deepcopy(rng.choice(HOSTILE_VALUES))
 
 
@@ -124,14 +124,14 @@ def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
 
 
 def damage(data: bytes, rng: random.Random) -> bytes:
-    """Bytes truncated, flipped, spliced, or with ones or large counts put in."""
+    """The bytes truncated, flipped, spliced, or with ones or large counts inserted."""
     content = bytearray(data)
     if rng.random() < PRISTINE:
         return data
     for _ in range(rng.randint(1, 5)):
         if not content:
             return b""
-        # Headers decide more than pixels do.
+        # Headers matter more than pixels.
         end = len(content) if rng.random() < 0.6 else min(len(content), 256)
         position = rng.randrange(end)
         action = rng.random()
@@ -151,7 +151,7 @@ def damage(data: bytes, rng: random.Random) -> bytes:
 
 
 def write_fresh(path: Path, data: bytes) -> Path:
-    """Write a file in place of whatever was there. Removed first: rewriting makes some disks wait."""
+    """Replace a file; it is removed first, since overwriting makes some disks wait."""
     if path.is_dir() and not path.is_symlink():
         path.rmdir()
     else:
@@ -161,14 +161,14 @@ def write_fresh(path: Path, data: bytes) -> Path:
 
 
 def write_document(path: Path, document: Any, rng: random.Random) -> Path:
-    """A JSON document, mutated as a tree or damaged as bytes."""
+    """Write a JSON document, mutated as a tree or damaged as bytes."""
     if rng.random() < 0.75:
         return write_fresh(path, json.dumps(mutate(document, rng)).encode("utf-8", "surrogatepass"))
     return write_fresh(path, damage(json.dumps(document).encode(), rng))
 
 
 def set_traps(folder: Path) -> None:
-    """Targets of hostile names in documents: links that lead out, a pipe that never ends."""
+    """Create targets of hostile names: links that lead outside, a pipe without a writer."""
     outside = folder.parent / "outside"
     outside.mkdir(exist_ok=True)
     for suffix in ("png", "ply", "json"):
@@ -184,7 +184,7 @@ def set_traps(folder: Path) -> None:
 
 @dataclass
 class _Guard:
-    """Watches what the interpreter does while ``is_active``."""
+    """Audit hook that records forbidden actions while ``is_active``."""
 
     folder: Path
     is_active: bool = False
@@ -202,7 +202,7 @@ class _Guard:
             num_paths, first_descriptor = _PATH_EVENTS[event]
             for index, path in enumerate(arguments[:num_paths]):
                 if not isinstance(path, str | bytes):
-                    continue  # a descriptor, whose opening was seen
+                    continue  # a descriptor, whose opening was audited
                 name = os.fsdecode(path)
                 if first_descriptor and arguments[first_descriptor + index] not in (-1, None):
                     name = f"/proc/self/fd/{arguments[first_descriptor + index]}/{name}"
@@ -214,7 +214,7 @@ class _Guard:
 
     def is_admitted(self, path: str, event: str, is_followed: bool) -> bool:
         real = os.path.realpath(path)
-        if not is_followed:  # the event is about a link, not about what it names
+        if not is_followed:  # the event concerns the link, not its target
             real = str(Path(os.path.realpath(Path(path).parent)) / Path(path).name)
         if (real + os.sep).startswith(self.inside):
             return True
@@ -251,7 +251,7 @@ _WATCHED = {
 
 
 def run_one(case: Case, guard: _Guard, number: int) -> bool:
-    """Write and read one input; True where it was read, False where it was refused with a clear error."""
+    """Write and read one input; True where it was accepted, False where it was refused with a clear error."""
     path = case.write(random.Random(number))
     try:
         with guard.active():
@@ -280,7 +280,7 @@ def _child(module: str, name: str, folder: Path, examples: int, progress: Any, c
     counts = {True: 0, False: 0}
     folder.mkdir(parents=True, exist_ok=True)
     log = os.open(_log(folder), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-    for stream in (1, 2):  # native libraries print what they think of every input
+    for stream in (1, 2):  # native libraries print messages for every input
         os.dup2(log, stream)
     faulthandler.enable(log)
     try:
@@ -289,7 +289,7 @@ def _child(module: str, name: str, folder: Path, examples: int, progress: Any, c
         @starting_at(SEED)
         @settings(
             max_examples=examples,
-            deadline=None,  # the parent watches the clock, also that of native code
+            deadline=None,  # the parent limits the time, also of native code
             database=None,
             phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),
@@ -324,8 +324,8 @@ def attack(
     ours, theirs = context.Pipe(duplex=False)
     arguments = (module, name, folder, examples, progress, theirs)
     process = context.Process(target=_child, args=arguments, daemon=True)
-    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # 4 x 4 matrices would wait for threads
-        process.start()  # the first starts the server, whose environment all of them have
+    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # threads only delay 4 x 4 matrices
+        process.start()  # the first child starts the fork server, whose environment all inherit
     theirs.close()
     again = f"again: python -m tests.hostile {module} {name}"
     count, watch = 0, _Watch(process.pid)
@@ -342,7 +342,7 @@ def attack(
             if progress[0] != count:
                 count = progress[0]
                 watch.start()
-            # starting, with its imports, may take longer than an input
+            # start-up with imports may take longer than an input
             if watch.seconds() > (MAX_SECONDS if count else 120.0):
                 pytest.fail(f"{name}: over {MAX_SECONDS} s for one input; {again} {progress[1]}")
             if watch.memory() > max_bytes:
@@ -368,30 +368,30 @@ def attack(
 
 
 class _Watch:
-    """Measures how long one input takes: by processor time, since other work may keep the child from running,
-    and by the clock as long as it sleeps."""
+    """Measures the time of one input: processor time, since other load may delay the child, and wall time
+    while it sleeps."""
 
     def __init__(self, pid: int | None):
         self.process = psutil.Process(pid)
         self.start()
 
     def start(self) -> None:
-        """A new input begins."""
+        """Begin a new input."""
         self.begun, self.asleep_since = self._cpu(), time.monotonic()
 
     def seconds(self) -> float:
-        """Processor time since the start, or time asleep where that is more."""
-        with contextlib.suppress(psutil.Error):  # it ended meanwhile
+        """The larger of processor time and time asleep since the start, in seconds."""
+        with contextlib.suppress(psutil.Error):  # it has ended
             if self.process.status() not in (psutil.STATUS_SLEEPING, psutil.STATUS_DISK_SLEEP):
                 self.asleep_since = time.monotonic()
         return max(self._cpu() - self.begun, time.monotonic() - self.asleep_since)
 
     def memory(self) -> int:
-        """Resident bytes."""
+        """Resident memory in bytes."""
         try:
             return self.process.memory_info().rss
         except psutil.Error:
-            return 0  # it ended meanwhile
+            return 0  # it has ended
 
     def _cpu(self) -> float:
         try:
@@ -401,7 +401,7 @@ class _Watch:
 
 
 def main() -> None:
-    """Read one input again, in this process, and say what came of it."""
+    """Read one input again, in this process, and print the outcome."""
     module, name, number = sys.argv[1:]
     folder = Path(tempfile.mkdtemp(prefix="hostile-")) / "case"
     case, guard = _make(module, name, folder)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Small files that stand for a great deal: each is read by the command that a user would give it to.
+"""Small files that expand enormously, each read by the command that a user would use.
 
     python -m tests.oversized mitsuba_diamond
 
-writes one of ``FILES``, runs its command, and says how long it took, what it held at most and what it said.
+writes one of ``FILES``, runs its command, and prints time, peak memory and output.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SHAPE = '<shape type="rectangle">{}</shape>'
 
 @dataclass(frozen=True)
 class Reading:
-    """End of a command: its exit code, what it wrote, processor seconds and peak memory."""
+    """Result of a command: exit code, output, processor seconds and peak memory."""
 
     code: int
     text: str
@@ -52,7 +52,7 @@ def scene(path: Path, *body: str) -> Path:
 
 
 def _diamond(folder: Path) -> Path:
-    """41 BSDFs that each name the next twice: 2^40 walks."""
+    """41 BSDFs that each refer to the next twice: 2^40 paths."""
     bsdfs = ['<bsdf type="diffuse" id="b40"/>']
     bsdfs += [
         f'<bsdf type="blendbsdf" id="b{k}"><float name="weight" value="0.5"/>'
@@ -97,7 +97,7 @@ def _nested(folder: Path) -> Path:
 
 
 def gltf(folder: Path, changes: dict | None = None) -> Path:
-    """A glTF file of one square, with other top-level entries put in."""
+    """Write a glTF file of one square with changed top-level entries."""
     positions = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4").tobytes()
     data = positions + np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()
     document = {
@@ -127,7 +127,7 @@ def gltf(folder: Path, changes: dict | None = None) -> Path:
 
 
 def _gltf_nodes(folder: Path) -> Path:
-    """60,000 nodes that place one mesh."""
+    """60,000 nodes that each instance one mesh."""
     return gltf(folder, {"nodes": [{"mesh": 0}] * 60_000, "scenes": [{"nodes": list(range(60_000))}]})
 
 
@@ -169,7 +169,7 @@ def _gltf_sparse(folder: Path) -> Path:
 
 
 def furniture(path: Path, pieces: list[str], members: dict[str, bytes]) -> Path:
-    """A Sweet Home 3D library: a piece for each model that is named, and members."""
+    """Write a Sweet Home 3D library with a piece for each named model, and members."""
     lines = ["id=strangers#1", "provider=a stranger"]
     for number, model in enumerate(pieces, start=1):
         lines += [
@@ -189,7 +189,7 @@ def furniture(path: Path, pieces: list[str], members: dict[str, bytes]) -> Path:
 
 
 def _furniture(folder: Path) -> Path:
-    """0.2 MB that hold 167 MB, in members of 56 MB."""
+    """0.2 MB that expand to 167 MB, in members of 56 MB."""
     model = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
     filler = model + b"v 0 0 0\n" * ((55_666_667 - len(model)) // 8)
     return furniture(
@@ -200,7 +200,7 @@ def _furniture(folder: Path) -> Path:
 
 
 def capture_folder(folder: Path) -> None:
-    """A photograph and a mesh, for cameras to be put beside."""
+    """Create a capture folder with a photograph and a mesh but without cameras."""
     pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3)).astype(np.uint8)
     (folder / "images").mkdir(exist_ok=True)
     (folder / "images" / "a.png").write_bytes(encode_png(pixels))
@@ -217,7 +217,7 @@ def _frames(folder: Path) -> Path:
 
 
 def _empty_frames(folder: Path) -> Path:
-    """300,000 frames that hold nothing, in 0.9 MB."""
+    """300,000 empty frames in 0.9 MB."""
     capture_folder(folder)
     (folder / "transforms.json").write_text('{"frames":[' + ",".join(["{}"] * 300_000) + "]}")
     return folder
@@ -247,7 +247,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]] = {
 def run(
     name: str, folder: Path, environment: dict[str, str] | None = None, most_seconds: float = 60.0
 ) -> Reading:
-    """Write a file into ``folder`` and give it to its command, in a process of its own."""
+    """Write a file into ``folder`` and run its command in a separate process."""
     write, command = FILES[name]
     path = write(folder)
     out = folder.parent / f"{folder.name}-out"
@@ -277,7 +277,7 @@ def run(
                     process.kill()
                 time.sleep(0.02)
         finally:
-            process.returncode = 0  # it was waited for above
+            process.returncode = 0  # already waited for above
         log.seek(0)
         text = log.read().decode("utf-8", "replace")
     code = os.waitstatus_to_exitcode(status)
@@ -285,8 +285,8 @@ def run(
 
 
 def _peak_bytes(pid: int) -> int:
-    """Greatest resident memory of a process since its program began, 0 where the system does not say: that of
-    ``wait4`` counts the memory of the parent that it was forked from."""
+    """Peak resident bytes of a process since its start, or 0 where unknown; ``wait4`` also counts the memory
+    of its parent at the fork."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
@@ -296,7 +296,7 @@ def _peak_bytes(pid: int) -> int:
 
 
 def main() -> None:
-    """Write one of the files, read it, and say what came of it."""
+    """Write one of the files, read it, and print the result."""
     for name in sys.argv[1:] or FILES:
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch) / "case"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A real small file system for tests: it can be filled, and mounted read-only, which stops root too."""
+"""A small real file system for tests that can be filled or mounted read-only, also for root."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class SmallDisk:
         self._ballast = root / ".ballast"
 
     def fill(self, leave: int) -> None:
-        """Take all room but ``leave`` bytes."""
+        """Fill the disk up to ``leave`` free bytes."""
         status = os.statvfs(self.root)
         with self._ballast.open("wb") as file:
             os.posix_fallocate(file.fileno(), 0, status.f_bavail * status.f_frsize - leave)
 
     def make_room(self) -> None:
-        """Give back what :meth:`fill` took."""
+        """Free the space used by :meth:`fill`."""
         self._ballast.unlink()
 
     def remount(self, options: str) -> None:
@@ -36,8 +36,7 @@ class SmallDisk:
 
 @contextmanager
 def small_disk(root: Path, megabytes: int) -> Iterator[SmallDisk]:
-    """Mount a file system of this size at ``root`` for as long as the context lasts; skips where that is not
-    allowed."""
+    """Mount a file system of this size at ``root`` within the context; skips where that is forbidden."""
     root.mkdir(parents=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(root)]
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The shape of the project: which package may import which, what start-up costs, licences, schemas."""
+"""Architecture: allowed imports between packages, start-up cost, licences, schemas."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RENDER = f"{_LIBRARY} datagen.multiview datagen.rendering mitsuba_plugins"
 _NETWORKS = "model.networks model.own_network model.confidence"
 _ATLAS = "model.reconstruction.atlas datagen.geometry"
 
-# Package -> what it may import of the project, besides itself. A name is a module or all of a package.
+# Package -> its allowed imports from the project, besides itself. A name is a module or a whole package.
 MATRIX = {
     package: frozenset(allowed.split())
     for package, allowed in {
@@ -121,7 +121,7 @@ FORBIDDEN = {
 """Other people's packages that ours must do without."""
 GROUND_MAY = {
     "numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer", "psutil",
-    "meshopt", "opengl_basisu",  # decoders of glTF, imported where a file needs them
+    "meshopt", "opengl_basisu",  # decoders of glTF, imported on demand
 }  # fmt: skip
 """Third-party modules that ``datagen.foundation`` and ``datagen.formats`` may import."""
 
@@ -147,7 +147,7 @@ def _tree(path: Path) -> ast.Module:
 
 @functools.cache
 def _names_of(module: str) -> frozenset[str]:
-    """Everything that a module of ours binds at its top level or below."""
+    """Names that a module of the project binds at its top level, and its submodules."""
     path = REPOSITORY.joinpath(*module.split("."))
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     found: set[str] = set()
@@ -163,7 +163,7 @@ def _names_of(module: str) -> frozenset[str]:
 
 @functools.cache
 def _imports(path: Path) -> frozenset[str]:
-    """Absolute names of every module that a file imports, anywhere in it, but for type checking."""
+    """Absolute names of every module that a file imports anywhere, except for type checking."""
     tree = _tree(path)
     found: set[str] = set()
     skipped = {
@@ -188,17 +188,17 @@ def _is_in(name: str, *packages: str) -> bool:
 
 
 def _row(module: str, matrix: dict[str, frozenset[str]]) -> str | None:
-    """The package of the matrix that a module belongs to: the most specific one."""
+    """The most specific package of the matrix that contains a module."""
     return max((package for package in matrix if _is_in(module, package)), key=len, default=None)
 
 
 def _outside(matrix: dict[str, frozenset[str]]) -> list[str]:
-    """Imports of the project's own modules that a matrix does not allow, and modules without a row."""
+    """Imports between the project's modules that a matrix does not allow, and modules without a row."""
     found = []
     for path in _sources():
         module, names = _module(path), _imports(path)
         if module in ("datagen", "model", "model.reconstruction", "scenes"):
-            continue  # a docstring and nothing else
+            continue  # only a docstring
         package = _row(module, matrix)
         if package is None:
             found.append(f"{module} has no row in the matrix")
@@ -230,7 +230,7 @@ def test_every_import_is_in_the_matrix() -> None:
     ],
 )
 def test_the_matrix_can_fail(package: str, withdrawn: str) -> None:
-    """The twin: without a permission that is used, imports are found, and those alone."""
+    """Injected fault: without a used permission exactly its imports are found."""
     found = _outside({**MATRIX, package: MATRIX[package] - {withdrawn}})
     assert found
     for line in found:
@@ -262,11 +262,11 @@ def test_a_package_without_a_row_is_found() -> None:
 
 
 def test_the_matrix_has_no_cycle() -> None:
-    """Packages can be put in an order in which each imports only what comes before it; but for ``model`` and
-    ``tests``, whose rows name whole packages, an import back would be a circle."""
+    """Packages can be ordered such that each imports only earlier ones, except ``model`` and ``tests``, whose
+    rows name whole packages."""
     left = {package: _rows_of(allowed) - {package} for package, allowed in MATRIX.items()}
     for command in ("model.cli", "model.reconstruction.commands"):
-        left.pop(command)  # above all, and named by nobody
+        left.pop(command)  # at the top, and imported by none
     for package in ("benchmarks", "tests", "tests.benchmarks", "model.evaluation"):
         left[package] = set()
     while left:
@@ -277,7 +277,7 @@ def test_the_matrix_has_no_cycle() -> None:
 
 
 def test_every_imported_name_exists() -> None:
-    """Also in functions, where an import that nobody runs would stay broken."""
+    """Also in functions, where a broken import could stay unnoticed."""
     missing = []
     for path in _sources():
         for node in ast.walk(_tree(path)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recipes, suites and presets: schemas, places of faults, and a recipe by questions."""
+"""Recipes, suites and presets: schemas, positions of faults, and a recipe from questions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WRITTEN = sorted(
 
 
 def _keys_are_known(schema: dict, node: object, root: dict) -> list[str]:
-    """Keys of a document that its schema does not know, as an editor would mark them."""
+    """Keys of a document that are not in its schema, as an editor would mark them."""
     if "$ref" in schema:
         schema = root["$defs"][schema["$ref"].removeprefix("#/$defs/")]
     if "anyOf" in schema or "oneOf" in schema:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Every reader, on random graphs and sizes: a valid object or an InputError, in 10 s and 1 GB.
 
-The long run reads 5,000 inputs a reader (``-m slow``); ``HOSTILE_EXAMPLES`` sets the number of the short one.
+The long run reads 5,000 inputs per reader (``-m slow``); ``HOSTILE_EXAMPLES`` sets it for the short one.
 """
 
 from __future__ import annotations

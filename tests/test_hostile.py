@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The attack on readers finds the faults that it is there to find."""
+"""The attack on readers finds known faults."""
 
 from __future__ import annotations
 

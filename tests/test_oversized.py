@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small files that stand for a great deal end in 10 s and 1 GB, with the limit and how to raise it."""
+"""Small files that expand enormously are refused in 10 s and 1 GB with the limit and how to raise it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_reading_ends_soon_and_names_the_limit_to_raise(name: str, tmp_path: Pat
 
 
 def test_a_limit_is_raised_by_the_environment(tmp_path: Path) -> None:
-    """Following the message's advice lets the same file through."""
+    """With the limit raised as the message advises the same file is read."""
 
     def write(folder: Path) -> Path:
         chain = [{"children": [k + 1]} for k in range(150)]
@@ -90,7 +90,7 @@ def test_the_size_of_a_file_raises_its_limits(tmp_path: Path) -> None:
 
 
 def test_deep_nesting_is_read_where_the_limit_is_raised(tmp_path: Path) -> None:
-    """The readers call themselves: the limit and the interpreter's stack go together."""
+    """Readers are recursive, so the limit also raises the interpreter's stack."""
     from datagen.importers.common import ImportOptions
     from datagen.importers.mitsuba_xml import import_mitsuba_scene
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Installed packages: the dependencies are those that the packages import, and all data files are included.
+"""Installed packages: dependencies match the imports, and all data files are included.
 
-``.ci/try_packages.py`` tries the built packages themselves; here is what can be told without building.
+``.ci/try_packages.py`` tests the built packages; these tests need no build.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tests.conftest import REPOSITORY
 
 if sys.version_info >= (3, 11):
     import tomllib
-else:  # pytest brings it there
+else:  # pytest provides it there
     import tomli as tomllib
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
@@ -43,7 +43,7 @@ def _names(requirements: list[str]) -> set[str]:
 
 
 def _imported() -> dict[str, str]:
-    """Modules from outside that the packages import, anywhere, and one file that does; full names too."""
+    """External modules that the packages import, by full and top-level name, with one importing file."""
     found: dict[str, str] = {}
     for package in PACKAGES:
         for path in sorted((REPOSITORY / package).rglob("*.py")):
@@ -88,7 +88,7 @@ def test_the_doctor_checks_the_requirements() -> None:
 
 
 def test_users_extras_pin_nothing() -> None:
-    """A pin conflicts with environments that have another version; constraints.txt pins for the tests."""
+    """Pins conflict with environments of other versions; constraints.txt has the tests' pins."""
     for extra in USER_EXTRAS:
         for requirement in PROJECT["optional-dependencies"][extra]:
             assert "==" not in requirement.split(";")[0], requirement
@@ -124,12 +124,12 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The doctor, too: a package without the library had passed."""
+    """The doctor reports it too; formerly it accepted a package without the library."""
     from datagen.foundation import bundled
     from datagen.inspection import doctor
 
     folder = tmp_path / "site-packages"
-    (folder / "scenes" / "library").mkdir(parents=True)  # another project's
+    (folder / "scenes" / "library").mkdir(parents=True)  # of another project
     monkeypatch.setattr(bundled, "__file__", str(folder / "datagen" / "foundation" / "bundled.py"))
     with pytest.raises(InputError, match="install the project again"):
         bundled_folder()
@@ -142,7 +142,7 @@ def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_the_doctor_prints_the_extra_of_a_remedy(capsys: pytest.CaptureFixture[str]) -> None:
-    """Square brackets are styles to rich."""
+    """Rich interprets square brackets as styles."""
     from datagen.inspection.doctor import Finding, print_report
 
     remedy = "pip install 'scene-materials[train]'"
@@ -154,8 +154,8 @@ def test_the_doctor_names_a_command_per_fault(tmp_path: Path, monkeypatch: pytes
     from datagen.inspection import doctor
 
     monkeypatch.setenv("PATH", str(tmp_path))
-    for title, told in doctor.PROGRAMS.items():
-        finding = doctor.program_finding(title, *told)
+    for title, program in doctor.PROGRAMS.items():
+        finding = doctor.program_finding(title, *program)
         assert not finding.is_fine and not finding.is_required
         assert re.search(r"apt-get install|https://", finding.remedy), finding
     for system, command in (("darwin", "brew install colmap"), ("win32", "COLMAP's own page")):

@@ -25,13 +25,13 @@ def test_interpolation_finds_the_sample_count_of_a_power_law() -> None:
     assert interpolated(curve, 0.5 * 21**-0.7) in (21, 22)  # the count itself, or rounded up
     assert interpolated(curve, curve[32]) == 32
     assert interpolated({4: 0.1}, 0.2) == 4
-    assert interpolated({4: 0.1, 8: 0.1}, 0.1) == 8  # a flat curve says nothing: the larger count
+    assert interpolated({4: 0.1, 8: 0.1}, 0.1) == 8  # a flat curve is ambiguous: the larger count
 
 
 def test_total_is_the_fixed_part_and_the_median_of_a_view() -> None:
     run = {"start_s": 2.0, "views_s": [5.0, 3.0, 3.0, 30.0], "wall_s": 44.0, "cpu_s": 88.0}
     result = extrapolated(run, 40)
-    assert result["fixed_wall_s"] == 2.0 + (5.0 - 3.0) + 1.0  # start, the first view's excess, leaving
+    assert result["fixed_wall_s"] == 2.0 + (5.0 - 3.0) + 1.0  # start, the first view's excess, shutdown
     assert result["total_wall_s"] == 5.0 + 40 * 3.0
     assert result["total_cpu_s"] == 2 * 125.0
     assert result["is_extrapolated"]
@@ -59,7 +59,7 @@ def test_cycles_gets_the_rendered_sky(tmp_path: Path, mitsuba_variant: str) -> N
         file.write(str(tmp_path / "sky.exr"))
     with OpenEXR.File(str(tmp_path / "sky.exr")) as file:
         read = file.channels()["RGB"].pixels
-    assert np.array_equal(read, image)  # OpenEXR takes memory as it lies
+    assert np.array_equal(read, image)  # OpenEXR ignores strides
     above, horizon = image[: len(image) // 4].mean(axis=(0, 1)), image[len(image) // 2 - 2].mean(axis=0)
     assert above[2] > above[0] and horizon.sum() > above.sum()
 
@@ -73,11 +73,11 @@ def test_both_renderers_on_a_tiny_configuration(tmp_path: Path) -> None:
     command += ["--cycles-views", "3", "--max-cycles-samples", "16"]
     subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
     result = json.loads((tmp_path / "bench_cycles.json").read_text())
-    # the same room, the same light: what is left are the materials' models and Blender's clamp
+    # the same room and light: only material models and Blender's clamp differ
     assert all(0.8 < ratio < 1.2 for ratio in result["agreement"]["ratio_of_means"])
     assert min(result["agreement"]["correlation"]) > 0.9
     curve = [result["cycles"]["curve"][key] for key in sorted(result["cycles"]["curve"], key=int)]
-    assert curve[-1] < 0.8 * curve[0]  # but not at every doubling: a firefly in two tiny views is worth more
+    assert curve[-1] < 0.8 * curve[0]  # but not at every doubling: a firefly in two tiny views outweighs one
     assert 0 < result["ours"]["rel_mse"] < 0.1
     assert result["cycles"]["total_wall_s"] > result["cycles"]["a_view_wall_s"] * 4
     text = (tmp_path / "bench_cycles.md").read_text()
@@ -85,4 +85,4 @@ def test_both_renderers_on_a_tiny_configuration(tmp_path: Path) -> None:
 
     steps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json") if path.parent != tmp_path}
     subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
-    assert {path: path.stat().st_mtime_ns for path in steps} == steps  # nothing is rendered twice
+    assert {path: path.stat().st_mtime_ns for path in steps} == steps  # finished views are not rendered again

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Photographs without ground truth: rendered, with noise, as JPEGs; true cameras, or those that COLMAP finds.
+"""Reconstruction from rendered noisy JPEGs, with true cameras or those found by COLMAP.
 
-The whole way with Cycles and its figures: `python -m benchmarks.studies.colmap_end_to_end`
-(docs/measurements.md).
+The full pipeline, with Cycles: `python -m benchmarks.studies.colmap_end_to_end` (docs/measurements.md).
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def test_development_of_a_photograph() -> None:
-    """Grey keeps its sRGB value in the mean; noise grows as the root of the light; white is clipped."""
+    """Grey keeps its mean sRGB value; noise grows as the square root of the light; white is clipped."""
     levels = np.array([0.0, 0.02, 0.2, 0.8, 3.0], np.float32)
     patches = np.repeat(np.repeat(levels[None, :, None], 400, 0), 3, 2).repeat(20, 1)
     pixels = developed(patches / 2, 2.0, seed=1).reshape(400, 5, 20, 3)
@@ -48,8 +47,8 @@ def test_development_of_a_photograph() -> None:
 
 
 def test_photographs_with_their_cameras_become_a_plausible_atlas(tmp_path: Path) -> None:
-    """Eight JPEGs of 96 x 64 with noise, a mesh without UVs or normals, the bundled checkpoint: the room is
-    seen, and its diffuse albedo is nearer to the truth than the photographs' own brightness is."""
+    """From eight noisy JPEGs of 96 x 64, a mesh without UVs or normals and the bundled checkpoint: the room
+    is covered, and its diffuse albedo is closer to the truth than the photographs' brightness is."""
     shard, _, library = make_shard(tmp_path / "rendered")
     truth = read_capture(shard)
     folder = tmp_path / "photographs"
@@ -84,9 +83,9 @@ def test_photographs_with_their_cameras_become_a_plausible_atlas(tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="needs COLMAP: apt-get install colmap")
 def test_colmap_finds_the_cameras_of_jpegs(tmp_path: Path) -> None:
-    """The study from 24 places, rendered small by Mitsuba: real COLMAP, its binary model, its lens and its
-    alignment are read as what was photographed. Found: all 24, 19 mm, 1.5 degrees, -1.1 % of focal length
-    (four samples, denoised, are poor photographs); a convention that was misread would be tens of degrees."""
+    """COLMAP reconstructs 24 small Mitsuba renderings of the study; its binary model, lens and alignment are
+    read. Measured: all 24 cameras, 19 mm, 1.5 degrees, -1.1 % of focal length (four samples, denoised, are
+    poor photographs); a misread convention would give tens of degrees."""
     steps = EndToEnd(tmp_path, 24, (480, 320), 0, 0, "colmap", "512")
     configuration = steps.configuration()
     assert [camera.name for camera in configuration.cameras] == [c.name for c in walk(24, (480, 320))]

@@ -64,7 +64,7 @@ def test_constant_colours_are_their_own_statistics(value: float) -> None:
 
 
 def test_identical_views_agree() -> None:
-    # a projection back into the own pixel errs by some 1e-5 px; white noise has a gradient of up to 1 a px
+    # projecting a pixel onto itself errs by about 1e-5 px; white noise has gradients of up to 1 per px
     assert spread_of_alike_views(1) == 0.0
     assert spread_of_alike_views(12) < 1e-4
     (result,) = compute_statistics(alike_views(40), StatisticsOptions(best_views=24), only=(7,))
@@ -78,7 +78,7 @@ def test_three_hundred_views_equal_the_oracle() -> None:
     expected = statistics_vectorized(views, 150, oracle_options(options))
     num_wrong, share = disagreement(result, expected, options)
     assert num_wrong == 0
-    assert share > 0.3  # of so many views one is near a decision more often than not
+    assert share > 0.3  # among so many views one is usually close to a threshold
     assert result["observation_count"].max() == 12
 
 
@@ -135,7 +135,7 @@ def test_files_clip_values_beyond_half_floats() -> None:
         if value >= 65504:
             assert stored == 65504.0
         else:
-            # half an ulp; 2^-25 is half the smallest step, that of values below 2^-14
+            # half an ulp; 2^-25 is half the step of values below 2^-14
             assert abs(stored - value) <= max(2.0**-11 * value, 2.0**-25)
 
 
@@ -145,7 +145,7 @@ def test_log_encoding_at_its_ends() -> None:
     ends = np.array([-1.0, 0.0, 1.0, 65504.0, 1e30, np.inf])
     np.testing.assert_allclose(log_from_linear(ends), [-1, -1, 1, 1, 1, 1], atol=1e-12)
     np.testing.assert_allclose(linear_from_log(np.array([-1.0, 1.0])), [0, 1], atol=1e-12)
-    assert np.isnan(log_from_linear(np.array([np.nan]))).all()  # stays visible to whoever checks
+    assert np.isnan(log_from_linear(np.array([np.nan]))).all()  # NaN is kept, so checks detect it
     dark = np.array([0.0, 1e-6, 1e-5])
     assert (np.diff(log_from_linear(dark)) > 0).all()
 
@@ -167,8 +167,8 @@ def test_exposure_and_error_do_not_depend_on_the_unit_of_radiance() -> None:
 
 
 def test_scale_and_brightness_of_a_room_hardly_change_its_image() -> None:
-    # Mitsuba starts rays at least 1.8e-4 m off a surface: much in a room of 1 cm. In one of 10 cm a path
-    # in 64 may meet the light's edge or miss it for that, which that pixel shows and the median does not.
+    # Mitsuba starts rays at least 1.8e-4 m off a surface, a large offset in a room of 1 cm. In one of 10 cm
+    # it decides whether one path in 64 hits the light's edge: that pixel changes, the median does not.
     largest = {(1e-3, 1.0): 0.02, (0.1, 1.0): 1 / 64, (1e4, 1.0): 1e-5, (1.0, 1e-6): 1e-6, (1.0, 1e4): 1e-6}
     found = dict(zip(largest, image_at_scales(list(largest)), strict=True))
     assert all(found[key][0] <= limit for key, limit in largest.items()), found

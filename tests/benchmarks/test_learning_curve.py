@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The learning curve's benchmark at the least size, and the recipe that adds to what is learnt from."""
+"""The learning-curve benchmark at minimal size, and the recipes of additional training data."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_points_of_two_datasets(
     assert (tmp_path / "curve.png").stat().st_size > 1000
     times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("final.safetensors")}
     assert len(times) == 4
-    bench_learning_curve.main()  # nothing is trained twice
+    bench_learning_curve.main()  # finished trainings are not repeated
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("final.safetensors")} == times
     assert json.loads((tmp_path / "results.json").read_text())["results"] == report["results"]
 
@@ -66,7 +66,7 @@ def test_a_dataset_without_validation_views_uses_those_of_another(
     report = json.loads((tmp_path / "results.json").read_text())
     assert set(report["results"]) == {bench_learning_curve.CONSTANT, "cheap 1"}
     monkeypatch.setattr(sys, "argv", ["bench", str(cheap), *arguments])
-    with pytest.raises(SystemExit):  # twice the same name
+    with pytest.raises(SystemExit):  # the same name twice
         bench_learning_curve.main()
     validation = Dataset(tmp_path / "cheap-1" / "data").index.splits["validation"]
     assert validation == Dataset(good).index.splits["validation"]
@@ -130,8 +130,8 @@ def test_a_part_has_the_requested_shards(datasets: tuple[Path, Path], tmp_path: 
 
 
 def test_added_training_data_excludes_validation_assets() -> None:
-    """`checkpoint.yaml` and `pale.yaml` add to `learning.yaml`: no room, thing or material of its validation
-    split; `pale_validation.yaml` judges by nothing else."""
+    """`checkpoint.yaml` and `pale.yaml` extend `learning.yaml` and exclude every room, object and material of
+    its validation split, the only assets of `pale_validation.yaml`."""
     recipes = {
         name: read_yaml(Recipe, REPOSITORY / "scenes" / "recipes" / f"{name}.yaml")
         for name in ("learning", "checkpoint", "pale", "pale_validation")

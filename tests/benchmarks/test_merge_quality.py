@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Steps of merged D at the borders of the views' footprints."""
+"""Discontinuities of merged D at the borders of the views' footprints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIDE = 8
 
 
 def halves(left: float, right: float) -> Atlas:
-    """D of ``left`` where one view sees the surface, of ``right`` where two do."""
+    """Merged D: ``left`` where one view sees the surface, ``right`` where two do."""
     atlas = empty_atlas(SIDE)
     atlas.count[:, : SIDE // 2], atlas.count[:, SIDE // 2 :] = 1, 2
     atlas.maps["diffuse_albedo"][:, : SIDE // 2] = left

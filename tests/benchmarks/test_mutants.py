@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mutants of a small module: one change each, where it belongs, and known again after changes elsewhere."""
+"""Mutants of a small module: one change each, and their identity after changes elsewhere in the module."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_operators_constants_statements_and_axes_are_mutated() -> None:
     for function, text, new in (
         ("", "2.0", "4.0"),
         ("", "1e-9", "0.0"),
-        ("", "3", "4"),  # the default of a parameter belongs to who defines it
+        ("", "3", "4"),  # a default belongs to the defining scope
         ("grow", "<", ">="),
         ("grow", "<", "<="),
         ("grow", "and", "or"),
@@ -105,4 +105,4 @@ def test_endless_tests_are_stopped(code: str, timeout_s: float, ended: int) -> N
     """Time limits: processor time for computing tests, wall time for sleeping ones."""
     process = subprocess.Popen([sys.executable, "-S", "-c", code], start_new_session=True)
     assert warm.outcome_of(process.pid, timeout_s) == ended
-    process.returncode = ended  # it was waited for
+    process.returncode = ended  # outcome_of has waited for it

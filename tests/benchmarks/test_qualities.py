@@ -25,7 +25,7 @@ def test_excess_of_qualities_is_compared_with_fixed_counts() -> None:
 
 @pytest.mark.slow
 def test_qualities_are_on_the_front_of_two_different_rooms(tmp_path: Path) -> None:
-    """In light paths: at this size a view's time is that of starting kernels, not of tracing."""
+    """Cost is counted in light paths, because at this size kernel launches dominate a view's time."""
     folder = plan_small(tmp_path / "plan", tmp_path / "library", num_units=2, num_views=3).root
     options = replace(
         OPTIONS,
@@ -36,5 +36,5 @@ def test_qualities_are_on_the_front_of_two_different_rooms(tmp_path: Path) -> No
     )
     found = excesses(points_of(Sweep(folder, tmp_path / "out", options).run()))
     assert set(found) == {"draft", "standard"}
-    # two rooms of one kind: a pass doubles the samples, so that up to twice as many are taken as were needed
+    # two similar rooms: passes double the samples, so up to twice as many are taken as needed
     assert all(quality["path_samples"] < 2.0 for quality in found.values()), found

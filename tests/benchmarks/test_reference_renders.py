@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Renders of imported scenes from their own cameras against the reference images of their authors."""
+"""Renders of imported scenes from their cameras against their authors' reference images."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The Poly Haven living room in Cycles with its original graphs and in Mitsuba with the exported package.
 
-``python -m tests.blender_addon.compare_living_room ASSETS OUT [--width W] [--samples N]`` prints how far the
-two pictures agree and writes ``OUT/comparison.jpg``: Cycles, Mitsuba, and their difference, denoised.
+``python -m tests.blender_addon.compare_living_room ASSETS OUT [--width W] [--samples N]`` prints the
+agreement of the two pictures and writes ``OUT/comparison.jpg``: Cycles, Mitsuba, and their difference,
+denoised.
 
-Both renderers make two independent images x1, x2 and r1, r2 of half the samples each. The mean of
-(x1 - r1)(x2 - r2) is the squared difference of the converged images: noise cancels from it. Figures named
+Both renderers make two independent images, x1, x2 and r1, r2, with half the samples each. The mean of
+``(x1-r1)(x2-r2)`` estimates the converged images' squared difference without noise. Figures named
 ``psnr_srgb_db`` are of values clipped to [0, 1] and sRGB-encoded, with 1 as the largest value.
 """
 
@@ -37,10 +38,10 @@ def _run(*arguments: object) -> str:
 
 
 def render(assets: Path, out: Path, width: int, samples: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Two images of each renderer, (2, H, W, 3) linear: Cycles, Mitsuba; and what the export said."""
-    said = _run("tests.blender_addon.living_room", assets, out, "--width", width, "--samples", samples // 2)
+    """Two linear images (2, H, W, 3) each from Cycles and Mitsuba, and the remarks of the export."""
+    text = _run("tests.blender_addon.living_room", assets, out, "--width", width, "--samples", samples // 2)
     _run("tests.blender_addon.render_twice", out / "packages" / "living_room", out, samples // 2)
-    return np.load(out / "cycles.npy"), np.load(out / "mitsuba.npy"), json.loads(said.splitlines()[-1])
+    return np.load(out / "cycles.npy"), np.load(out / "mitsuba.npy"), json.loads(text.splitlines()[-1])
 
 
 def encoded(linear: np.ndarray) -> np.ndarray:
@@ -49,7 +50,7 @@ def encoded(linear: np.ndarray) -> np.ndarray:
 
 
 def _psnr(first: np.ndarray, second: np.ndarray) -> float:
-    """From two images each, (2, H, W, 3); the product of independent differences is free of noise."""
+    """PSNR (dB) of two pairs of images (2, H, W, 3), from the product of independent differences."""
     squared = (first[0] - second[0]) * (first[1] - second[1])
     return float(-10 * np.log10(max(squared.mean(), 1e-12)))
 
@@ -97,10 +98,10 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=320)
     parser.add_argument("--samples", type=int, default=128)
     arguments = parser.parse_args()
-    cycles, mitsuba, said = render(
+    cycles, mitsuba, text = render(
         arguments.assets.resolve(), arguments.out.resolve(), arguments.width, arguments.samples
     )
-    print("\n".join(said))
+    print("\n".join(text))
     print(json.dumps(figures(cycles, mitsuba), indent=2))
     picture(cycles, mitsuba).save(arguments.out / "comparison.jpg", quality=88)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender runs in processes of its own: one state of the file each, and never beside mitsuba."""
+"""Blender runs in separate processes: one file state each, and never in one process with mitsuba."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.conftest import REPOSITORY
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs bpy where it is absent."""
+    """Skip tests that need bpy where it is absent."""
     if importlib.util.find_spec("bpy") is not None:
         return
     for item in items:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything that a Blender file holds as nested plain data, to compare before and after an export."""
+"""Snapshot of a Blender file as nested plain data, to compare before and after an export."""
 
 from __future__ import annotations
 
 from typing import Any
 
-# Values of the running program rather than of the file: caches, timestamps, what has been loaded.
+# Values of the running program rather than of the file: caches, timestamps, load states.
 RUNTIME = {
     "rna_type", "bl_rna", "session_uid", "is_evaluated", "has_data", "bindcode", "is_dirty", "tag", "preview",
     "is_runtime_data", "original", "pixels", "size", "depth", "channels", "is_updated", "is_updated_data",

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Node graphs of different make, each with the closed form of the channels that it must become.
+"""Node graphs of many kinds, each with the closed form of its expected channels.
 
-Run as a program it builds them all in one file, exports them with the add-on and saves the .blend:
-``python -m tests.blender_addon.graphs OUT``. Each graph sits on a unit square from (0, 0) to (1, 1) in the
-XY plane with uv = (x, y), unless the case makes its own geometry; expected values are functions of the
-position (N, 3) in metres.
+As a program it builds all of them in one file, exports them with the add-on and saves the .blend: ``python -m
+tests.blender_addon.graphs OUT``. Each graph sits on a unit square from (0, 0) to (1, 1) in the XY plane with
+uv = (x, y), unless the case defines other geometry; expected values are functions of the position (N, 3) in
+metres.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ F0 = 0.04  # of the default index 1.5
 
 @dataclass
 class Case:
-    """``build`` gets a :class:`Stage`; ``expected`` maps channels to constants or functions of position."""
+    """``build`` takes a :class:`Stage`; ``expected`` maps channels to constants or functions of position."""
 
     name: str
     build: Callable[[Stage], None]
@@ -37,7 +37,7 @@ CASES: list[Case] = []
 
 
 def case(kinds: dict[str, str] | None = None, **expected: Any) -> Callable[[Callable[[Stage], None]], Any]:
-    """Register a graph; ``kinds`` says for a channel whether a constant or a texture must come out."""
+    """Register a graph; ``kinds`` maps channels to the expected form, "constant" or "texture"."""
 
     def register(build: Callable[[Stage], None]) -> Callable[[Stage], None]:
         CASES.append(Case(build.__name__, build, expected, kinds or {}))
@@ -47,7 +47,7 @@ def case(kinds: dict[str, str] | None = None, **expected: Any) -> Callable[[Call
 
 
 class Stage:
-    """A square with a material, and short names for making nodes."""
+    """A square with a material, and shorthand for creating nodes."""
 
     def __init__(self, bpy: Any, name: str):
         self.bpy, self.name = bpy, name
@@ -285,7 +285,7 @@ def _glossy(s: Stage, colour: tuple[float, float, float], roughness: float) -> A
     return node
 
 
-# What is kept is the reflected light: (1 - S) D = 0.7 * 0.4.
+# The reflected light is kept: (1 - S) D = 0.7 * 0.4.
 @case(diffuse_albedo=0.7 * 0.4 / (1 - 0.3 * 0.8), specular_albedo=0.3 * 0.8, roughness=0.35)
 def mix_of_diffuse_and_glossy(s: Stage) -> None:
     s.surface(_mix(s, _diffuse(s, (0.4,) * 3), _glossy(s, (0.8,) * 3, 0.35), 0.3))
@@ -575,7 +575,7 @@ def inverted_image(s: Stage) -> None:
     kinds={"diffuse_albedo": "image", "specular_albedo": "constant"},
 )
 def metalness_switched_off(s: Stage) -> None:
-    """As glTF importers write a metallic factor of 0 before a texture."""
+    """A texture times a metallic factor of 0, as glTF importers write it."""
     image = s.texture(s.image(smooth_image()))
     s.link(image.outputs["Color"], s.shader.inputs["Base Color"])
     separate = s.node("SeparateColor")
@@ -595,7 +595,7 @@ def alpha_of_an_image_without(s: Stage) -> None:
     roughness=lambda p: 0.5 * lookup(smooth_image(), p)[:, 0],
 )
 def one_map_by_name_and_without(s: Stage) -> None:
-    """Two meshes; what the UV Map node names is the map that renders anyway."""
+    """Two meshes; the UV Map node names the map that is active for rendering."""
     s.add(s.square(), (2, 0, 0))
     invert = s.node("Invert")
     named = s.node("UVMap", uv_map="UVMap").outputs[0]
@@ -748,7 +748,7 @@ def checker(s: Stage) -> None:
     node.inputs["Scale"].default_value = 8
     node.inputs["Color1"].default_value = (0.9, 0.9, 0.9, 1)
     node.inputs["Color2"].default_value = (0.2, 0.2, 0.2, 1)
-    offset = s.node("VectorMath", operation="ADD")  # keeps z off the checker's own boundary
+    offset = s.node("VectorMath", operation="ADD")  # keeps z off the checker's boundary
     offset.inputs[1].default_value = (0, 0, 0.03)
     s.link(s.uv(), offset.inputs[0])
     s.link(offset.outputs[0], node.inputs["Vector"])

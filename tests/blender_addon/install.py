@@ -23,28 +23,28 @@ ROUND_TRIP = (
 
 
 def build(folder: Path) -> tuple[Path, str]:
-    """The extension's zip, built and validated by Blender's own tool, and what the tool said."""
+    """Build and validate the extension's zip with Blender's tool; returns its path and the tool's output."""
     import bpy
 
     tool = Path(bpy.utils.resource_path("LOCAL")) / "scripts/addons_core/bl_pkg/cli/blender_ext.py"
-    said = ""
+    output = ""
     source = ["--source-dir", str(REPOSITORY / "blender_addon"), "--output-dir", str(folder)]
     for command in (["build", *source], ["validate", str(folder / "scene_materials-0.1.0.zip")]):
         done = subprocess.run(
             [sys.executable, str(tool), *command], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
-        said += done.stdout
-    return folder / "scene_materials-0.1.0.zip", said
+        output += done.stdout
+    return folder / "scene_materials-0.1.0.zip", output
 
 
 def main(folder: Path, packages: Path) -> None:
-    import bpy  # isort: skip  (it brings addon_utils)
+    import bpy  # isort: skip  (it provides addon_utils)
 
     import addon_utils
 
-    archive, said = build(folder)
-    outcome: dict[str, Any] = {"tool": said}
+    archive, output = build(folder)
+    outcome: dict[str, Any] = {"tool": output}
     sys.path = [p for p in sys.path if Path(p or ".").resolve() != REPOSITORY]  # the installed copy, not ours
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.extensions.package_install_files(

@@ -195,7 +195,7 @@ def _matt(bpy: Any, name: str, grey: float) -> Any:
 
 
 def _stage(bpy: Any) -> Any:
-    """An empty file with a grey floor and a camera that sees nothing else."""
+    """An empty file with a grey floor that fills the camera's view."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     material = _matt(bpy, "floor", 0.5)
@@ -229,7 +229,7 @@ def _cycles(bpy: Any, scene: Any, path: Path) -> None:
 
 
 def _projected(bpy: Any, scene: Any) -> list[dict[str, Any]]:
-    """Blender's own projection of world points: pixel coordinates, v downwards."""
+    """World points projected by Blender: pixel coordinates, v downwards."""
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
 

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 LAYOUT = "furnished_living_room.dmd.yaml"
-# The layout names models; these are their meshes.
+# Mesh of each model that the layout names.
 MESHES = {
     "living_room": "living_room", "cabinet": "painted_wooden_cabinet_1k",
     "bookshelves": "wooden_bookshelf_worn_1k", "tall_cabinet": "painted_wooden_cabinet_02_1k",
@@ -29,7 +29,7 @@ MITSUBA_DEPTH = BOUNCES + 2  # Mitsuba counts segments from the camera to the li
 
 
 class _Layout(yaml.SafeLoader):
-    """Reads the layout's ``!Rpy`` rotations as dictionaries."""
+    """YAML loader that reads ``!Rpy`` rotations as dictionaries."""
 
 
 _Layout.add_constructor("!Rpy", lambda loader, node: loader.construct_mapping(node, deep=True))
@@ -95,7 +95,7 @@ def assemble(bpy: Any, assets: Path) -> None:
 
 
 def _drop_missing_images(bpy: Any) -> None:
-    """The door's normal map is not among the files: the exporter would refuse it, Cycles shows magenta."""
+    """Remove the door's missing normal map: the exporter would refuse it, and Cycles shows magenta."""
     for material in bpy.data.materials:
         for node in list(material.node_tree.nodes):
             if node.type == "TEX_IMAGE" and not node.image.has_data and not node.image.size[0]:

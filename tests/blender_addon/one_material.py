@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A room whose three walls have one graph on object coordinates, and two stools of one oak, exported.
+"""Exports a room whose three walls share a graph on object coordinates, and two stools of the same oak.
 
 ``python -m tests.blender_addon.one_material OUT`` writes ``first/`` and ``again/`` (imported and exported).
 """

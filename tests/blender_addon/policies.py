@@ -21,7 +21,7 @@ REFUSED: dict[str, tuple[str, Callable[[Stage], None]]] = {}
 
 
 def refused(fragment: str) -> Callable[[Callable[[Stage], None]], Callable[[Stage], None]]:
-    """A graph that must be refused with a message that holds ``fragment``."""
+    """Register a graph that must be refused with a message that contains ``fragment``."""
 
     def register(build: Callable[[Stage], None]) -> Callable[[Stage], None]:
         REFUSED[build.__name__] = (fragment, build)
@@ -101,7 +101,7 @@ def script(s: Stage) -> None:
     text = s.bpy.data.texts.new("s.osl")
     text.write("shader s(output color c = 0.5) { c = 0.2; }")
     group.script = text
-    if not group.outputs:  # without an OSL compiler the node has no outputs: another refused node stands in
+    if not group.outputs:  # without an OSL compiler the node has no outputs: another refused node replaces it
         s.link(s.node("CameraData").outputs["View Z Depth"], s.shader.inputs["Roughness"])
         group.name = "unused"
         s.material["no_osl"] = True
@@ -133,7 +133,7 @@ def area_light_spread(s: Stage) -> None:
 
 
 def normal_image(size: int = 64) -> np.ndarray:
-    """Encoded unit normals that wander by 20 degrees and repeat."""
+    """Encoded unit normals that vary by 20 degrees and repeat."""
     t = (np.arange(size) + 0.5) / size * 2 * np.pi
     y, x = np.meshgrid(t, t, indexing="ij")
     vector = np.stack([0.3 * np.sin(x), 0.3 * np.cos(y), np.ones_like(x)], axis=-1)
@@ -149,7 +149,7 @@ def _normal_map(s: Stage, strength: float = 1.0) -> None:
 
 
 def _bump(s: Stage) -> None:
-    """Height 0.05 sin(2 pi x): the slope is known."""
+    """A bump of height 0.05 sin(2 pi x), whose slope has a closed form."""
     node = s.node("Bump")
     node.inputs["Strength"].default_value, node.inputs["Distance"].default_value = 1, 0.05
     wave = s.math("SINE", s.math("MULTIPLY", s.split(s.uv())[0], 2 * np.pi))

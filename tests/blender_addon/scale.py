@@ -67,14 +67,14 @@ def _export(bpy: Any, out: Path, measured: dict[str, float], name: str, **values
 
 
 def million_triangles(bpy: Any) -> dict[str, Any]:
-    """One mesh of a million triangles with a material of constants: nothing is baked."""
+    """One mesh of a million triangles with a constant material, so no baking."""
     mesh = _grid(bpy, "million", 708, [_material(bpy, 0)])
     bpy.context.scene.collection.objects.link(bpy.data.objects.new("million", mesh))
     return {}
 
 
 def room(bpy: Any) -> dict[str, Any]:
-    """4M triangles in 40 meshes with 200 materials, half of them procedural, shown by 2,000 instances."""
+    """A room: 4M triangles in 40 meshes, 200 materials, half of them procedural, 2,000 instances."""
     materials = [_material(bpy, index) for index in range(200)]
     meshes = [_grid(bpy, f"mesh {i}", 224, materials[5 * i : 5 * i + 5]) for i in range(40)]
     for index in range(2000):

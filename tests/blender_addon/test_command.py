@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The export as a command: its version, and in a log a line every half a minute, on a terminal a bar."""
+"""The export command: version, and progress as a bar on a terminal, else a log line per half minute."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def test_an_export_prints_its_progress(
         now[0] += 12.0
         show(Progress(step / 8, f"baking wood {step}"))
     show.end()
-    said = capsys.readouterr().err
+    output = capsys.readouterr().err
     if is_terminal:
-        assert said.count("\r") == 7 and said.endswith("\r\033[K") and "62%" in said and "#" in said
+        assert output.count("\r") == 7 and output.endswith("\r\033[K") and "62%" in output and "#" in output
     else:
-        assert [line.split(" ", 1)[1].split() for line in said.splitlines()] == [
+        assert [line.split(" ", 1)[1].split() for line in output.splitlines()] == [
             ["25%", "108", "s", "left", "baking", "wood", "2"],
             ["62%", "43", "s", "left", "baking", "wood", "5"],
         ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A room furnished by others: Cycles with the original graphs against Mitsuba with the exported package."""
+"""A third-party room: Cycles with the original graphs against Mitsuba with the exported package."""
 
 from __future__ import annotations
 

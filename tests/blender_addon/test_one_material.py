@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One material in Blender stays one in every configuration, with a bake for each mesh."""
+"""A Blender material remains one material in every configuration, with a bake for each mesh."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lights, world, cameras, markers and tags of a package survive an import into Blender and another export."""
+"""Lights, world, cameras, markers and tags survive an import into Blender and another export."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from datagen.formats.package import open_package
 from tests.blender_addon.places import ENVIRONMENT, LAMP
 
 pytestmark = pytest.mark.bpy
-RELATIVE, ABSOLUTE = 2e-5, 2e-6  # Blender holds places, turns and powers as float32
+RELATIVE, ABSOLUTE = 2e-5, 2e-6  # Blender stores positions, rotations and powers as float32
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory, run_module: Callable[...,
 
 
 def _differences(wanted: Any, got: Any, where: str = "") -> list[str]:
-    """Differences of two JSON values; numbers by more than float32 allows."""
+    """Differences of two JSON values; numbers may differ by float32 rounding."""
     if isinstance(wanted, dict) and isinstance(got, dict):
         keys = sorted(set(wanted) | set(got))
         return [d for k in keys for d in _differences(wanted.get(k), got.get(k), f"{where}.{k}")]

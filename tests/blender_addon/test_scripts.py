@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A .blend file from a stranger: what it would run is not run, and the exporter leaves when it is done."""
+"""Untrusted .blend files: none of their code is run, and the exporter exits when it is done."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _export(blend: Path, out: Path, *words: str, allowed: bool = False) -> tuple[int, str, float]:
-    """Exit code, what was said, and the seconds between the last word of ours and the end."""
+    """Exit code, output, and the seconds from the last line of the exporter to the exit."""
     start = ["-c", _WITH_SCRIPTS_ALLOWED] if allowed else ["-m", "blender_addon"]
     log = out.with_suffix(".log")
     with log.open("wb") as sink:
@@ -60,14 +60,14 @@ def _export(blend: Path, out: Path, *words: str, allowed: bool = False) -> tuple
             stdout=sink,
             stderr=subprocess.STDOUT,
         )
-    said, last = "", time.monotonic()
+    output, last = "", time.monotonic()
     try:
         while process.poll() is None and time.monotonic() - last < (
-            LEAVES_WITHIN_S if "note:" in said else 300
+            LEAVES_WITHIN_S if "note:" in output else 300
         ):
             time.sleep(0.1)
-            if (now := log.read_text()) != said and "note:" not in said:
-                said, last = now, time.monotonic()
+            if (now := log.read_text()) != output and "note:" not in output:
+                output, last = now, time.monotonic()
         seconds = time.monotonic() - last
     finally:
         process.kill()
@@ -80,10 +80,10 @@ def _export(blend: Path, out: Path, *words: str, allowed: bool = False) -> tuple
 def test_no_code_of_the_file_runs_and_the_exporter_exits(
     blend: Path, tmp_path: Path, words: tuple[str, ...], allowed: bool
 ) -> None:
-    code, said, seconds = _export(blend, tmp_path / "out", *words, allowed=allowed)
-    assert seconds < LEAVES_WITHIN_S, said
-    assert code == 2 and "'Cube': drivers need Python, which is not run: location[0]" in said, said
-    assert ("names no licence" in said) == (not words)
+    code, output, seconds = _export(blend, tmp_path / "out", *words, allowed=allowed)
+    assert seconds < LEAVES_WITHIN_S, output
+    assert code == 2 and "'Cube': drivers need Python, which is not run: location[0]" in output, output
+    assert ("names no licence" in output) == (not words)
     assert sorted(path.name for path in blend.parent.iterdir()) == ["scripts.blend"], (
         "nothing ran, nothing left"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The user's file is the same after an export, however the export ended."""
+"""The user's file is unchanged after an export, however the export ended."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Blender that is too old refuses by name, before it reads or writes anything."""
+"""An old Blender is refused by name before anything is read or written."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_an_old_blender_is_refused(
     tmp_path: Path, run_module: Callable[..., Any], oldest: tuple[int, int], is_refused: bool
 ) -> None:
     outcome = run_module("tests.blender_addon.test_version", str(tmp_path), *map(str, oldest))
-    assert [("expected 99.0 or later" in text) for text in outcome["said"]] == [is_refused] * 3
+    assert [("expected 99.0 or later" in text) for text in outcome["messages"]] == [is_refused] * 3
     assert outcome["remedies"] == is_refused
     assert (tmp_path / "cube" / "asset.json").is_file() is not is_refused
 
@@ -39,16 +39,16 @@ def _say(folder: Path, oldest: tuple[int, int]) -> dict[str, Any]:
     cube["sm_role"], cube["sm_category"], cube["sm_license"] = "object", "paperweight", "CC0-1.0"
     settings = ExportSettings(kind="object", max_texture_px=64)
     problems = [problem for problem in check(settings) if problem.severity == "error"]
-    said = [" ".join(map(str, problems)), "", ""]
+    messages = [" ".join(map(str, problems)), "", ""]
     try:
         export(folder, settings)
     except ExportRefused as refused:
-        said[1] = str(refused)
+        messages[1] = str(refused)
     try:
         import_package(folder / "cube")
     except ValueError as error:
-        said[2] = str(error)
-    return {"said": said, "remedies": bool(problems) and all(p.remedy for p in problems)}
+        messages[2] = str(error)
+    return {"messages": messages, "remedies": bool(problems) and all(p.remedy for p in problems)}
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Screenshots of the add-on in a real window, under Xvfb: ``python -m tests.blender_addon.window OUT``.
 
-``--blender PROGRAM`` takes them in that program; one that is older than the add-on asks for shows how it is
-refused. Without it pip's bpy is taken, which opens no window: on the pinned wheel (bpy 4.5.15, x86-64) this
-program turns the one byte of its start-up code that says it runs in the background, before importing it, and
-then runs Blender's main loop. It needs Xvfb and ImageMagick's ``import``, for an old Blender xdotool, too;
-it is a trick for pictures and checks, not a way to use Blender.
+``--blender PROGRAM`` takes them in that program; a Blender older than the add-on requires shows the refusal.
+Without it pip's bpy is used, which opens no window: on the pinned wheel (bpy 4.5.15, x86-64) this program
+patches the byte of the start-up code that enables background mode before importing it, and then runs
+Blender's main loop. It needs Xvfb and ImageMagick's ``import``, for an old Blender xdotool, too; use it only
+for pictures and checks.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def import_with_window() -> tuple[Any, int]:
 
 
 def inside(out: Path) -> None:
-    """Runs in the display: opens the window, drives it by timers, takes the pictures."""
+    """Runs in the display: opens the window, drives it by timers, saves the pictures."""
     bpy, base = import_with_window()
     drive(out.resolve())
     loop = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(base + _MAIN_LOOP)
@@ -81,7 +81,7 @@ def inside(out: Path) -> None:
 
 
 def drive(out: Path) -> None:
-    """Enable the add-on in the window and begin the script, which ends the process."""
+    """Enable the add-on in the window and start the script, which ends the process."""
     import bpy
 
     import blender_addon
@@ -115,7 +115,7 @@ def _view(bpy: Any) -> dict[str, Any]:
 
 
 def _script(bpy: Any, out: Path) -> Any:
-    """Yields the seconds to wait before its next step."""
+    """Steps in the window; yields the seconds to wait before the next one."""
     bpy.context.preferences.view.show_splash = False
     cube = bpy.data.objects.get("Cube")
     glass = bpy.data.materials.new("Glass")
@@ -147,7 +147,7 @@ def _script(bpy: Any, out: Path) -> Any:
     glass.node_tree.links.new(coordinates.outputs["Object"], noise.inputs["Vector"])
     glass.node_tree.links.new(noise.outputs["Color"], shader.inputs["Base Color"])
     cube["sm_license"] = "CC0-1.0"
-    cube.data.uv_layers.remove(cube.data.uv_layers[0])  # so that the export has to unwrap it
+    cube.data.uv_layers.remove(cube.data.uv_layers[0])  # so the export has to unwrap it
     noise.inputs["Detail"].default_value = 0
     yield 0.5
     with bpy.context.temp_override(**view):
@@ -165,7 +165,7 @@ def _script(bpy: Any, out: Path) -> Any:
 
 
 def _refused(bpy: Any, out: Path) -> Any:
-    """The same in a Blender that is too old: the panel says so."""
+    """As :func:`_script` in an old Blender, whose panel shows the refusal."""
     bpy.context.preferences.view.show_splash = False
     cube = bpy.data.objects["Cube"]
     cube["sm_role"], cube["sm_category"], cube["sm_license"] = "object", "paperweight", "CC0-1.0"

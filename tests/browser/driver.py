@@ -37,7 +37,7 @@ WAIT_S = 60.0
 
 
 def find_browser() -> tuple[str, str]:
-    """Paths of Chromium and its driver; skips the test where one of the two, or selenium, is absent."""
+    """Paths of Chromium and its driver; skips the test where either, or selenium, is absent."""
     pytest.importorskip("selenium", reason="selenium is not installed (extra `dev`)")
     browser = shutil.which("chromium") or shutil.which("chromium-browser")
     driver = shutil.which("chromedriver")
@@ -56,8 +56,8 @@ def open_browser(
 ) -> Iterator[Chrome]:
     """A browser with an empty profile in ``profile``; closed at the end.
 
-    ``logs_requests`` is needed by :meth:`Page.requested`, and makes the browser keep the text of everything
-    it loads: switch it off to measure memory.
+    ``logs_requests`` is needed by :meth:`Page.requested`, and makes the browser keep all loaded text: disable
+    it to measure memory.
     """
     browser, driver_path = find_browser()
     from selenium.webdriver import Chrome, ChromeOptions, ChromeService
@@ -78,7 +78,7 @@ def open_browser(
 
 
 class Page:
-    """A page under test: what a person would do, and what they would see."""
+    """A page under test: user input, and displayed values."""
 
     def __init__(self, driver: Chrome):
         self.driver = driver
@@ -89,7 +89,7 @@ class Page:
         self.wait("return document.documentElement.dataset.ready === 'true'")
 
     def go(self, fragment: str) -> None:
-        """Follow a link inside the page; views are waited for."""
+        """Follow a link inside the page and wait until its views are shown."""
         self.run("location.hash = arguments[0]", fragment)
         if fragment.startswith("#view/"):
             self.wait_for_view(re.split(r"[@?]", fragment.removeprefix("#view/"))[0])
@@ -143,8 +143,8 @@ class Page:
         return [float(text) for text in texts]
 
     def console(self) -> list[str]:
-        """Everything that the console said at warning level or above since the last call, but for advice
-        about reading pixels back, which the tests do, and software GL to show them."""
+        """Console messages of warning level or above since the last call, without performance advice about
+        reading pixels back (caused by the tests) and software GL."""
         return [
             entry["message"]
             for entry in self.driver.get_log("browser")
@@ -153,7 +153,7 @@ class Page:
         ]
 
     def requested(self) -> list[str]:
-        """Addresses of everything that the page has asked for so far."""
+        """Addresses of all requests of the page so far."""
         for entry in self.driver.get_log("performance"):
             message = json.loads(entry["message"])["message"]
             if message["method"] == "Network.requestWillBeSent":
@@ -164,8 +164,8 @@ class Page:
         self.driver.save_screenshot(str(path))
 
     def _renderers(self, what: Callable[[psutil.Process], float]) -> float:
-        """Sum of a figure over the processes that show the page and its frames, and the one or two that the
-        browser keeps ready."""
+        """Sum of a figure over the page's renderer processes, including the browser's one or two spare
+        ones."""
         total, num = 0.0, 0
         for process in psutil.Process(self.driver.service.process.pid).children(recursive=True):
             try:
@@ -178,9 +178,9 @@ class Page:
         return total
 
     def memory_mb(self) -> float:
-        """Memory that is not shared, of all these processes together."""
+        """Unshared memory (MB) of all renderer processes."""
         return self._renderers(lambda process: process.memory_full_info().uss / 1e6)
 
     def processor_s(self) -> float:
-        """Processor time of these processes, which a crowded machine does not stretch."""
+        """Processor seconds of the renderer processes, independent of other load."""
         return self._renderers(lambda process: sum(process.cpu_times()[:2]))

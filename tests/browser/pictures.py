@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The documentation's pictures of pages: ``python -m tests.browser.pictures OUT --report FOLDER``.
+"""Screenshots for the documentation: ``python -m tests.browser.pictures OUT --report FOLDER``.
 
 ``--report`` is a folder of ``datagen report``, ``--predictions`` one with predictions, ``--asset`` one of
 ``materials view``. ``--view`` chooses the view whose pixels are shown. The pictures are JPEG files named as
-docs/report.md names them; look at each before it replaces another.
+docs/report.md names them; check each before it replaces another.
 """
 
 from __future__ import annotations

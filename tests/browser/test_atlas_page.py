@@ -89,7 +89,7 @@ def make_quad(root: Path, side: int = SIDE, seed: int = 5) -> Quad:
 
 
 def confidence_of(side: int) -> np.ndarray:
-    """D's falls from left to right in steps of the patches; S and R are surer."""
+    """Confidences (N, 3) by patch: D's falls from left to right; S's and R's are higher."""
     steps = np.linspace(230, 20, PATCHES).astype(np.uint8).repeat(side // PATCHES)
     of_d = np.broadcast_to(steps, (side, side))
     return np.stack([of_d, np.full_like(of_d, 240), np.full_like(of_d, 250)], axis=-1)
@@ -117,7 +117,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 @pytest.fixture
 def page(browser: Page, folder: Path) -> Iterator[Page]:
-    """The page, freshly opened; at the end its console must be empty and nothing may have left the disk."""
+    """A newly opened page; afterwards its console must be empty and no request may have left the disk."""
     browser.console()
     browser.driver.get("about:blank")
     browser.open(folder / "index.html")
@@ -131,13 +131,13 @@ CAMERA, TARGET, FOV_DEG = np.array([0.4, -1.6, 1.5]), np.array([0.1, 0.0, 0.0]),
 
 
 def pose(page: Page, light: tuple[float, float, float] = (0.3, 0.5, 1.1), **more: object) -> None:
-    """A fixed camera and light, nothing but this light, no ball before the picture."""
+    """Set a fixed camera and ``light`` as the only light, its ball hidden."""
     wanted = {"camera": CAMERA.tolist(), "target": TARGET.tolist(), "fov": FOV_DEG, "light": light, "fill": 0}
     page.run("VIEW.set(arguments[0])", {**wanted, "showsLight": False, **more})
 
 
 def read(page: Page) -> np.ndarray:
-    """The canvas (H, W, 3)."""
+    """Pixels of the canvas (H, W, 3)."""
     width, height = page.run("const c = document.getElementById('picture'); return [c.width, c.height]")
     script = """
         const bytes = VIEW.read(0, 0, arguments[0], arguments[1]);
@@ -211,7 +211,7 @@ def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float,
     shown = read(page)
     points, is_seen = points_seen(*shown.shape[:2])
     texel = (points[..., :2] + 1) / 2 * SIDE % (SIDE // PATCHES)
-    is_seen &= (np.abs(texel - SIDE // PATCHES / 2) < 2.5).all(axis=-1)  # beyond the filter of other patches
+    is_seen &= (np.abs(texel - SIDE // PATCHES / 2) < 2.5).all(axis=-1)  # not filtered with other patches
     chosen = np.flatnonzero(is_seen)[::7]
     assert len(chosen) > 500
     got = shown.reshape(-1, 3)[chosen].astype(float)
@@ -220,7 +220,7 @@ def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float,
 
     def beyond(alpha_factor: float) -> float:
         """Deviation of the screen from the oracle's bounds, in bytes. Rasterisers round corners to 1/16 of a
-        pixel, so that a pixel shows what lies up to as far from its centre."""
+        pixel, so a pixel may show points up to that far from its centre."""
         shifts = [(0.0, 0.0), *((x / 16, y / 16) for x in (-1, 1) for y in (-1, 1))]
         possible = []
         for shift in shifts:
@@ -271,7 +271,7 @@ def test_assets_without_confidence_do_not_offer_it(browser: Page, tmp_path: Path
     browser.open(tmp_path / "page" / "index.html")
     browser.keys("7", to="#picture")
     assert browser.run("return VIEW.state().shown") == 0
-    browser.keys("5", to="#picture")  # the twin: what there is can be chosen
+    browser.keys("5", to="#picture")  # counterpart: existing channels can be chosen
     assert browser.run("return VIEW.state().shown") == 4
 
 
@@ -319,7 +319,7 @@ def test_camera_turns_and_moves(page: Page) -> None:
     from selenium.webdriver.common.by import By
 
     state = page.run("return VIEW.state()")
-    np.testing.assert_allclose(state["camera"], (0, -2, 0.3), atol=1e-6)  # the asset's own camera
+    np.testing.assert_allclose(state["camera"], (0, -2, 0.3), atol=1e-6)  # the asset's camera
     assert state["fov"] == pytest.approx(np.degrees(2 * np.arctan(24 / 50)))
     assert page.run("return document.getElementById('mode').value") == "fly"
     page.keys("w", to="#picture")
@@ -346,7 +346,7 @@ def test_camera_turns_and_moves(page: Page) -> None:
 
 
 def test_page_starts_with_the_whole_room(browser: Page, quad: Quad, tmp_path: Path) -> None:
-    """From the camera at the edge towards the middle of all; then outside, and the cameras in turn."""
+    """Opens at the outermost camera, looking at the mean position; then an outside view, and each camera."""
     places = [(-0.9, -0.9, 1.0), (0.5, 0.2, 1.0), (0.6, 0.4, 1.2), (0.4, 0.5, 1.0)]
     with open_package(quad.asset / "asset") as package:
         asset = package.asset
@@ -403,13 +403,13 @@ def test_large_textures_load_after_a_small_preview(browser: Page, tmp_path: Path
     browser.driver.get("about:blank")
     browser.driver.get((tmp_path / "page" / "index.html").as_uri())
     browser.wait("return document.getElementById('notice').innerText.includes('0-rough.js')")
-    assert read(browser).std() > 5  # the preview is shown all the same
-    assert len(browser.console()) == 1  # the browser's own word on the missing file
+    assert read(browser).std() > 5  # the preview is still shown
+    assert len(browser.console()) == 1  # the browser's message about the missing file
 
 
 @pytest.mark.slow
 def test_atlas_of_4096_texels_opens_quickly(tmp_path: Path) -> None:
-    """Noise in every texel, which PNG hardly shrinks: more than an atlas of photographs."""
+    """Every texel is noise, which PNG hardly compresses: larger than an atlas of photographs."""
     quad = make_quad(tmp_path / "large", side=4096)
     rng = np.random.default_rng(1)
     for name, image in quad.images.items():
@@ -424,7 +424,7 @@ def test_atlas_of_4096_texels_opens_quickly(tmp_path: Path) -> None:
         page.wait("return performance.getEntriesByName('preview').length > 0")
         first = page.processor_s() - before
         full = "return performance.getEntriesByName('full').length > 0"
-        page.until(lambda: page.run(full), full, 10 * WAIT_S)  # 150 MB of noise through software
+        page.until(lambda: page.run(full), full, 10 * WAIT_S)  # 150 MB of noise through software GL
         spent = page.processor_s() - before
         marks = ("preview", "full")
         times = [
@@ -439,14 +439,14 @@ def test_atlas_of_4096_texels_opens_quickly(tmp_path: Path) -> None:
     assert first < MAX_OPEN_S
 
 
-# ---------------------------------------------------------------------- shadows and the asset's own lights
+# ---------------------------------------------------------------------- shadows and the asset's lights
 
 SHELF = 0.25 * CORNERS + [0, 0, 0.4]
 
 
 def make_room(root: Path, lights: tuple[AreaLight, ...] = (), *, has_lamp: bool = True) -> Path:
-    """A white floor of 2 m, a shelf 0.5 m wide 0.4 m above its middle, and a lamp of 0.2 m that shines down
-    from 1.9 m."""
+    """A white floor of 2 m, a shelf 0.5 m wide 0.4 m above its middle, and a lamp of 0.2 m at 1.9 m that
+    emits downwards."""
     up, uv = np.tile([0.0, 0, 1], (4, 1)).astype("f4"), np.zeros((4, 2), np.float32)
     shapes = {"surface": CORNERS, "shelf": SHELF, "lamp": 0.1 * CORNERS + [0, 0, 1.9]}
     down = np.ascontiguousarray(FACES[:, ::-1]).astype(np.int32)
@@ -479,13 +479,13 @@ def open_page(browser: Page, page: Path) -> None:
 
 
 def is_behind_shelf(points: np.ndarray, light: np.ndarray, slack: float) -> np.ndarray:
-    """Whether the way from floor points (..., 3) to the light crosses the shelf, wider by ``slack`` m."""
+    """Whether segments from floor points (..., 3) to the light cross the shelf, widened by ``slack`` m."""
     crossing = points + (light - points) * (SHELF[0, 2] / light[2])
     return np.abs(crossing[..., :2]).max(axis=-1) < 0.25 + slack
 
 
 def floor_seen(shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (H, W, 3) of the floor, and where nothing is before it (neither shelf nor lamp, by a margin)."""
+    """Points (H, W, 3) of the floor, and the mask where neither shelf nor lamp (with a margin) covers it."""
     points, is_seen = points_seen(*shown.shape[:2])
     for height, half in ((0.4, 0.25), (1.9, 0.1)):
         at = points + (CAMERA - points) * (height / CAMERA[2])
@@ -497,7 +497,7 @@ def floor_seen(shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_movable_light_casts_shadows(
     browser: Page, tmp_path: Path, light: tuple[float, float, float]
 ) -> None:
-    """By geometry: black behind the shelf, everywhere else as without shadows, so without acne."""
+    """Black behind the shelf, as its geometry predicts, and elsewhere unchanged, so without acne."""
     open_page(browser, make_room(tmp_path, has_lamp=False))
     pose(browser, light, exposure=-1, power=1, shadows=False)
     bare = read(browser).astype(int)
@@ -511,9 +511,9 @@ def test_movable_light_casts_shadows(
     assert shown[is_dark].max() == 0
     np.testing.assert_array_equal(shown[is_lit], bare[is_lit])
     lit_shelf = points_seen(*shown.shape[:2])[1] & ~is_floor
-    assert (shown[lit_shelf] == bare[lit_shelf]).all(axis=-1).mean() > 0.9  # nor does the shelf shadow itself
+    assert (shown[lit_shelf] == bare[lit_shelf]).all(axis=-1).mean() > 0.9  # no self-shadowing either
     moved = (-light[0], -light[1], light[2] + 0.2)
-    pose(browser, moved, exposure=-1, power=1)  # the shadow goes with the light
+    pose(browser, moved, exposure=-1, power=1)  # the shadow follows the light
     after = read(browser)
     is_dark = is_floor & is_behind_shelf(points, np.array(moved), -0.02)
     assert after[is_dark].max() == 0
@@ -521,7 +521,7 @@ def test_movable_light_casts_shadows(
 
 
 def test_grazing_light_causes_no_shadow_acne(browser: Page, tmp_path: Path) -> None:
-    """5 cm above the floor: each texel of its map covers up to 20 times its width."""
+    """With the light 5 cm above the floor each shadow-map texel covers up to 20 times its width."""
     open_page(browser, make_room(tmp_path, has_lamp=False))
     light = (0.0, 0.0, 0.05)
     pose(browser, light, power=2, shadows=False)
@@ -534,7 +534,7 @@ def test_grazing_light_causes_no_shadow_acne(browser: Page, tmp_path: Path) -> N
 
 
 def test_lights_of_the_asset_are_switched(browser: Page, tmp_path: Path) -> None:
-    """A lamp of a mesh as a disk of its area: irradiance by hand, none behind the shelf, none when off."""
+    """A mesh lamp is a disk of equal area: analytic irradiance, none behind the shelf, none when off."""
     open_page(browser, make_room(tmp_path))
     assert "1 light," in browser.run("return document.getElementById('sources-note').textContent")
     assert browser.run("return VIEW.state().sources") is False
@@ -562,7 +562,7 @@ def test_lights_of_the_asset_are_switched(browser: Page, tmp_path: Path) -> None
 
 
 def test_lamps_do_not_shadow_themselves(browser: Page, tmp_path: Path) -> None:
-    """Two plates back to back, 10 cm apart: their middle is between them."""
+    """The centre of a lamp of two plates back to back, 10 cm apart, is between the plates."""
     index = make_room(tmp_path, has_lamp=False)
     with open_package(tmp_path / "asset") as package:
         asset = package.asset
@@ -590,12 +590,12 @@ def test_assets_without_lights_have_a_notice(browser: Page, tmp_path: Path) -> N
     open_page(browser, make_room(tmp_path, has_lamp=False))
     assert browser.run("return document.getElementById('sources').disabled") is True
     assert "There are none" in browser.run("return document.getElementById('sources-note').textContent")
-    pose(browser, sources=True)  # nor by a script
+    pose(browser, sources=True)  # not through a script either
     assert browser.run("return VIEW.state().sources") is False
 
 
 def test_many_lights_are_merged_and_keep_their_power(tmp_path: Path) -> None:
-    """Ten windows in a row, the last two apart by 1 cm and 2 cm of one another."""
+    """Ten windows in a row, the last two offset from one another by 1 cm and 2 cm."""
     places = [0.0, 1, 2, 3, 4, 5, 6, 7, 7.01, 7.03]
     lights = tuple(
         AreaLight(name=f"w-{k}", origin_m=(x, 0, 1), edge_u_m=(0.5, 0, 0), edge_v_m=(0, 0, 1),
@@ -617,7 +617,7 @@ def test_many_lights_are_merged_and_keep_their_power(tmp_path: Path) -> None:
 
 
 def test_lights_of_every_kind_become_sources(tmp_path: Path) -> None:
-    """Intensity towards a direction w, L (max(V.w, 0) + rest), of points, spheres and disks."""
+    """Intensity L (max(V.w, 0) + rest) of points, spheres and disks towards a direction w."""
     make_room(tmp_path, has_lamp=False)
     with open_package(tmp_path / "asset") as package:
         asset = package.asset
@@ -653,7 +653,7 @@ def test_large_textures_are_averaged_down_and_named(tmp_path: Path) -> None:
     quad = make_quad(tmp_path / "quad", side=1024)
     result = write_view(quad.asset / "asset", tmp_path / "page", max_side=256)
     assert len(result.notes) == 3 and "256 of 1024 texels" in result.notes[0]
-    assert write_view(quad.asset, tmp_path / "page", max_side=256).notes == result.notes  # brought up to date
+    assert write_view(quad.asset, tmp_path / "page", max_side=256).notes == result.notes  # updated
 
 
 def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> None:
@@ -671,7 +671,7 @@ def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> Non
 
 
 def test_vendored_library_is_the_pinned_one() -> None:
-    """`make three` builds it: the versions of lock, script and notice are one."""
+    """`make three` builds it: lock, script and notice name the same version."""
     pinned = json.loads((REPOSITORY / ".ci" / "three" / "package.json").read_text())
     version = pinned["devDependencies"]["three"]
     locked = json.loads((REPOSITORY / ".ci" / "three" / "package-lock.json").read_text())
@@ -679,6 +679,6 @@ def test_vendored_library_is_the_pinned_one() -> None:
     script = (REPOSITORY / "model/reconstruction/atlas_page/page/three.js").read_text()
     assert f"three.js {version}," in script[:200] and f"three.js {version}," in pinned["scripts"]["build"]
     revision = re.match(r"0\.(\d+)\.", version)
-    assert revision is not None and f'"{revision[1]}"' in script  # the library's own word
+    assert revision is not None and f'"{revision[1]}"' in script  # the version in the library
     notice = (REPOSITORY / "LICENSES" / "three.js.txt").read_text()
     assert "three.js authors" in notice and "MIT License" in notice

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The page of an evaluation in a real browser: the slider moves the line between truth and estimate."""
+"""The page of an evaluation in a real browser, with its slider between truth and estimate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VIEWS = {"view-000": 20.0, "view-001": 14.0, "view-002": 17.0}
 
 
 def _result(folder: Path) -> SuiteResult:
-    """One method that says 0.3 everywhere, on three views."""
+    """Result of one method that predicts 0.3 everywhere, on three views."""
     channels = dict.fromkeys(BUFFERS, 3) | {"roughness": 1, "surface_mask": 1, "depth_z_m": 1}
     for name in VIEWS:
         buffers = {b: np.full((*SIZE, channels[b]), 0.3, np.float32) for b in BUFFERS}

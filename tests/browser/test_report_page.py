@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The report's page in a real browser, opened from disk: what it shows equals what the shards hold."""
+"""The report page in a real browser, opened from disk: displayed values equal the shards' contents."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def spoil(dataset: Path) -> None:
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    find_browser()  # skips before anything is rendered
+    find_browser()  # skips before rendering
     copy = tmp_path_factory.mktemp("browser") / "dataset"
     shutil.copytree(rendered_dataset(tmp_path_factory), copy)
     spoil(copy)
@@ -60,7 +60,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def predictions(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Two methods; the second, worse one lacks a view and has another that is broken."""
+    """Predictions of two methods; the second is worse, lacks a view and has a broken one."""
     root = tmp_path_factory.mktemp("predictions")
     source = rendered_dataset(tmp_path_factory)
     folders = [predict(source, root / name, seed) for seed, name in enumerate(("ours", "theirs"))]
@@ -93,7 +93,7 @@ def browser(report: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 
 @pytest.fixture
 def page(browser: Page, report: Path) -> Iterator[Page]:
-    """The page, freshly opened; at the end its console must be empty and nothing may have left the disk."""
+    """A newly opened page; afterwards its console must be empty and no request may have left the disk."""
     browser.console()
     browser.driver.get("about:blank")
     browser.open(report / "index.html")
@@ -146,12 +146,12 @@ def test_page_opens_with_all_sections(page: Page) -> None:
     assert len(names) == 10 and names[:2] == [
         "view-000, small-00000",
         "view-001, small-00000",
-    ]  # cut at the end
-    assert page.run("return REPORT.state().numRequested") == 0  # no pixel is read before one is asked for
+    ]  # truncated
+    assert page.run("return REPORT.state().numRequested") == 0  # no pixels are read before a view is opened
 
 
 def test_rooms_come_first_and_link_to_their_views(page: Page, dataset: Path) -> None:
-    """A picture of each configuration above every figure; on a phone nothing is wider than the screen."""
+    """Pictures of all configurations precede the figures; on a phone nothing is wider than the screen."""
     found = page.run(
         "return [...document.querySelectorAll('#overview h2 + .rooms a:not(.sheet)')]"
         ".map((a) => [a.hash, a.querySelector('img').naturalWidth, a.innerText])"
@@ -208,15 +208,15 @@ def test_value_under_the_cursor_equals_the_file(page: Page, views: dict[str, Vie
     for x, y in ((0, 0), (63, 47), (20, 30), (41, 12)):
         if how == "keyboard":
             page.go(f"#view/{key}@{x},{y}")
-            page.keys("\ue012" if x else "\ue014")  # one to the left, or right
+            page.keys("\ue012" if x else "\ue014")  # one pixel to the left or right
             x += -1 if x else 1
         else:
             page.hover("beauty", x, y)
         page.until(lambda x=x, y=y: cursor(page) == (x, y), f"{x}, {y}")
         for name in SHOWN_BUFFERS:
             stored = views[key].buffers[name][y, x]
-            told = np.array(page.values(name)).astype(stored.dtype)
-            assert told.tobytes() == stored.tobytes(), (name, x, y)
+            displayed = np.array(page.values(name)).astype(stored.dtype)
+            assert displayed.tobytes() == stored.tobytes(), (name, x, y)
             seen.add(name)
     assert len(seen) == len(SHOWN_BUFFERS)
     record = views[key].record
@@ -255,7 +255,7 @@ def test_zoom_and_pan_are_linked(page: Page, views: dict[str, View]) -> None:
         ("color_max", view.record.exposure),
         ("diffuse_albedo", 1.0),
     ):
-        for x, y in ((41, 20), (39, 21)):  # not the cursor's own pixel, whose frame is drawn over it
+        for x, y in ((41, 20), (39, 21)):  # not the cursor's pixel, which its frame covers
             expected = screen_bytes(view.buffers[name][y, x], exposure)
             np.testing.assert_allclose(shown_color(page, name, x, y), expected, atol=1, err_msg=name)
     page.hover("specular_albedo", 38, 19)
@@ -280,7 +280,7 @@ def _origin(element):
 def test_exposure_changes_the_picture_and_no_value(page: Page, views: dict[str, View]) -> None:
     key = "small-00001/view-000"
     page.go(f"#view/{key}@10,10")
-    told = page.values("beauty")
+    displayed = page.values("beauty")
     page.run(
         "const e = document.getElementById('exposure'); e.value = -2; e.dispatchEvent(new Event('input'))"
     )
@@ -290,7 +290,7 @@ def test_exposure_changes_the_picture_and_no_value(page: Page, views: dict[str, 
     assert expected.max() < screen_bytes(view.buffers["beauty"][30, 31], view.record.exposure).max() - 5
     albedo = screen_bytes(view.buffers["diffuse_albedo"][30, 31])
     np.testing.assert_allclose(shown_color(page, "diffuse_albedo", 31, 30), albedo, atol=1)
-    assert page.values("beauty") == told
+    assert page.values("beauty") == displayed
     page.keys("]")
     assert "-1.5 stops" in page.run("return document.getElementById('exposure-text').textContent")
 
@@ -315,7 +315,7 @@ def test_wipe_shows_one_left_and_the_other_right(page: Page, views: dict[str, Vi
     assert np.abs(left - second).max() > 10
     np.testing.assert_allclose(shown_color(page, "wipe", 8, row), left, atol=1)
     np.testing.assert_allclose(shown_color(page, "wipe", 55, row), right, atol=1)
-    page.keys(*"," * 10)  # all the way to the left: only the second is to be seen
+    page.keys(*"," * 10)  # at the left end only the second is visible
     np.testing.assert_allclose(shown_color(page, "wipe", 8, row), second, atol=1)
     page.keys("w")
     page.wait("return document.querySelectorAll('#panels canvas').length > 5")
@@ -342,7 +342,7 @@ def test_source_views_reproduce_the_statistics(page: Page, views: dict[str, View
             )
             found = np.array([float(word) for word in text.split()])
             stored = view.buffers[name][y, x].astype(np.float64)
-            # halves are rounded to 2^-11; the kernel's projection is single, the page's double precision
+            # half floats round to 2^-11; the kernel projects in single, the page in double precision
             np.testing.assert_allclose(found, stored, rtol=2e-3, atol=1e-6, err_msg=name)
             assert not np.allclose(found * 1.05, stored, rtol=2e-3, atol=1e-6)
     link = page.run("return document.querySelector(`.sources li:not([data-view='view-000']) a`).hash")
@@ -375,26 +375,26 @@ def test_prediction_is_chosen_and_its_error_is_read(
         page.hover(f"error:{slug}:roughness", x, y)
         page.until(lambda x=x, y=y: cursor(page) == (x, y), f"{x}, {y}")
         for name in MATERIAL_MAPS:
-            told = np.array(page.values(f"predicted:{slug}:{name}")).astype(np.float16)
-            assert told.tobytes() == predicted[name][y, x].tobytes()
+            displayed = np.array(page.values(f"predicted:{slug}:{name}")).astype(np.float16)
+            assert displayed.tobytes() == predicted[name][y, x].tobytes()
             error = np.abs(predicted[name][y, x].astype(float) - truth[name][y, x].astype(float))
             np.testing.assert_allclose(page.values(f"error:{slug}:{name}"), error, rtol=1e-5, atol=1e-12)
     mask = (truth["depth_z_m"][..., 0] > 0) & (truth["surface_mask"][..., 0] >= 0.5)
     squares = (predicted["roughness"].astype(float) - truth["roughness"].astype(float))[mask] ** 2
-    told = page.run("return document.querySelector(`tr[data-mse='roughness'] td`).textContent")
-    assert float(told) == pytest.approx(squares.mean(), rel=6e-3)  # three digits
+    displayed = page.run("return document.querySelector(`tr[data-mse='roughness'] td`).textContent")
+    assert float(displayed) == pytest.approx(squares.mean(), rel=6e-3)  # three digits
     page.keys("+", "+")  # larger pixels: no filter between them
     errors = np.abs(predicted["diffuse_albedo"].astype(float) - truth["diffuse_albedo"].astype(float)).mean(
         axis=-1
     )
     colors = np.array(cividis())
     seen = []
-    y, x = (int(k) for k in np.argwhere(mask[38:46, 50:62])[0] + (38, 50))  # in sight, and not the cursor
+    y, x = (int(k) for k in np.argwhere(mask[38:46, 50:62])[0] + (38, 50))  # visible, not the cursor's
     for largest in (0.2, 0.05):
         choose(page, "max-error", str(largest))
         expected = colors[round(min(255, 255 * errors[y, x] / largest))]
         seen.append(shown_color(page, f"error:{slug}:diffuse_albedo", x, y))
-        np.testing.assert_allclose(seen[-1], expected, atol=4)  # two steps of the map
+        np.testing.assert_allclose(seen[-1], expected, atol=4)  # two steps of the colour map
         bar = "document.querySelector(`figure:has([data-buffer^='error']) .scale`)"
         assert page.run(f"return {bar}.getAttribute('aria-label')") == f"colours from 0 to {largest}"
     assert seen[0] != seen[1]
@@ -429,7 +429,7 @@ def test_missing_and_broken_predictions_are_named(page: Page) -> None:
         page.wait_for_view(key)
         assert page.run(notice).startswith("Their <method>") and expected in page.run(notice)
         assert page.run("return document.querySelectorAll('#panels canvas').length") == 3  # the truth
-    page.keys("m")  # after the last method comes none
+    page.keys("m")  # no prediction follows the last method
     page.wait_for_view("small-00001/view-004")
     assert page.run("return document.querySelectorAll('#panels canvas').length") > 5
     page.keys("m")
@@ -448,7 +448,7 @@ def test_worst_predictions_come_first(page: Page, report: Path) -> None:
         "return [...document.querySelectorAll('#worst-views tbody tr')].map((n) => n.dataset.view)"
     )
     worst = sorted(roughness, key=lambda key: -(roughness[key] if roughness[key] is not None else np.inf))
-    assert listed == worst and listed[0] == "small-00001/view-004"  # unknown comes before all
+    assert listed == worst and listed[0] == "small-00001/view-004"  # views of unknown error come first
     choose(page, "by-order", "largest error, Their <method>")
     cards = page.run("return [...document.querySelectorAll('.cards-of-views a')].map((a) => a.hash)")
     assert cards[0] == "#view/small-00001/view-004" and cards[-1] == "#view/small-00001/view-003"
@@ -490,7 +490,7 @@ def test_missing_parts_are_named(page: Page, report: Path) -> None:
 
 
 def synthetic_report(report: Path, out: Path, num_configurations: int, num_views: int) -> Path:
-    """The page with an index of many views; every thumbnail is there."""
+    """Write the page with an index of many synthetic views; all thumbnails exist."""
     shutil.copytree(report, out, ignore=shutil.ignore_patterns("tiles", "gathered"))
     picture = (report / "thumbnails" / "small-00000" / "view-000.jpg").read_bytes()
     one = out / "one.jpg"
@@ -556,8 +556,8 @@ def test_thousands_of_views_use_little_memory(report: Path, tmp_path: Path) -> N
 def test_stepping_through_large_views_leaks_no_memory(
     report: Path, tmp_path: Path, views: dict[str, View]
 ) -> None:
-    """Thirty views of 640 x 384, every buffer of each, and then with a prediction: the page and its frames
-    stay small all the time, not only once garbage is collected."""
+    """Thirty views of 640 x 384, every buffer of each, then with a prediction: memory stays small throughout,
+    not only after garbage collection."""
     out = synthetic_report(report, tmp_path / "many", 6, 5)
     rows, columns = np.indices((384, 640))
     rng = np.random.default_rng(3)

@@ -58,7 +58,7 @@ def _as_data(model: Any) -> Any:
 
 
 def valid_documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
-    """A valid document of every format, and its reader."""
+    """A valid document of every format, with its reader."""
     configuration = make_configuration(num_views=2)
     material = {
         "format": "scene-materials/asset", "version": 1, "id": "oak", "title": "Oak", "kind": "material",
@@ -145,7 +145,7 @@ def _document(name: str) -> CaseMaker:
         path = folder / "document.json"
 
         def check(target: Path) -> None:
-            # what was accepted can be written again, and is the same when it is read
+            # accepted documents round-trip unchanged
             result = read(target)
             text = canonical_json(result)
             assert canonical_json(parse_model(type(result), json.loads(text), target)) == text
@@ -169,7 +169,7 @@ def _package_files() -> dict[str, bytes]:
 
 
 def package_folder(folder: Path) -> Case:
-    """A folder with one file damaged, or with the description naming what it should not."""
+    """A package folder with one damaged file, or with a description that names forbidden files."""
     package = folder / "package"
     package.mkdir()
     set_traps(package)
@@ -200,7 +200,7 @@ def package_folder(folder: Path) -> Case:
 
 
 def package_zip(folder: Path) -> Case:
-    """A zip with a mutated description, members that lead out, and damaged bytes."""
+    """A package zip with a mutated description, members outside of it, and damaged bytes."""
     files = _package_files()
     documents = valid_documents()
 
@@ -230,7 +230,7 @@ def package_zip(folder: Path) -> Case:
 
 
 class _SmallShard:
-    """Members of a shard of one view with few buffers, to be put together in hostile ways."""
+    """Members of a shard of one view with few buffers, to be combined in hostile ways."""
 
     def __init__(self) -> None:
         self.configuration = make_configuration(num_views=1, width=12, height=8)
@@ -241,7 +241,7 @@ class _SmallShard:
         self.tar = self.build(random.Random(0), is_hostile=False)
 
     def build(self, rng: random.Random, is_hostile: bool = True) -> bytes:
-        """A tar; hostile ones have damaged, renamed, doubled, linked or lying members."""
+        """Bytes of a tar; hostile ones have damaged, renamed, duplicate, linked or false members."""
         members = [
             (CONFIGURATION_MEMBER, self.configuration.model_dump(mode="json")),
             ("small-00000/view-000.exr", self.exr),
@@ -275,7 +275,7 @@ class _SmallShard:
 
 
 def shard(folder: Path) -> Case:
-    """One shard, read view by view and verified."""
+    """A hostile shard, read view by view and verified."""
     parts = _SmallShard()
 
     def read(path: Path) -> None:
@@ -290,7 +290,7 @@ def shard(folder: Path) -> Case:
 
 
 def exr(folder: Path) -> Case:
-    """An image: damaged bytes, and headers that claim other windows, types, channels or compressions."""
+    """An EXR image with damaged bytes or a header of false windows, types, channels or compressions."""
     buffers = make_buffers(6, 9, seed=1)
     chosen = {name: buffers[name] for name in ("beauty", "roughness", "material_id")}
     originals = [encode_view(chosen, kind, 1) for kind in ("none", "rle", "zips", "zip", "piz")]
@@ -312,7 +312,7 @@ def exr(folder: Path) -> Case:
 
 
 def dataset_folder(folder: Path) -> Case:
-    """A dataset folder from someone else: its index, shard, plan, markers and failures."""
+    """An untrusted dataset folder: its index, shard, plan, markers and failures."""
     root = folder / "set"
     for name in ("shards", "units", "failed", "logs", "configurations"):
         (root / name).mkdir(parents=True)
@@ -370,14 +370,14 @@ def dataset_folder(folder: Path) -> Case:
             status = result if hasattr(result, "failed") else status
         for failure in status.failed if status else ():
             last_lines(path, failure.log)
-        if refusal is not None:  # every step was tried; one refusal makes the folder refused
+        if refusal is not None:  # every step is tried; one refusal counts as refusal of the folder
             raise refusal
 
     return Case(write, read)
 
 
 def _with_hostile_paths(document: Any, rng: random.Random) -> Any:
-    """Names of files and units replaced by ones that lead elsewhere."""
+    """The document with names of files and units replaced by paths outside."""
     text = json.dumps(document)
     for name in ("shards/small.tar", "small-00000", "logs/small-00000.3.log", '"k"'):
         if rng.random() < 0.3:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Graphs and sizes that strangers may hand to the importers: references, fan-outs, depths, counts.
+"""Untrusted graphs and sizes for the importers: references, fan-outs, depths, counts.
 
-Nearly all inputs are read under limits of a two-hundredth, so that small files meet them in milliseconds;
-the others are of full size, under the limits that users have.
+Most inputs are read under limits scaled by 1/200, which small files reach in milliseconds; the others are of
+full size, under the default limits.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ FULL_SHARE, FULL_FACTOR = 0.005, 200
 
 
 def size(rng: random.Random, top: int) -> int:
-    """A number from 1 to ``top``, as likely to be near 10 as near 1,000."""
+    """A log-uniform number from 1 to ``top``."""
     return int(top ** rng.random())
 
 
 class Scale:
-    """Limits under which one input is read, and the largest sizes of its parts."""
+    """Limits for reading one input, and the maximum sizes of its parts."""
 
     def __init__(self) -> None:
         self.limits, self.factor = SMALL, 1
@@ -72,7 +72,7 @@ def _reader(scale: Scale, folder: Path) -> Callable[[Path], object]:
 
 
 def _bsdfs(rng: random.Random, scale: Scale) -> list[str]:
-    """A graph: each refers to none, one or two of the ``reach`` before it; seldom to itself or to none."""
+    """BSDFs that each refer to up to two of the ``reach`` before them; rarely to themselves or none."""
     count, reach = scale.size(rng, 75), size(rng, 20)
     lines = ['<bsdf type="diffuse" id="b0"/>']
     for k in range(1, count):
@@ -97,7 +97,7 @@ def _shapes(rng: random.Random, scale: Scale, num_bsdfs: int) -> list[str]:
 
 
 def mitsuba(folder: Path) -> Case:
-    """Scenes: BSDFs that refer to each other, groups, instances, includes, defaults, things inside things."""
+    """Mitsuba scenes of BSDF references, groups, instances, includes, defaults and nested elements."""
     scale = Scale()
 
     def write(rng: random.Random) -> Path:
@@ -132,7 +132,7 @@ def mitsuba(folder: Path) -> Case:
 
 def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
     """Top-level entries: a forest of nodes of any depth and fan-out, meshes of any number of primitives,
-    accessors of any number of entries."""
+    accessors of any count."""
     count, reach = scale.size(rng, 100), size(rng, 500)
     parents = [-1] + [max(-1, k - rng.randint(1, reach)) for k in range(1, count)]
     num_meshes = size(rng, 8)
@@ -182,7 +182,7 @@ def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
 
 
 def gltf_graph(folder: Path) -> Case:
-    """Documents with node graphs."""
+    """glTF documents with node graphs."""
     scale = Scale()
 
     def write(rng: random.Random) -> Path:
@@ -194,7 +194,7 @@ def gltf_graph(folder: Path) -> Case:
 
 
 def texture_folder(folder: Path) -> Case:
-    """Maps of any number and size, flat ones that are small on disk."""
+    """A texture folder of any number and size of maps, some constant and so small on disk."""
     scale, root = Scale(), folder / "oak"
     root.mkdir()
     roles = ("Color", "Roughness", "Metalness", "NormalGL", "NormalDX", "AO", "Opacity", "Displacement")
@@ -215,7 +215,7 @@ def texture_folder(folder: Path) -> Case:
 
 
 def sweet_home(folder: Path) -> Case:
-    """Catalogues of any number of pieces; many faces at one vertex, polygons of many corners."""
+    """Furniture catalogues of any number of pieces; many faces at a vertex, polygons of many corners."""
     scale = Scale()
 
     def model(rng: random.Random) -> bytes:
@@ -257,7 +257,7 @@ def sweet_home(folder: Path) -> Case:
 
 
 def package_zip(folder: Path) -> Case:
-    """Packages as zips: members of any number and size, that shrink by any ratio."""
+    """Zipped packages with members of any number, size and compression ratio."""
     scale = Scale()
     document = json.dumps(valid_documents()["material"][0])
     texture = encode_png(np.full((8, 8, 3), 9, np.uint8))

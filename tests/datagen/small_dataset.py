@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small synthetic views and shards for tests that need files but no renderer."""
+"""Small synthetic views and shards for tests that need no renderer."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def make_buffers(height: int, width: int, seed: int) -> dict[str, np.ndarray]:
 
 
 def make_configuration(num_views: int, width: int = 40, height: int = 24) -> Configuration:
-    """A configuration of an environment alone, seen by ``num_views`` cameras."""
+    """A configuration of an environment without objects, with ``num_views`` cameras."""
     cameras = []
     for index in range(num_views):
         pose = look_at([0.3 * index, -2.0, 1.4], [0.0, 0.0, 1.0])
@@ -57,7 +57,7 @@ def make_configuration(num_views: int, width: int = 40, height: int = 24) -> Con
 
 
 def make_view_files(folder: Path, configuration: Configuration) -> list[tuple[str, Path]]:
-    """Write EXR and JSON of every view; returns the members of their shard."""
+    """Write EXR and JSON of every view; returns the members of the shard."""
     members = []
     for index, camera in enumerate(configuration.cameras):
         buffers = make_buffers(camera.height_px, camera.width_px, seed=index)

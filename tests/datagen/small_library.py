@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A small real library for tests: a closed room with a window and a table, eight things, six materials.
+"""A small library for tests: a closed room with a window and a table, eight objects, six materials.
 
-Everything is built from boxes, cylinders and spheres of a few hundred triangles; ``write_small_library``
-takes well under a second. Add ``num_rooms`` for more rooms of other sizes.
+Geometry consists of boxes, cylinders and spheres of a few hundred triangles; ``write_small_library`` takes
+less than a second. ``num_rooms`` adds rooms of other sizes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ WALL_M = 0.1
 
 
 def box(minimum: Any, maximum: Any) -> trimesh.Trimesh:
-    """An axis-aligned box, outward triangles."""
+    """An axis-aligned box with outward triangles."""
     low, high = np.asarray(minimum, float), np.asarray(maximum, float)
     mesh = trimesh.creation.box(extents=high - low)
     mesh.apply_translation(0.5 * (low + high))
@@ -52,7 +52,7 @@ def cylinder(radius: float, height: float, sections: int = 24) -> trimesh.Trimes
 
 
 def ball(radius: float) -> trimesh.Trimesh:
-    """A sphere that touches z = 0 with a small flat: a true sphere stands on one point and would roll."""
+    """A sphere with a small flat face on z = 0; a true sphere would be unstable."""
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     vertices = np.array(mesh.vertices)
     vertices[:, 2] = np.maximum(vertices[:, 2], -0.95 * radius)
@@ -61,7 +61,7 @@ def ball(radius: float) -> trimesh.Trimesh:
 
 
 def with_uv(shape: trimesh.Trimesh, *, smooth: bool = False) -> Mesh:
-    """The mesh with normals and box-projected UVs of one unit a metre."""
+    """The mesh with normals and box-projected UVs, one unit per metre."""
     raw = Mesh(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32))
     mesh = Mesh(raw.positions, raw.faces, vertex_normals(raw)) if smooth else flat_shaded(raw)
     assert mesh.normals is not None
@@ -74,7 +74,7 @@ def with_uv(shape: trimesh.Trimesh, *, smooth: bool = False) -> Mesh:
 def write_material(
     root: Path, name: str, classes: tuple[str, ...], texture: bool = False, **channels: Any
 ) -> None:
-    """A material package; with ``texture`` its diffuse albedo is a small noise image."""
+    """Write a material package; with ``texture`` its diffuse albedo is a small noise image."""
     files: dict[str, bytes | Path] = {}
     if texture:
         noise = np.random.default_rng(len(name)).uniform(90, 160, (16, 16, 3)).astype(np.uint8)
@@ -94,7 +94,7 @@ def write_object(
     materials: dict[str, SlotMaterial] | None = None,
     **fields: Any,
 ) -> None:
-    """An object package of one part a slot."""
+    """Write an object package with one part per slot."""
     materials = materials or {
         slot: SlotMaterial(classes=("plastic",), replaceable_by=("plastic", "wood", "metal"))
         for slot in shapes
@@ -149,7 +149,7 @@ def room_shapes(width: float, depth: float, height: float) -> dict[str, trimesh.
 def write_room(
     root: Path, name: str, size: tuple[float, float, float] = (5.0, 4.0, 2.7), **changes: Any
 ) -> EnvironmentAsset:
-    """The room of :func:`room_shapes` as an environment package; ``changes`` replace its fields."""
+    """Write the room of :func:`room_shapes` as an environment package; ``changes`` replace its fields."""
     w, d, h = size
     shapes = room_shapes(w, d, h)
     meshes = {part: with_uv(shape) for part, shape in shapes.items()}
@@ -239,7 +239,7 @@ def write_package_of(
     files: dict[str, Path] | None = None,
     **fields: Any,
 ) -> EnvironmentAsset:
-    """An environment package of any shapes, one grey part each, with further ``files``."""
+    """Write an environment package of given shapes, one grey part each, with further ``files``."""
     meshes = {part: with_uv(shape) for part, shape in shapes.items()}
     asset = EnvironmentAsset(
         id=name,
@@ -255,7 +255,7 @@ def write_package_of(
 
 
 def chair() -> trimesh.Trimesh:
-    """Seat, back and four legs; its back at +Y."""
+    """Shapes of a chair: seat, back (at +Y) and four legs."""
     legs = [box([x, y, 0], [x + 0.04, y + 0.04, 0.45]) for x in (-0.2, 0.16) for y in (-0.2, 0.16)]
     return trimesh.util.concatenate(
         [*legs, box([-0.2, -0.2, 0.45], [0.2, 0.2, 0.49]), box([-0.2, 0.16, 0.49], [0.2, 0.2, 0.9])]
@@ -263,7 +263,7 @@ def chair() -> trimesh.Trimesh:
 
 
 def write_objects(root: Path) -> None:
-    """Eight things of six categories."""
+    """Write eight objects of six categories."""
     small: tuple[str, ...] = ("table", "shelf", "counter")
     write_object(
         root,
@@ -295,7 +295,7 @@ def write_objects(root: Path) -> None:
 
 
 def write_small_library(root: Path, num_rooms: int = 1) -> Path:
-    """The whole library below ``root``; returns ``root``."""
+    """Write the library below ``root``; returns ``root``."""
     for k in range(num_rooms):
         write_room(root, f"room-{k}", (5.0 + 0.5 * k, 4.0 + 0.3 * k, 2.7))
     write_objects(root)

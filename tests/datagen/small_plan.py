@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A planned dataset folder of tiny units, ready to run, made without the assembler."""
+"""A planned dataset folder of tiny units, made without the assembler."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def plan_small(
     objects: tuple[PlacedAsset, ...] = (),
     light: bool = False,
 ) -> DatasetFolder:
-    """Write library (once) and plan; the same arguments give the same units. With ``objects`` all cameras
-    look at their middle."""
+    """Write library (once) and plan; equal arguments give equal units. With ``objects`` all cameras look at
+    their centre."""
     if not library_root.exists():
         write_small_library(library_root)
     library = Library([library_root])
@@ -43,7 +43,7 @@ def plan_small(
         views=num_views,
         resolution=SIZE,
         statistics=StatisticsRecipe(light=light),
-        # To an error: whatever disturbs a run must not change where the passes of a view end.
+        # With an error target: interruptions must not change the number of passes of a view.
         render=RenderRecipe(
             variant="llvm_ad_rgb",
             max_rel_mse=0.02,

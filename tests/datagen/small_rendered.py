@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small dataset that is really rendered, made once a test run: two rooms seen by five cameras each."""
+"""A small rendered dataset, made once per test run: two rooms with five cameras each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MADE: list[Path] = []
 
 
 def rendered_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The dataset's folder; tests must not change it."""
+    """Folder of the dataset; tests must not change it."""
     if _MADE:
         return _MADE[0]
     root = tmp_path_factory.mktemp("rendered")
@@ -31,7 +31,7 @@ def rendered_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def predict(dataset: Path, out: Path, seed: int) -> Path:
-    """Maps that are wrong by a little noise, in ``out/<configuration>/<view>.exr``."""
+    """Write maps with a little noise to ``out/<configuration>/<view>.exr``."""
     rng = np.random.default_rng(seed)
     for view in Dataset(dataset).views():
         maps = {}

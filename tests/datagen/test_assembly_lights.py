@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The light probe against closed forms and Mitsuba; lights where they belong; no room without light."""
+"""The light probe against closed forms and Mitsuba; placement of lights; no unlit room."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def estimate(scene: WorldScene, albedo: float, group: LightGroup, points: Any, c
 @pytest.mark.parametrize("albedo", [0.0, 0.5, 0.8])
 @pytest.mark.parametrize("error", [0.0, 0.05])
 def test_probe_in_an_integrating_sphere(tmp_path: Path, albedo: float, error: float) -> None:
-    """Point light of intensity I at the centre, radius r: walls receive I/r^2 / (1 - albedo), all alike."""
+    """A point light I at the centre of a sphere of radius r: walls receive I/r^2 / (1 - albedo)."""
     radius, intensity = 2.0, 3.0
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     scene = scene_of(trimesh.Trimesh(ball.vertices, ball.faces[:, ::-1], process=False), tmp_path)
@@ -87,8 +87,8 @@ def test_probe_in_an_integrating_sphere(tmp_path: Path, albedo: float, error: fl
 
 
 def test_lights_of_equal_power_agree(tmp_path: Path) -> None:
-    """Far from a small light its kind does not matter: sphere, disk, rectangle, spot, emitting triangles."""
-    scene = scene_of(box([-9, -9, -9.2], [9, 9, -9]), tmp_path)  # a floor too far to count; albedo 0
+    """Far from a small light its kind is irrelevant: sphere, disk, rectangle, spot, emitting triangles."""
+    scene = scene_of(box([-9, -9, -9.2], [9, 9, -9]), tmp_path)  # a negligibly far floor; albedo 0
     point = np.array([[0.0, 0.0, -1.0]])
     size, radiance = 0.04, 50.0
     side = (0.5 * size, -0.5 * size, 0.0)
@@ -142,7 +142,7 @@ def test_emitting_triangles_are_an_area_light(tmp_path: Path) -> None:
 
 
 def test_sky_through_a_window_is_counted_once(tmp_path: Path) -> None:
-    """Sampled at the opening, or met by rays that leave the room: both ways give the same light."""
+    """The sky gives the same light sampled at the opening or hit by rays that leave the room."""
     write_small_library(tmp_path)
     package = Library([tmp_path]).package("room-0")
     scene = WorldScene(load_geometry(package), [])
@@ -155,7 +155,7 @@ def test_sky_through_a_window_is_counted_once(tmp_path: Path) -> None:
 
 
 def test_probe_agrees_with_mitsuba(tmp_path: Path, mitsuba_variant: str) -> None:
-    """Reflected light at the places of cameras, of the configuration as it will be rendered."""
+    """Reflected light at the cameras' positions, in the rendered configuration."""
     import mitsuba as mi
 
     from datagen.rendering.scene_builder import build_scene
@@ -227,7 +227,7 @@ NATIVE = {"native_probability": 1, "area_probability": 0, "point_probability": 0
 
 
 def test_every_room_is_lit(tmp_path: Path) -> None:
-    """Without slots, openings and lights of its own, a room gets a panel under its ceiling."""
+    """A room without slots, openings and lights gets a panel under its ceiling."""
     write_room(tmp_path, "bare", light_slots=(), openings=())
     write_objects(tmp_path)
     library = Library([tmp_path])
@@ -240,7 +240,7 @@ def test_every_room_is_lit(tmp_path: Path) -> None:
 
 
 def test_a_room_that_cannot_be_lit_is_reported(tmp_path: Path) -> None:
-    """A light that is walled in reaches no camera, and there is no ceiling to hang another from."""
+    """An enclosed light reaches no camera, and there is no ceiling for another."""
     shapes = {
         "floor": box([0, 0, -0.1], [5, 5, 0]),
         "case": box([6, 1, 0], [7, 2, 1]),
@@ -288,7 +288,7 @@ def test_lamps_inside_furniture_are_not_used(tmp_path: Path) -> None:
 
 
 def test_a_bulb_in_a_lampshade_does_not_count_as_inside_a_wall(tmp_path: Path) -> None:
-    """From inside a shade of one sheet most directions meet its back, yet light gets out."""
+    """From inside a single-sheet shade most rays hit its back, yet light gets out."""
     shade = trimesh.creation.cylinder(radius=0.15, height=0.3, sections=32)
     sides = shade.faces[np.abs(shade.face_normals[:, 2]) < 0.5]  # open at both ends
     sheet = trimesh.Trimesh(np.array(shade.vertices) + np.array([2.5, 2.0, 2.3]), sides, process=False)
@@ -317,7 +317,7 @@ def test_area_lights_stay_in_their_slot(tmp_path: Path) -> None:
 
 
 def test_a_slot_that_a_lamp_occupies_stays_empty(tmp_path: Path) -> None:
-    """Importers make slots of the lights that they find: both at once would be one lamp twice."""
+    """Importers make slots of lights that they find; using both would count one lamp twice."""
     own = AreaLight(
         name="own", origin_m=(2.0, 2.4, 2.69), edge_u_m=(1, 0, 0), edge_v_m=(0, -0.8, 0), radiance=(1, 1, 1)
     )
@@ -408,12 +408,12 @@ def test_blocked_lights_are_detected(tmp_path: Path) -> None:
         )
 
     assert not is_blocked(light(0.1, 1.5), scene.rays)  # half a metre above the box
-    assert is_blocked(light(0.1, 1.1), scene.rays)  # shines onto its lid from 10 cm
-    assert is_blocked(light(0.6, 0.5), scene.rays)  # cuts through its side
+    assert is_blocked(light(0.1, 1.1), scene.rays)  # illuminates its lid from 10 cm
+    assert is_blocked(light(0.6, 0.5), scene.rays)  # intersects its side
 
 
 def test_luminous_pixels_are_masked(tmp_path: Path) -> None:
-    """A visible panel in front of a wall, and an emissive part; from behind a panel is not seen."""
+    """A visible panel in front of a wall and an emissive part are masked; a panel seen from behind is not."""
     shapes = {"wall": box([-2, 2, -2], [2, 2.1, 2]), "glow": box([-2, 1.9, 1], [2, 2.0, 2])}
     write_package_of(tmp_path, "set", shapes)
     scene = WorldScene(load_geometry(Library([tmp_path]).package("set")), [])
@@ -438,7 +438,7 @@ def test_luminous_pixels_are_masked(tmp_path: Path) -> None:
 
 
 def test_colours_of_black_bodies() -> None:
-    """D65's neighbourhood is near white; 2856 K is illuminant A, (0.4476, 0.4074) in xy."""
+    """Around 6500 K (D65) the colour is nearly white; 2856 K is illuminant A, (0.4476, 0.4074) in xy."""
     for kelvin in (2000, 2856, 4000, 6504, 10000):
         assert np.array(color_of_temperature(kelvin)) @ LUMINANCE == pytest.approx(1.0)
     white = color_of_temperature(6504)
@@ -463,7 +463,7 @@ def test_table_lookup_is_the_inverse_of_its_directions() -> None:
 
 
 def test_sky_and_sun_match_the_renderer(mitsuba_variant: str) -> None:
-    """Irradiance on a horizontal plane under the whole sky, against Mitsuba's own sampling."""
+    """Irradiance on a horizontal plane under the whole sky, against Mitsuba's sampling."""
     import drjit as dr
     import mitsuba as mi
 
@@ -502,7 +502,7 @@ def test_sky_and_sun_match_the_renderer(mitsuba_variant: str) -> None:
 
 
 def test_environment_images_light_rooms_through_windows(tmp_path: Path, mitsuba_variant: str) -> None:
-    """An image of an asset as daylight: named with its hash, oriented as the renderer turns it."""
+    """An asset's image as daylight is recorded with its hash and oriented as the renderer does."""
     import drjit as dr
     import mitsuba as mi
     import OpenEXR
@@ -529,7 +529,7 @@ def test_environment_images_light_rooms_through_windows(tmp_path: Path, mitsuba_
             assert light.asset == "evening" and light.image == "sky.exr"
             assert configuration.assets["evening"] == library.package("evening").sha256
             images.append((configuration, light))
-    assert 1 <= len(images) <= 5  # an image or a computed sky, evenly
+    assert 1 <= len(images) <= 5  # an image or a computed sky, with equal probability
     configuration, light = images[0]
     scene = build_scene(configuration, library).scene
     turn = np.array(light.world_from_environment)[:3, :3]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Likely rooms: materials by kind of surface, in one style; wild ones are as they were."""
+"""Likely rooms: materials by kind of surface, in one style; other configurations are unchanged."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def surfaces(name: str) -> dict[str, Surface]:
     return surfaces_of(load_geometry(library().package(name)))
 
 
-def dressed(name: str, seed: int, recipe: MaterialRecipe = ALWAYS) -> dict[str, MaterialAssignment]:
+def choices(name: str, seed: int, recipe: MaterialRecipe = ALWAYS) -> dict[str, MaterialAssignment]:
     dresser = LikelyDresser(RoomStyle.draw(Draws(seed)), library().select("material"), recipe, MEANS)
     return dresser.assign(library().package(name), surfaces(name), Draws(seed, "dress"))
 
 
 def assigned(name: str, seed: int) -> dict[str, MeanMaterial]:
-    return mean_materials(PlacedAsset(name="x", asset=name, materials=dressed(name, seed)), library(), MEANS)
+    return mean_materials(PlacedAsset(name="x", asset=name, materials=choices(name, seed)), library(), MEANS)
 
 
 def hsv(mean: MeanMaterial) -> tuple[float, float, float]:
@@ -60,7 +60,7 @@ def hsv(mean: MeanMaterial) -> tuple[float, float, float]:
 def test_surfaces_get_materials_of_their_kind(name: str) -> None:
     for seed in range(12):
         means = assigned(name, seed)
-        for slot, assignment in dressed(name, seed).items():
+        for slot, assignment in choices(name, seed).items():
             surface = surfaces(name)[slot]
             if assignment.asset is None:
                 continue
@@ -82,7 +82,7 @@ def test_surfaces_get_materials_of_their_kind(name: str) -> None:
 def test_a_room_has_one_style() -> None:
     tones = set()
     for seed in range(20):
-        found, means = dressed("kitchen", seed), assigned("kitchen", seed)
+        found, means = choices("kitchen", seed), assigned("kitchen", seed)
         metals = {
             colorsys.rgb_to_hsv(*means[slot].specular_albedo)[1] > 0.25
             for slot in ("hardware", "knobs")
@@ -94,11 +94,11 @@ def test_a_room_has_one_style() -> None:
 
 
 def test_wood_has_the_tone_of_its_room() -> None:
-    """Pale, grey, red and dark woods occur, and each room keeps to its tone."""
+    """Pale, grey, red and dark woods occur, each room using one tone."""
     seen = []
     for seed in range(40):
         style, means = RoomStyle.draw(Draws(seed)), assigned("dining_room", seed)
-        for slot, assignment in dressed("dining_room", seed).items():
+        for slot, assignment in choices("dining_room", seed).items():
             if surfaces("dining_room")[slot] not in ("furniture", "tabletop") or assignment.asset is None:
                 continue
             if library().package(assignment.asset).asset.material.classes[0] != "wood":  # type: ignore[union-attr]
@@ -113,7 +113,7 @@ def test_wood_has_the_tone_of_its_room() -> None:
 
 
 def test_wallpaper_is_printed_in_the_accent() -> None:
-    """The twin: no other paper takes any hue."""
+    """Counterpart: paper that is not printed cannot have such a hue."""
     style = RoomStyle.draw(Draws(1))
     (wallpaper,) = (look for look in LOOKS["wall"] if look.material_class == "paper")
     package = library().package("wallpaper_leaf")
@@ -154,13 +154,13 @@ def test_weights_must_not_all_be_zero() -> None:
 def test_kept_materials_are_hardly_varied() -> None:
     never = MaterialRecipe(replace_probability=0.0, vary_probability=1.0)
     for seed in range(8):
-        for slot, assignment in dressed("living_room", seed, never).items():
+        for slot, assignment in choices("living_room", seed, never).items():
             assert assignment.asset is None
             change = assignment.adjustment
             assert change.hue_shift == 0, slot
             assert 1 / 1.16 < change.value_scale < 1.16 and abs(change.roughness_offset) <= 0.05
     still = never.model_copy(update={"vary_probability": 0.0})
-    assert dressed("living_room", 1, still) == {}
+    assert choices("living_room", 1, still) == {}
 
 
 def test_adjusted_materials_stay_within_the_look() -> None:
@@ -192,7 +192,7 @@ def test_names_determine_a_surface(name: str, surface: str | None) -> None:
 
 
 def nameless(package: Package) -> EnvironmentAsset:
-    """The room with slots and parts called m0, p0 and so on."""
+    """The room with slots and parts renamed to m0, p0 and so on."""
     asset = package.asset
     assert isinstance(asset, EnvironmentAsset)
     slots = {slot: f"m{k}" for k, slot in enumerate(asset.materials)}
@@ -213,8 +213,8 @@ def test_shape_and_class_determine_surfaces_without_names(tmp_path: Path) -> Non
     package.asset = nameless(package)
     found = dict(zip(names, surfaces_of(load_geometry(package)).values(), strict=True))
     assert (found["floor"], found["ceiling"], found["walls"]) == ("floor", "ceiling", "wall")
-    said = package.asset.materials["m0"].model_copy(update={"surface": "worktop"})
-    package.asset = package.asset.model_copy(update={"materials": {**package.asset.materials, "m0": said}})
+    known = package.asset.materials["m0"].model_copy(update={"surface": "worktop"})
+    package.asset = package.asset.model_copy(update={"materials": {**package.asset.materials, "m0": known}})
     assert surfaces_of(load_geometry(package))["m0"] == "worktop"
 
 
@@ -245,12 +245,12 @@ def test_every_look_has_a_material() -> None:
 
 def test_the_extension_has_the_same_surfaces() -> None:
     tree = ast.parse((REPOSITORY / "blender_addon/gather/tags.py").read_text())
-    told = {
+    constants = {
         node.targets[0].id: ast.literal_eval(node.value)  # type: ignore[attr-defined]
         for node in tree.body
         if isinstance(node, ast.Assign) and node.targets[0].id == "SURFACES"  # type: ignore[attr-defined]
     }
-    assert told["SURFACES"] == SURFACES
+    assert constants["SURFACES"] == SURFACES
 
 
 def test_statistics_of_surfaces(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Panoramas outside windows: which rooms get one, how bright it is, that lamps are on when it is dark."""
+"""Panoramas outside windows: which rooms get one, their brightness, and lamps that are on in the dark."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_rooms_with_openings_have_a_panorama_outside(library: Library) -> None:
 
 
 def test_by_night_lamps_are_on_and_the_outside_is_dim(library: Library) -> None:
-    """Lamps that the recipe never asks for are on; the outside keeps to its small share of the light."""
+    """Lamps are on without being requested by the recipe; the outside has its small share of the light."""
     for index in range(3):
         configuration = assemble(recipe({"night": 1}), index, library)
         assert any(isinstance(light, AreaLight) for light in configuration.lights)
@@ -105,7 +105,7 @@ def test_white_balance_keeps_a_share_of_the_warmth() -> None:
 
 
 def test_lamps_are_balanced_to_the_light_of_the_room(library: Library) -> None:
-    """By night a lamp is shown nearly white, beside daylight warmer, without a panorama as it is."""
+    """By night a lamp is nearly white, with daylight warmer, and without a panorama unchanged."""
 
     def warmth(**lights: Any) -> float:
         fields = {"area_probability": 1, "color_temperature_k": (2700, 2700), **lights}
@@ -142,16 +142,16 @@ def test_user_rooms_without_a_sky_are_reported(tmp_path: Path, library: Library)
     write_room(root, "with-sky", lights=(EnvironmentLight(name="sky"),))
     own = Library([root, *library.paths])
 
-    def told(**lights: Any) -> dict[str, str]:
+    def reported(**lights: Any) -> dict[str, str]:
         fields = {"environments": {"include": ["closed", "open", "with-sky"]}, "lights": lights}
         wanted = recipe({"day": 1}).model_dump(mode="json") | fields
         return {line.split()[0]: line for line in rooms_without_sky(Recipe.model_validate(wanted), own)}
 
-    by_chance = told(daylight_probability=0.7)
+    by_chance = reported(daylight_probability=0.7)
     assert set(by_chance) == {"closed", "open"}
     assert "70% of its configurations" in by_chance["open"] and "mark its windows" in by_chance["closed"]
-    assert "panorama" in told(panoramas={"day": 1})["open"]
-    assert told(daylight_probability=0) == {}
+    assert "panorama" in reported(panoramas={"day": 1})["open"]
+    assert reported(daylight_probability=0) == {}
     bundled = Recipe.model_validate({"name": "b", "configurations": 1, "views": 1})
     with Library([bundled_library()]) as library:
         assert rooms_without_sky(bundled, library) == []

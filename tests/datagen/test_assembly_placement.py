@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things stand: at rest, stable, clear of each other, inside their limits; checked by other, slow means."""
+"""Placed objects are at rest, stable, disjoint and within limits, by independent slow checks."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_the_slow_check_detects_an_intersection(scenes: list[list[PlacedThing]],
     for one in scenes[0]:
         assert triangles_cross(
             world_triangles(one, -0.002), ground
-        )  # 2 mm into the table: also "does not hover"
+        )  # 2 mm into the table: so it does not hover either
     one = scenes[0][0]
     assert triangles_cross(world_triangles(one), world_triangles(one) + [0.01, 0.013, 0.005])  # noqa: RUF005
 
@@ -171,7 +171,7 @@ def test_category_weights_determine_the_shares(library: Library, room: Room) -> 
 def placed_on(
     tmp_path: Path, shapes: dict[str, trimesh.Trimesh], room: Room, **fields: object
 ) -> Counter[str]:
-    """Counts of rejections when a single thing of these shapes had to be placed."""
+    """Counts of rejections when placing a single object of these shapes."""
     write_object(tmp_path, "thing", "thing", shapes, **fields)
     thing = things_of(Library([tmp_path]))[0]
     rejections: Counter[str] = Counter()
@@ -292,7 +292,7 @@ def test_an_object_inside_a_closed_box_is_detected(library: Library, tmp_path: P
     can, chair = things_of(library, "can", "chair")
     assert is_enclosed(at(can, 2.0, 0.1), at(crate, 2.0, 0.0))
     assert not is_enclosed(at(can, 3.0, 0.1), at(crate, 2.0, 0.0))
-    assert not is_enclosed(at(can, 2.0, 0.0), at(chair, 2.0, 0.0))  # under the seat is not inside
+    assert not is_enclosed(at(can, 2.0, 0.0), at(chair, 2.0, 0.0))  # under the seat does not count as inside
 
 
 def test_too_many_objects_are_reported_with_counts(library: Library, room: Room) -> None:

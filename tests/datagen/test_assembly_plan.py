@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Assembly is a pure function of recipe, index and library; its result is complete and loads again."""
+"""Assembly is a pure function of recipe, index and library; its result is complete and round-trips."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draws depend on their key alone and have the distributions that they name."""
+"""Draws depend only on their key and have the named distributions."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Splits: shares by configuration, assets that never cross, and recipes that cannot work."""
+"""Splits: shares of configurations, assets that never cross splits, and impossible recipes."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def test_partition_uses_all_assets_and_favours_training(library: Library) -> Non
     assert sorted(rooms) == ["room-0", "room-1", "room-2"]
     assert len(pools["train"].environments) == 2
     woods = [p.id for p in pools["train"].materials if "wood" in p.asset.material.classes]  # type: ignore[union-attr]
-    assert len(woods) == 5  # of 6, one is kept for the test
-    assert "steel" in [p.id for p in pools["train"].materials]  # a class of one goes to training
+    assert len(woods) == 5  # one of 6 is reserved for the test split
+    assert "steel" in [p.id for p in pools["train"].materials]  # a class of one asset is used for training
 
 
 def test_assets_that_share_a_file_share_a_split(tmp_path: Path, library: Library) -> None:
@@ -150,7 +150,7 @@ def test_all_faults_of_a_recipe_are_reported_at_once(library: Library) -> None:
 
 
 def assign(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
-    """Gives a room's slot, or a material package, an image as diffuse albedo."""
+    """Give a room's slot, or a material package, an image as diffuse albedo."""
     with open_package(folder) as package:
         files: dict[str, bytes | Path] = {
             n: package.read_bytes(n) for n in package.names() if n != "asset.json"
@@ -167,7 +167,7 @@ def assign(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
 
 
 def test_a_room_never_shows_an_image_of_another_split(tmp_path: Path) -> None:
-    """Two rooms share their floor's image with a material: one split alone may show it."""
+    """Two rooms share their floor's image with a material; only one split may show it."""
     root = write_small_library(tmp_path, num_rooms=2)
     for k in range(4):
         write_object(root, f"cube-{k}", "box", {"body": box([-0.05, -0.05, 0], [0.05, 0.05, 0.1 + 0.01 * k])})

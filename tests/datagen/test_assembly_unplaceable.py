@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things that are never placed are reported with the reason; libraries have weights."""
+"""Unplaceable assets are reported with the reason; libraries have weights."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def test_unplaceable_assets_are_named_with_the_reason(own: Path, small: Path) ->
 
 def test_unlikely_sizes_are_reported(own: Path, small: Path) -> None:
     library = Library([small, own])
-    (said,) = implausible_sizes(recipe(), library)
-    assert said.startswith("boombox is 2 m long") and "0.02 to 1.6 m" in said
+    (warning,) = implausible_sizes(recipe(), library)
+    assert warning.startswith("boombox is 2 m long") and "0.02 to 1.6 m" in warning
     warnings = [str(w) for w in check_package(library.package("boombox")).warnings]
     assert any("2 m long" in warning for warning in warnings)
     assert not any("m long" in str(w) for w in check_package(library.package("tin")).warnings)

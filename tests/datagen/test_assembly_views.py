@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cameras stand in free space, see content and share it; looked through again at a higher resolution."""
+"""Cameras are in free space, see content and share it; checked at a higher resolution."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from datagen.foundation.random import Draws
 from datagen.library import Library
 from tests.datagen.small_library import write_objects, write_room, write_small_library
 
-LIGHTS = {"daylight_probability": 0}  # these tests need no sky, so no renderer either
+LIGHTS = {"daylight_probability": 0}  # these tests need no sky and so no renderer
 
 
 def recipe(**fields: Any) -> Recipe:
@@ -39,7 +39,7 @@ def recipe(**fields: Any) -> Recipe:
 
 
 def assembled(library: Library, index: int, wanted: Recipe) -> tuple[Configuration, WorldScene]:
-    """A configuration and the scene that its cameras look at."""
+    """A configuration and its scene."""
     kept: list[WorldScene] = []
 
     class Spy(ViewFinder):
@@ -81,7 +81,7 @@ def test_cameras_follow_the_recipe(rooms: list[tuple[Configuration, WorldScene]]
                 camera.world_from_camera[:3, :3].T @ camera.world_from_camera[:3, :3], np.eye(3), atol=1e-8
             )
             assert abs(camera.world_from_camera[2, 0]) < math.sin(math.radians(3.5))  # held level
-            assert camera.world_from_camera[2, 1] < 0  # and the right way up
+            assert camera.world_from_camera[2, 1] < 0  # and upright
 
 
 def seen(camera: Camera, rays: RayScene) -> tuple[NDArray, NDArray]:
@@ -182,7 +182,7 @@ def test_views_differ(rooms: list[tuple[Configuration, WorldScene]]) -> None:
         heights = [c.position_m[2] for c in cameras]
         assert max(heights) - min(heights) > 0.5
         azimuths = np.array([math.atan2(c.forward[1], c.forward[0]) for c in cameras])
-        assert np.hypot(np.cos(azimuths).mean(), np.sin(azimuths).mean()) < 0.8  # not all one way
+        assert np.hypot(np.cos(azimuths).mean(), np.sin(azimuths).mean()) < 0.8  # not all in one direction
         for k, one in enumerate(cameras):
             for other in cameras[:k]:
                 apart = np.linalg.norm(one.position_m - other.position_m)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small lamp that the geometry does not name: light of few rays, without bias."""
+"""Guiding to a small lamp that the geometry does not name: unbiased light with few rays."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def square(height_m: float, corners: tuple[int, ...]) -> tuple[NDArray, NDArray]
 
 
 def room(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> tuple[RadianceField, Surfels]:
-    """A ceiling above a floor of radiance 1, in the open under a sky of one radiance, and their surfels."""
+    """A ceiling above a floor of radiance 1 under a uniform sky, and their surfels."""
     (above, faces_above), (below, faces_below) = square(0.51, (0, 1, 2, 3)), square(0.01, (4, 7, 6, 5))
     faces = np.concatenate([faces_above, faces_below]).astype(np.int32)
     mesh = Mesh(np.concatenate([above, below]).astype(np.float32), faces, None, None)
@@ -116,7 +116,7 @@ def test_the_lamp_is_the_only_rectangle() -> None:
 
 @pytest.mark.parametrize("bright", [(slice(0, 50), slice(0, 50)), (slice(3, 4), slice(3, 4))])
 def test_large_or_weak_light_has_no_rectangle(bright: tuple[slice, slice]) -> None:
-    """The whole ceiling, and one of its cells."""
+    """The bright part is the whole ceiling, or one of its cells."""
     radiance = np.ones((CELLS, CELLS))
     radiance[bright] = 15.0
     field, _ = room(radiance)
@@ -129,7 +129,7 @@ def test_named_lamps_have_no_rectangle() -> None:
 
 
 def test_irradiance_is_right_with_few_rays() -> None:
-    """Means of 200 copies with 16 rays each within 1.5 %, at a tenth of the noise without the guide."""
+    """Means of 200 repetitions with 16 rays each are within 1.5 %, at a tenth of the unguided noise."""
     normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
     values = {
         baker: baker.irradiance(many(POINTS, 200), many(normal, 200), 16).diffuse[:, 0].reshape(3, 200)
@@ -142,7 +142,7 @@ def test_irradiance_is_right_with_few_rays() -> None:
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6])
 def test_specular_terms_are_right_with_few_rays(roughness: float) -> None:
-    """Within 2 % of the integral, in the mean of 1000 times 16 rays."""
+    """The mean of 1000 times 16 rays is within 2 % of the integral."""
     normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
     view = np.array([[0.3, 0.0, 0.9], [-0.6, -0.5, 0.6], [0.0, 0.5, 0.5]])
     view /= np.linalg.norm(view, axis=1, keepdims=True)
@@ -168,7 +168,7 @@ def test_specular_terms_are_right_with_few_rays(roughness: float) -> None:
 
 
 def test_density_of_directions_is_that_of_the_samples() -> None:
-    """The mean of 1 / pdf over samples is the solid angle of the rectangles, from any point."""
+    """From any point the mean of 1 / pdf over samples is the solid angle of the rectangles."""
     import mitsuba as mi
 
     up = np.array([0.0, 0.0, 1.0])
@@ -195,7 +195,7 @@ def test_density_of_directions_is_that_of_the_samples() -> None:
 
 
 def test_points_in_the_plane_of_a_lamp_get_no_light_twice() -> None:
-    """A wall beside the ceiling, as high as the lamp's rectangle, sees sky and floor of radiance 1."""
+    """A wall beside the ceiling, level with the lamp's rectangle, receives radiance 1 from sky and floor."""
     baker = Baker(room(ceiling_radiance(), sky=1.0)[0], 1e-2)
     assert baker.guide is not None
     position = np.tile([[0.9, 0.0, 0.51]], (50, 1))
@@ -204,7 +204,7 @@ def test_points_in_the_plane_of_a_lamp_get_no_light_twice() -> None:
 
 
 def test_metal_mirrors_the_lamp_without_noise() -> None:
-    """Above a metal floor: 200 times 256 rays, and without the guide 200 times 65,536."""
+    """Above a metal floor: 200 times 256 guided rays against 200 times 65,536 unguided ones."""
     field, surfels = room(ceiling_radiance())
     num = len(surfels)
     is_floor = np.arange(num) >= num // 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The bundled library: every package is sound, and the rooms are what their markers say."""
+"""The bundled library: every package is valid, and rooms match their markers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROOT = bundled_library()
 MAX_BYTES = 40_000_000
 ENVIRONMENTS = ("bathroom", "dining_room", "kitchen", "living_room", "study")
 MAX_TRIANGLES = {"environment": 150_000, "object": 15_000}
-OUTSIDE = "outside"  # the part that windows look at
+OUTSIDE = "outside"  # the part outside of the windows
 
 
 @lru_cache(maxsize=1)
@@ -44,7 +44,7 @@ def geometry(name: str) -> AssetGeometry:
 
 
 def room_rays(name: str) -> RayScene:
-    """The room without what lies outside its windows."""
+    """Ray-tracing scene of a room, without the parts outside of its windows."""
     loaded = geometry(name)
     inside = np.array([not part.name.startswith(OUTSIDE) for part in loaded.asset.parts])
     return RayScene(loaded.vertices, loaded.faces[inside[loaded.part_of_face]])
@@ -152,7 +152,7 @@ def test_objects_rest_on_the_ground_within_budget() -> None:
 
 
 def test_objects_stand_stably() -> None:
-    """The centre of mass lies over what touches the ground, as placement demands."""
+    """The centre of mass is above the contact area, as placement requires."""
     toppling = []
     for package in library():
         if isinstance(package.asset, ObjectAsset):
@@ -178,7 +178,7 @@ def test_room_is_complete(name: str) -> None:
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_room_is_closed_except_for_its_openings(name: str) -> None:
-    """Rays from where cameras may be meet the front of something, or leave through an opening."""
+    """Rays from camera regions hit a front face, or leave through an opening."""
     asset, rays = environment(name), room_rays(name)
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(60_000, 3))
@@ -216,7 +216,7 @@ def test_opening_points_into_the_room(name: str) -> None:
     for opening in environment(name).openings:
         u, v = np.array(opening.edge_u_m), np.array(opening.edge_v_m)
         inward = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
-        # a pane's middle may be behind a bar: look through nine places
+        # a pane's centre may be behind a bar: nine positions
         steps = np.array([0.2, 0.45, 0.8])
         starts = np.array([np.array(opening.origin_m) + a * u + b * v for a in steps for b in steps])
         hits = rays.cast(starts + 0.01 * inward, np.tile(inward, (9, 1)))
@@ -249,7 +249,7 @@ def test_support_surfaces_are_level_and_free(name: str) -> None:
 
 
 def support_fault(rays: RayScene, surface: SupportSurface) -> str:
-    """Fault of a support, or ''. Seats are soft: they may swell by 3 cm."""
+    """Fault of a support surface, or ''. Soft seats may bulge by 3 cm."""
     origin, u, v = (np.array(e) for e in (surface.origin_m, surface.edge_u_m, surface.edge_v_m))
     if abs(u[2]) > 1e-6 or abs(v[2]) > 1e-6 or np.cross(u, v)[2] <= 0:
         return "not level"
@@ -272,7 +272,7 @@ def support_fault(rays: RayScene, surface: SupportSurface) -> str:
 
 
 def test_a_leak_is_detected() -> None:
-    """Twin of the closedness test: a room without one of its walls lets rays out."""
+    """Injected fault: a room without one of its walls lets rays out."""
     name = "kitchen"
     loaded, asset = geometry(name), environment(name)
     keep = np.array([not p.name.startswith((OUTSIDE, "walls")) for p in asset.parts])
@@ -290,6 +290,6 @@ def test_a_leak_is_detected() -> None:
 
 
 def test_packages_open_one_by_one() -> None:
-    """Each folder opens by itself: nothing refers to another package."""
+    """Each folder opens on its own, because no package refers to another."""
     for package in library():
         assert open_package(package.path).asset.id == package.path.name

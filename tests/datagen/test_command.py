@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen`` as a person uses it: from a recipe to verified shards, and what it prints."""
+"""The command ``datagen`` from a recipe to verified shards, and its output."""
 
 from __future__ import annotations
 
@@ -93,8 +93,8 @@ def test_doctor_prints_the_environment() -> None:
 @pytest.mark.parametrize("module", ["datagen", "model.cli"])
 def test_the_commands_print_their_version(module: str) -> None:
     command = [sys.executable, "-m", module, "--version"]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert re.fullmatch(r"scene-materials (\d+\.\d+\.\d+.*|absent)\n", said)
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert re.fullmatch(r"scene-materials (\d+\.\d+\.\d+.*|absent)\n", output)
 
 
 NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nothing/libLLVM.so", "SCENE_MATERIALS_VARIANT": "llvm_ad_rgb"}

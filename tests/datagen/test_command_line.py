@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options as dataclasses, the verbs and those of before, completion, and what a run of a folder takes."""
+"""Options as dataclasses, current and former verbs, completion, and runs of planned folders."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Shared:
 
 @dataclass(frozen=True)
 class Given(Shared):
-    """Further ones."""
+    """Options of one verb."""
 
     names: Annotated[tuple[str, ...], typer.Option("--name", help="Repeatable.")] = ()
     way: Annotated[Literal["orbit", "cameras"], typer.Option(help="Choice.")] = "orbit"
@@ -150,13 +150,13 @@ def test_shell_completion_works(program: str, module: str, words: str, expected:
 def test_a_dry_run_of_a_planned_folder_prints_the_remaining_work(tmp_path: Path) -> None:
     folder = plan_small(tmp_path / "set", tmp_path / "library", 2, 3)
     before = sorted(folder.root.rglob("*"))
-    for words, said in (
+    for words, expected in (
         ((), "2 of 2 units are not done: render, stats, pack"),
         (("--only", "pack", "--unit", "1"), "1 of 1 units are not done: pack"),
         (("--only", "index"), "2 of 2 units are not done: index"),
     ):
         done = CliRunner().invoke(datagen.app, ["run", str(folder.root), "--dry-run", *words])
-        assert done.exit_code == 0 and said in done.output, done.output
+        assert done.exit_code == 0 and expected in done.output, done.output
     assert sorted(folder.root.rglob("*")) == before
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact sheets: every column is there, and what a cell shows is what the buffer holds."""
+"""Contact sheets have every column, and each cell shows its buffer."""
 
 from __future__ import annotations
 
@@ -117,11 +117,11 @@ def test_exposure_clips_few_highlights():
 def test_exposure_ignores_a_bright_sill():
     rng = np.random.default_rng(4)
     room = rng.uniform(0.02, 0.04, (60, 80, 1)) * np.ones(3)
-    room[:2, :72] = 1.0  # 3 % of the pixels: a sill in the light of the sky
+    room[:2, :72] = 1.0  # 3 % of the pixels: a sill in sky light
     exposure = photographic_exposure(room)
     assert np.median(luminance(room)) * exposure == pytest.approx(0.1)
     assert clipped_share(room, exposure) == pytest.approx(144 / 4800)
-    room[:8] = 1.0  # 13 %: no sill, but a wall, which is to be seen
+    room[:8] = 1.0  # 13 %: a wall, which must be visible
     assert clipped_share(room, photographic_exposure(room)) == 0
     is_room = np.ones((60, 80), dtype=bool)
     is_room[:8] = False
@@ -135,7 +135,7 @@ def test_every_view_of_a_sheet_has_a_separate_exposure():
     sheet = np.asarray(make_contact_sheet([dark, bright], ["same", "same"], "title"))
     half = np.asarray(make_contact_sheet([dark, dark], ["same", "same"], "title"))
     assert exposure_of(dark) == pytest.approx(8 * exposure_of(bright))
-    pictures = slice(-10 * 328, None)  # the written exposures, at the left, have other lengths
+    pictures = slice(-10 * 328, None)  # the exposure labels at the left differ in length
     np.testing.assert_array_equal(sheet[:, pictures], half[:, pictures])
     assert sheet.shape != half.shape or (sheet != half).any()
 
@@ -149,7 +149,7 @@ def test_every_column_and_row_is_drawn(size):
     fewer = [{k: v for k, v in view.items() if k != "color_min"} for view in views]
     narrow = np.asarray(make_contact_sheet(fewer, ["view-0", "view-1", "view-2"], "title"))
     assert (full.shape[1] - narrow.shape[1]) * len(COLUMNS) > 0.9 * (full.shape[1] - 100)
-    # a cell holds its buffer: painting one buffer black changes that column's band of pixels and no other
+    # a black buffer changes its column's band of pixels and no other
     changed = [dict(view, diffuse_albedo=np.zeros_like(view["diffuse_albedo"])) for view in views]
     black = np.asarray(make_contact_sheet(changed, ["view-0", "view-1", "view-2"], "title"))
     columns = np.nonzero((black != full).any(axis=(0, 2)))[0]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""State after a power cut: content is on the disk before its name, a name before files that refer to it.
+"""Durability: content is synced before its name, and a name before files that refer to it.
 
-A recorder stands in for the calls that the system is asked for; it notes which file or folder each is about.
+A recorder replaces the system calls and notes the file or folder of each.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Event = tuple[str, str]
 
 
 class Recorder:
-    """Notes ``sync``, ``name`` (a rename or a link; the new name) and ``remove``, and does them."""
+    """Records and performs ``sync``, ``name`` (a rename or a link; the new name) and ``remove``."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch):
         self.events: list[Event] = []
@@ -71,7 +71,7 @@ class Recorder:
         return [path for kind, path in self.events if kind == "name"]
 
     def check(self) -> None:
-        """Each name came after its content, and its folder was waited for before the next name."""
+        """Assert that content is synced before its name, and the folder before the next name."""
         assert not self.unsynced_names
         pending: str | None = None
         for kind, path in self.events:
@@ -123,7 +123,7 @@ def test_packages_are_written_durably(tmp_path: Path, monkeypatch: pytest.Monkey
     write_small_library(tmp_path / "library")
     package = Library([tmp_path / "library"]).select("environment")[0]
     recorder = Recorder(monkeypatch)
-    for name in ("room", "room.zip", "room"):  # the third in the place of the first
+    for name in ("room", "room.zip", "room"):  # the third replaces the first
         write_package(
             tmp_path / name,
             package.asset,
@@ -156,7 +156,7 @@ def test_a_shard_is_synced_before_its_marker_and_the_work_removed_last(
     assert folder.is_done(folder.read_plan().units[0])
     shard, marker = recorder.names()[0], recorder.names()[-1]
     expected = [
-        ("sync", str(folder.root)),  # the new folder for shards itself
+        ("sync", str(folder.root)),  # the new folder of shards
         ("name", shard),
         ("sync", str(folder.shards_path)),
         ("name", marker),

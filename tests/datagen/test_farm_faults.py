@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Faults put in on purpose: kills at random and at chosen moments, disks full or read-only, damaged files,
-two runs at once, another clock.
+"""Fault injection: kills at random and chosen moments, full and read-only disks, damaged files, concurrent
+runs, a changed clock.
 
-After each, one more run completes the set with the same bytes.
+After each fault one more run completes the dataset with the same bytes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
-    """A finished dataset; tests work on copies of it."""
+    """A finished dataset; tests use copies of it."""
     folder = plan_small(tmp_path_factory.mktemp("undisturbed") / "dataset", library_root)
     run_local(folder.root, LocalOptions(workers=1))
     return folder
@@ -59,7 +59,7 @@ def expected(undisturbed: DatasetFolder) -> dict[str, str]:
 
 
 def _copy(folder: DatasetFolder, root: Path, without: tuple[int, ...] = ()) -> DatasetFolder:
-    """A copy at ``root`` in which the units of these indices are not done."""
+    """A copy at ``root`` in which the units of the given indices are unfinished."""
     shutil.copytree(folder.root, root)
     copied = DatasetFolder(root)
     for unit in copied.read_plan().units:
@@ -94,12 +94,12 @@ def _workers(process: subprocess.Popen) -> list[psutil.Process]:
         children = psutil.Process(process.pid).children()
         return [c for c in children if "spawn_main" in " ".join(c.cmdline())]
     except psutil.Error:
-        return []  # it ended meanwhile
+        return []  # it has ended
 
 
 def _end(process: subprocess.Popen) -> None:
-    """Kill what is left of a run, as a machine that loses power would."""
-    with suppress(ProcessLookupError):  # nothing may be left
+    """Kill the remaining processes of a run, as a power cut does."""
+    with suppress(ProcessLookupError):  # nothing may remain
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert process.stderr is not None
@@ -111,13 +111,13 @@ MOMENTS = {"any": "", "view": "work/*/*/.*.partial", "tar": "shards/.*.partial",
 
 
 def _is_seen(folder: DatasetFolder, pattern: str) -> bool:
-    with suppress(FileNotFoundError):  # a work folder that went while it was listed
+    with suppress(FileNotFoundError):  # a work folder was removed during listing
         return any(folder.root.glob(pattern))
     return False
 
 
 def _comes(folder: DatasetFolder, process: subprocess.Popen, moment: str, rng: random.Random) -> bool:
-    """Wait for a moment; False where the run ended before it came."""
+    """Wait for a moment; False where the run ended first."""
     if moment == "any":
         try:
             process.wait(timeout=rng.uniform(0.2, 1.5))
@@ -134,7 +134,7 @@ def _comes(folder: DatasetFolder, process: subprocess.Popen, moment: str, rng: r
 def _kill_at_random(
     folder: DatasetFolder, script: Path, kills: int, seed: int, moments: tuple[str, ...] = ("any",)
 ) -> Counter[str]:
-    """Kill a worker, or the parent and all of them; counts the kills that hit, by moment and victim."""
+    """Kill a worker, or the parent with all workers; returns the number of kills by moment and victim."""
     rng = random.Random(seed)
     hits: Counter[str] = Counter()
     while hits.total() < kills:
@@ -150,7 +150,7 @@ def _kill_at_random(
                 if rng.random() < 0.3:
                     hits[f"{moment}/parent"] += 1
                     break
-                with suppress(psutil.Error):  # it may have ended meanwhile
+                with suppress(psutil.Error):  # it may have ended
                     rng.choice(workers).kill()
                     hits[f"{moment}/worker"] += 1
         finally:
@@ -181,8 +181,8 @@ def test_ten_random_kills(expected: dict[str, str], tmp_path: Path, library_root
 
 @pytest.mark.slow
 def test_fifty_kills_on_each_of_two_datasets(tmp_path: Path, library_root: Path) -> None:
-    """Of workers and of the parent: at random moments, while a view is written or renamed, while a tar is
-    written, while a marker is. ``-s`` prints how many of each."""
+    """Kills of workers and of the parent at random moments and while a view is written or renamed, or a tar
+    or a marker is written. ``-s`` prints the counts."""
     undisturbed = plan_small(tmp_path / "undisturbed", library_root, num_units=60)
     run_local(undisturbed.root, LocalOptions(workers=2))
     expected = _hashes(undisturbed)
@@ -211,7 +211,7 @@ def test_fifty_kills_on_each_of_two_datasets(tmp_path: Path, library_root: Path)
 def test_kill_at_a_chosen_moment(
     moment: str, expected: dict[str, str], tmp_path: Path, library_root: Path
 ) -> None:
-    """While a view is written, between stages, while the tar is written, right after the first commit."""
+    """Kills while a view is written, between stages, while the tar is written, and after the first commit."""
     folder = plan_small(tmp_path / "chosen", library_root)
     process = _start(folder, tmp_path / "run.py")
     try:
@@ -224,10 +224,10 @@ def test_kill_at_a_chosen_moment(
 
 
 def test_full_disk_keeps_finished_views(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
-    """A file-size limit makes writing the shard fail as a full disk does; the views stay."""
+    """A file-size limit makes writing the shard fail as on a full disk; the views are kept."""
     folder = plan_small(tmp_path / "full", library_root)
     run_local(folder.root, LocalOptions(stages=("render", "stats"), only=(0,)))
-    limit = 60_000  # less than the shard
+    limit = 60_000  # smaller than the shard
 
     def limit_files() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -297,7 +297,7 @@ def test_two_whole_runs_at_once(expected: dict[str, str], tmp_path: Path, librar
 def test_damaged_markers_are_found_and_repaired(
     expected: dict[str, str], tmp_path: Path, undisturbed: DatasetFolder
 ) -> None:
-    """A marker that is cut counts as none; one that lies about its shard's hash is found by hashing."""
+    """A truncated marker is ignored; one with a wrong hash of its shard is found by hashing."""
     folder = _copy(undisturbed, tmp_path / "markers")
     cut, lying, linked = (folder.manifest_path(unit) for unit in folder.read_plan().units)
     cut.write_bytes(cut.read_bytes()[:50])
@@ -315,7 +315,7 @@ def test_damaged_markers_are_found_and_repaired(
 
 
 def test_changed_configurations_are_refused(tmp_path: Path, undisturbed: DatasetFolder) -> None:
-    """A flipped digit would make other pixels than those that were planned."""
+    """A flipped digit would give other pixels than planned."""
     folder = _copy(undisturbed, tmp_path / "flipped", without=(1,))
     path = folder.configuration_path("small-00001")
     path.write_text(path.read_text().replace('"seed": 11', '"seed": 10'))
@@ -343,7 +343,7 @@ def test_clock_set_back_changes_nothing(expected: dict[str, str], tmp_path: Path
     folder = plan_small(tmp_path / "clock", library_root)
     run_local(folder.root, LocalOptions(stages=("render",)))
     for path in folder.root.rglob("*"):
-        os.utime(path, (4102444800, 4102444800))  # written in 2100, as the clock has it now
+        os.utime(path, (4102444800, 4102444800))  # dated 2100
     heartbeat = next(folder.root.glob("work/*")) / "running"
     heartbeat.touch()
     os.utime(heartbeat, (4102444800, 4102444800))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Remains of killed and doubled attempts, and of full disks: found, reported, removed, and nothing else
-touched."""
+"""Leftovers of killed and duplicate attempts and of full disks are found, reported and removed, and nothing
+else."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def half_done(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
-    """The first of two units is done, the second is rendered and has its statistics."""
+    """Two units: the first is done, the second is rendered and has its statistics."""
     folder = plan_small(tmp_path_factory.mktemp("half") / "dataset", library_root, num_units=2)
     run_local(folder.root, LocalOptions(only=(0,)))
     run_local(folder.root, LocalOptions(stages=("render", "stats"), only=(1,)))
@@ -72,7 +72,7 @@ def _touch(root: Path, names: Iterable[str]) -> set[str]:
 def test_a_crash_between_the_shard_and_its_marker_leaves_a_leftover(
     folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The tar has its name and no marker names it: verify says so, collect removes it."""
+    """A tar that no marker names is reported by verify and removed by collect."""
 
     def crash(run: UnitRun, manifest: object) -> None:
         raise SystemExit("killed")
@@ -131,7 +131,7 @@ def test_only_unreferenced_files_are_removed(folder: DatasetFolder) -> None:
 
 
 def test_files_of_running_attempts_are_kept(folder: DatasetFolder) -> None:
-    """An attempt that showed itself in the last ten minutes may be about to write the marker."""
+    """An attempt with a heartbeat in the last ten minutes may be about to write the marker."""
     undone = folder.read_plan().units[1]
     _touch(
         folder.root, [f"shards/{undone.id}-0123456789abcdef.tar", f"shards/.{undone.id}.0123456789ab.partial"]
@@ -146,7 +146,7 @@ def test_files_of_running_attempts_are_kept(folder: DatasetFolder) -> None:
 def test_a_second_process_on_a_unit_leaves_nothing(
     folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first commits and tidies up while the second is between two views."""
+    """The first attempt commits and cleans up while the second is between two views."""
     first, second = _attempt(folder, 1), _attempt(folder, 1)
 
     def overtaken(run: UnitRun, configuration: Configuration) -> None:
@@ -167,16 +167,16 @@ def _logs(folder: DatasetFolder) -> list[str]:
 
 
 def test_a_full_disk_stops_the_run_at_the_first_error(tmp_path: Path, library_root: Path) -> None:
-    """One attempt at one unit, not three at each; none is set aside; the same command goes on afterwards."""
+    """Only one attempt at one unit is made; none is recorded as failed; the same command resumes."""
     with small_disk(tmp_path / "disk", 16) as disk:
         folder = plan_small(disk.root / "set", library_root)
         disk.fill(leave=400_000)  # a view or two
         command = [sys.executable, "-m", "datagen", "run", str(folder.root), "--only", "render"]
         command.append("--no-space-check")
         result = subprocess.run(command, capture_output=True, text=True)
-        said = " ".join(result.stderr.split())
-        assert result.returncode == 1 and "Traceback" not in said, said
-        assert said.count("no space left on device") == 1 and "free space" in said and ".partial" not in said
+        text = " ".join(result.stderr.split())
+        assert result.returncode == 1 and "Traceback" not in text, text
+        assert text.count("no space left on device") == 1 and "free space" in text and ".partial" not in text
         assert len(_logs(folder)) == 1 and not folder.failed_path.exists()
         assert list(folder.root.glob("work/*/rendered/*.json")), "what had room was kept"
         disk.make_room()
@@ -203,7 +203,7 @@ def test_a_disk_too_small_for_the_estimate_is_reported_before_work(
 def test_jobs_are_not_submitted_to_a_disk_too_small(
     tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A throttle says how many units are at work; the queue decides otherwise, and one is counted."""
+    """With a throttle that number of units counts as concurrent; without one, a single unit."""
     root = plan_small(tmp_path / "set", library_root, num_units=3).root
     usage, three = shutil.disk_usage(root), needed_space(DatasetFolder(root), workers=3).total_bytes
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(three) - 1))
@@ -221,7 +221,7 @@ def test_jobs_are_not_submitted_to_a_disk_too_small(
 
 
 def test_the_estimate_without_shards_is_close(tmp_path: Path, library_root: Path) -> None:
-    """It is within a factor of two of what the shards take."""
+    """The estimate is within a factor of two of the shards' size."""
     folder = plan_small(tmp_path / "set", library_root, num_units=1)
     need = needed_space(folder, workers=1)
     run_local(folder.root, LocalOptions())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Another queue by the same interface: PBS scripts run under bash, with a ``qsub`` that does as PBS would."""
+"""The PBS engine: its scripts run under bash with a substitute ``qsub``."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _OTHERS = '#!/bin/bash\nprintf \'%s\\n\' "${0##*/} $*" >> "$NOTES"\necho $ANSWER
 
 @dataclass
 class Desk:
-    """A planned folder and notes of what the stand-ins were called with."""
+    """A planned folder and the recorded calls of substitute commands."""
 
     folder: DatasetFolder
     notes: Path
@@ -115,7 +115,7 @@ def test_long_plans_become_several_arrays(desk: Desk) -> None:
 
 
 def test_interrupted_jobs_resubmit_themselves(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two seconds before its time limit of four the slow unit gets a signal, and ends as interrupted."""
+    """Two seconds before its limit of four seconds the slow unit gets a signal and ends as interrupted."""
     monkeypatch.setenv("SLOW_UNIT", "1")
     root = desk.folder.root
     submit(root, SlurmOptions(time_limit="0:04", notice_s=2), "pbs")
@@ -162,8 +162,8 @@ def test_all_options_without_pbs_equivalents_are_refused_at_once(desk: Desk) -> 
     options = SlurmOptions(qos="high", sbatch_options=("exclusive",), time_limit="1", notice_s=90)
     with pytest.raises(InputError) as caught:
         submit(desk.folder.root, options, "pbs")
-    told = [f"{p.field}: {p.expected}" for p in caught.value.problems]
-    assert told == [
+    problems = [f"{p.field}: {p.expected}" for p in caught.value.problems]
+    assert problems == [
         "--qos: nothing: PBS does not support it",
         "--sbatch-option: nothing: PBS does not support it",
         "--notice: less than --time 1",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""`farm submit` with hostile names and options: its scripts run under bash, with programs that take notes.
+"""`farm submit` with hostile names and options: its scripts run under bash with recording commands.
 
-`sbatch` is one of them: it notes its arguments and runs the script as Slurm would, one task after another.
+The substitute `sbatch` records its arguments and runs the script as Slurm would, one task after another.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _WORDS = {
 
 @dataclass
 class Desk:
-    """A planned folder, and a place where only note-takers are on the path."""
+    """A planned folder, and a folder of recording commands as the only PATH."""
 
     folder: DatasetFolder
     notes: Path
@@ -63,7 +63,7 @@ class Desk:
     here: Path
 
     def commands(self) -> list[list[str]]:
-        """Arguments of the stub commands, in order; trace and notes are emptied."""
+        """Arguments of the recorded commands, in order; trace and records are cleared."""
         words = self.notes.read_text().split("\0")[:-1] if self.notes.exists() else []
         self.notes.write_text("")
         found = []
@@ -74,7 +74,7 @@ class Desk:
         return found
 
     def executed(self) -> set[str]:
-        """First words of what bash executed, and names of what it assigned."""
+        """First words of the commands that bash executed, and names that it assigned."""
         text = self.trace.read_text() if self.trace.exists() else ""
         self.trace.write_text("")
         # a command of a script has one plus, one in a substitution has more
@@ -106,7 +106,7 @@ def desk(planned: DatasetFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def _expected(root: str) -> list[list[str]]:
-    """The commands that two units and their collection call, sbatch and squeue left out."""
+    """Commands expected of two units and their collection, without sbatch and squeue."""
     units = [["datagen", "run", root, "--unit", str(index), "--attempts", "3"] for index in (0, 1)]
     workers = ["--workers", "1"]
     return [
@@ -129,7 +129,7 @@ def _check_nothing_else_ran(desk: Desk, root: str) -> None:
 
 @pytest.mark.parametrize("name", HOSTILE, ids=[ascii(name) for name in HOSTILE])
 def test_a_hostile_folder_name_executes_nothing(name: str, desk: Desk, tmp_path: Path) -> None:
-    """Every part of the path is hostile, where a name has slashes; it is run or refused, never obeyed."""
+    """Each part of a path with slashes is hostile; it is run or refused but never interpreted."""
     root = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + os.fsencode(name)))
     root.parent.mkdir(parents=True, exist_ok=True)
     desk.folder.root.rename(root)
@@ -230,7 +230,7 @@ def _directives(script: Path) -> dict[str, str | None]:
 
 
 def test_a_plan_longer_than_an_array_is_split_completely(tmp_path: Path) -> None:
-    """Slurm's largest index is one less than MaxArraySize: numbers in an array start at 0 in each."""
+    """Slurm's largest index is MaxArraySize - 1, so indices of each array start at 0."""
     root = plan_small(tmp_path / "set", tmp_path / "library", 5, num_views=1).root
     *arrays, collect = submit(root, SlurmOptions(max_array=3), dry_run=True).scripts
     assert [path.name for path in (*arrays, collect)] == [
@@ -293,7 +293,7 @@ def test_all_options_that_the_scripts_set_are_refused_at_once() -> None:
 
 @pytest.mark.parametrize(("failing", "code"), [("none", 0), ("status", 1), ("verify", 2), ("report", 3)])
 def test_the_collecting_job_returns_its_result(desk: Desk, failing: str, code: int, tmp_path: Path) -> None:
-    """Every step runs, whichever fails."""
+    """Every step runs even if another fails."""
     program = tmp_path / "programs" / "datagen"
     program.write_text(
         f'#!/bin/bash\necho "$*" >> {tmp_path}/steps\ncase "$*" in *{failing}*) exit {code};; esac\n'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A unit of work and a plan's status in this process: stages, what they leave, who wins, what is counted."""
+"""A unit of work and a plan's status, in process: stages, their files, races and counts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ VIEWS = ["view-000", "view-001"]
 
 @dataclass
 class Made:
-    """A unit whose shard is committed, copies of its folder after each stage, and what it reported."""
+    """A committed unit, copies of its folder after each stage, and its reported progress."""
 
     folder: DatasetFolder
     after: dict[str, DatasetFolder]
@@ -44,13 +44,13 @@ class Made:
     library: Library
 
     def attempt(self, folder: DatasetFolder, **more: Any) -> UnitRun:
-        """A new attempt at the unit of a folder."""
+        """A new attempt at the unit of ``folder``."""
         plan = folder.read_plan()
         recipe = folder.read_recipe()
         return UnitRun(folder, plan.units[0], recipe, self.library, plan.versions, plan.variant, **more)
 
     def copy(self, stage: str, root: Path) -> DatasetFolder:
-        """The folder as it was after a stage."""
+        """A copy of the folder after a stage."""
         shutil.copytree(self.after[stage].root, root)
         return DatasetFolder(root)
 
@@ -82,7 +82,7 @@ def names(folder: Path) -> list[str]:
 def test_stages_leave_their_files_and_report_progress(made: Made) -> None:
     unit = made.folder.read_plan().units[0]
     rendered = made.after["render"].work_path(unit)
-    assert names(rendered) == ["rendered"]  # and no heartbeat
+    assert names(rendered) == ["rendered"]  # and no heartbeat file
     assert names(rendered / "rendered") == [f"{v}.{s}" for v in VIEWS for s in ("exr", "json", "timing")]
     complete = made.after["stats"].work_path(unit)
     assert names(complete / "complete") == [f"{v}.{s}" for v in VIEWS for s in ("exr", "json")]
@@ -114,7 +114,7 @@ def test_the_manifest_describes_the_shard(made: Made) -> None:
 
 
 def test_memory_is_reported_in_megabytes(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The system counts in units of 1024 bytes."""
+    """The system's unit is 1024 bytes."""
     folder = made.copy("stats", tmp_path / "a")
     usage = SimpleNamespace(ru_maxrss=3000 * 1024)
     monkeypatch.setattr(resource, "getrusage", lambda who: usage)
@@ -133,7 +133,7 @@ def test_a_stage_without_the_previous_one_names_it(made: Made, tmp_path: Path) -
 
 
 def test_finished_views_are_kept_and_damaged_ones_are_not(made: Made, tmp_path: Path) -> None:
-    """All that is done when the unit is asked to stop stays; the next attempt makes what is missing."""
+    """Views finished before the stop request are kept; the next attempt makes the missing ones."""
     folder = made.copy("render", tmp_path / "a")
     run = made.attempt(folder)
     first, second = (run.rendered_path / f"{name}.exr" for name in VIEWS)
@@ -143,7 +143,7 @@ def test_finished_views_are_kept_and_damaged_ones_are_not(made: Made, tmp_path: 
     assert run.read_record(run.rendered_path, VIEWS[1]) is None
     with pytest.raises(Interrupted):
         run_unit(made.attempt(folder, should_stop=lambda: True), ["render"])
-    assert second.read_bytes() == whole[:-1]  # asked before it began
+    assert second.read_bytes() == whole[:-1]  # requested before its start
     stopping = iter([False, True])
     events: list[Event] = []
     again = made.attempt(folder, should_stop=lambda: next(stopping), report=lambda *e: events.append(e))
@@ -154,7 +154,7 @@ def test_finished_views_are_kept_and_damaged_ones_are_not(made: Made, tmp_path: 
     assert not run.heartbeat_path.exists()
     events.clear()
     last = made.attempt(folder, should_stop=lambda: True, report=lambda *e: events.append(e))
-    assert run_unit(last, ["render"]) and events == [("render", 2, 2)]  # nothing is left to be stopped
+    assert run_unit(last, ["render"]) and events == [("render", 2, 2)]  # nothing remains to stop
 
 
 def test_lost_timings_fail_no_unit(made: Made, tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def of_another_hash(folder: DatasetFolder, manifest: UnitManifest) -> UnitManife
 def test_the_first_marker_wins_unless_it_is_invalid(
     made: Made, tmp_path: Path, there: Change | None, wins: bool
 ) -> None:
-    """A second attempt comes to its end after another has written its marker."""
+    """A second attempt ends after another has written its marker."""
     folder = made.copy("pack", tmp_path / "a")
     manifest = manifest_of(folder)
     path = folder.manifest_path(folder.read_plan().units[0])
@@ -216,7 +216,7 @@ def test_the_first_marker_wins_unless_it_is_invalid(
     path.write_bytes(b"{" if before is None else canonical_json(before))
     work_unit.commit_manifest(made.attempt(folder), manifest)
     assert manifest_of(folder) == (manifest if wins else before)
-    assert (folder.root / manifest.shard).exists() == wins  # the loser's is nobody's
+    assert (folder.root / manifest.shard).exists() == wins  # the second one's shard is unreferenced
     assert names(folder.units_path) == [path.name]
     assert folder.is_done(folder.read_plan().units[0])
 
@@ -272,7 +272,7 @@ def test_the_index_lists_done_and_missing_units(made: Made, tmp_path: Path) -> N
     assert read_json(type(index), folder.index_path) == index
     damaged = (folder.root / manifest.shard).read_bytes()
     (folder.root / manifest.shard).write_bytes(damaged[:-1] + b"x")
-    assert collect(folder.root).is_complete  # of the same size: only hashing tells
+    assert collect(folder.root).is_complete  # of the same size: only hashing detects it
     with pytest.raises(InputError, match=f"run again.*|{manifest.sha256}"):
         collect(folder.root, deep=True)
     folder.manifest_path(unit).unlink()
@@ -281,11 +281,11 @@ def test_the_index_lists_done_and_missing_units(made: Made, tmp_path: Path) -> N
     assert (index.num_views, index.num_bytes, index.buffers, index.assets) == (0, 0, (), {})
 
 
-# ---- status, of markers that no unit has written --------------------------------------------------------
+# ---- status of synthetic markers ------------------ --------------------------------------------------------
 
 
 def finish(folder: DatasetFolder, index: int, ago_s: float, now: float, *seconds: float) -> None:
-    """A marker and a shard as a unit leaves them, written so long ago."""
+    """Write a unit's marker and shard, dated ``ago_s`` before ``now``."""
     unit = folder.read_plan().units[index]
     shard = folder.shards_path / f"{unit.id}.tar"
     for path in (folder.shards_path, folder.units_path):
@@ -310,7 +310,7 @@ def finish(folder: DatasetFolder, index: int, ago_s: float, now: float, *seconds
 
 @pytest.fixture
 def seven(tmp_path: Path) -> DatasetFolder:
-    """Units 0 to 2 are done, 3 runs, 4 ran once, 5 failed, 6 waits."""
+    """A plan in which units 0 to 2 are done, 3 is running, 4 was attempted, 5 failed and 6 is waiting."""
     folder = plan_small(tmp_path / "seven", tmp_path / "library", num_units=7, num_views=2)
     now = folder.plan_path.stat().st_mtime
     finish(folder, 0, 7200, now, 100.0, 20.0)
@@ -332,7 +332,7 @@ def seven(tmp_path: Path) -> DatasetFolder:
         log="logs/unit.log",
         command="datagen run x --unit 5 --attempts 0",
     )
-    for unit in (units[5], units[0]):  # the record of a unit that has been done since counts no more
+    for unit in (units[5], units[0]):  # a failure record of a unit done since then is ignored
         path = folder.failed_path / f"{unit.id}.json"
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(canonical_json(failure.model_copy(update={"id": unit.id})))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Worker processes: replaced by count and by memory growth; one that dies costs its unit only."""
+"""Worker processes are replaced by count and by memory growth; a dead worker loses its unit only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from datagen.farm.local import LocalOptions, run_local
 from tests.conftest import REPOSITORY
 from tests.datagen.small_plan import plan_small
 
-# The workers import this file as their main module, so that what it puts in place of `run_unit` is in them.
+# Workers import this file as their main module, so they have its replacement of `run_unit`.
 SCRIPT = """
 import json, os, signal, sys
 from pathlib import Path
@@ -80,7 +80,7 @@ def test_workers_are_replaced_after_a_number_of_units(tmp_path: Path, library_ro
 
 
 def test_workers_are_replaced_when_their_memory_has_grown(tmp_path: Path, library_root: Path) -> None:
-    """60 MB more a unit: the third unit leaves the worker 120 MB above what it had after its first."""
+    """At 60 MB per unit the worker has grown by 120 MB after its third unit."""
     folder = plan_small(tmp_path / "set", library_root, num_units=5, num_views=1)
     summary, attempts = _run(folder, "grow", max_growth_mb=100, stages=[])
     assert len(summary["done"]) == 5 and _units_a_process(attempts) == [3, 2]
@@ -102,7 +102,7 @@ def test_workers_are_replaced_when_their_memory_has_grown(tmp_path: Path, librar
 def test_a_worker_that_dies_loses_its_unit_only(
     fault: str, reason: str, tmp_path: Path, library_root: Path
 ) -> None:
-    """Tried again in a fresh process, then set aside with its log and a command that reproduces it."""
+    """The unit is retried in a new process, then recorded as failed with log and command."""
     folder = plan_small(tmp_path / "a set", library_root, num_views=1)
     summary, attempts = _run(folder, fault, attempts=2)
     assert sorted(summary["done"]) == ["small-00000", "small-00002"]

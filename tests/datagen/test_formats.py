@@ -64,7 +64,7 @@ def test_exr_layers_are_named_for_any_viewer(tmp_path: Path) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damaged_exr_is_refused_or_decoded(data: st.DataObject) -> None:
-    """A truncated or bit-flipped file gives an InputError or arrays of the right shape, never a crash."""
+    """A truncated or bit-flipped file gives an InputError or arrays of the right shape."""
     good = encode_view(make_buffers(16, 16, seed=1))
     if data.draw(st.booleans()):
         bad = good[: data.draw(st.integers(0, len(good) - 1))]
@@ -206,12 +206,12 @@ def test_failed_atomic_write_leaves_no_files(tmp_path: Path) -> None:
     target.mkdir()
     (target / "inside").write_text("x")
     with pytest.raises(OSError):
-        write_bytes_atomically(target, b"data")  # a folder that is not empty cannot be replaced
+        write_bytes_atomically(target, b"data")  # a non-empty folder cannot be replaced
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
 
 
 def test_each_buffer_has_a_stage() -> None:
-    """The order decides the bytes of a view's EXR; what is optional is in no list."""
+    """Order determines the bytes of a view's EXR; optional buffers are in no list."""
     truth = ("normal_world", "depth_z_m", "surface_mask", "instance_id", "material_id")
     assert ("beauty", *MATERIAL_MAPS, *truth) == RENDERED_BUFFERS
     assert VIEW_BUFFERS[len(RENDERED_BUFFERS) :] == (

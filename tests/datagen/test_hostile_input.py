@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Files from strangers: every reader gives a valid object or an InputError; nothing else, ever.
+"""Untrusted files: every reader gives a valid object or an InputError.
 
 ``HOSTILE_EXAMPLES=20000 pytest tests/datagen/test_hostile_input.py tests/model/test_hostile_input.py -s`` is
-the full run. What is attacked is in ``hostile_cases``, how in ``tests.hostile``.
+the full run. The cases are in ``hostile_cases``, the attack in ``tests.hostile``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def test_the_unchanged_document_is_valid(name: str, tmp_path: Path) -> None:
     read(path)
 
 
-# ---------------------------------------------------------------------- bombs and lies, one by one
+# ---------------------------------------------------------------------- bombs and false claims
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def memory_stays_low():
 def test_exr_header_that_claims_too_many_pixels_is_refused(
     window: tuple[int, ...], tmp_path: Path, memory_stays_low: None
 ) -> None:
-    """2.7e8, 1e9 and 1e9 pixels from a file of a few kilobytes; as a view and as a texture."""
+    """Files of a few kilobytes claim 2.7e8, 1e9 and 1e9 pixels, as a view and as a texture."""
     data = bytearray(encode_view(make_buffers(8, 8, seed=0)))
     for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
         start = data.index(name) + len(name) + 4
@@ -97,7 +97,7 @@ def test_png_that_claims_too_many_pixels_is_refused(
 
 
 def test_png_chunk_of_four_gigabytes_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
-    """OpenCV takes what the length of a chunk claims: 4 GB and ten seconds for these 292 bytes."""
+    """OpenCV allocates a chunk's claimed length: 4 GB and ten seconds for these 292 bytes."""
     data = bytearray(encode_png(np.zeros((5, 6, 3), np.uint8)))
     at = data.index(b"IDAT") - 4
     data[at : at + 4] = b"\xff\xff\xff\x7f"
@@ -108,7 +108,7 @@ def test_png_chunk_of_four_gigabytes_is_refused(tmp_path: Path, memory_stays_low
 
 
 def test_another_format_with_a_known_suffix_is_refused(tmp_path: Path) -> None:
-    """The decoder behind would read it: only the formats of packages are let through."""
+    """The decoder could read them, but only the formats of packages are allowed."""
     import cv2
 
     for suffix in (".bmp", ".tiff", ".webp", ".jp2"):
@@ -136,7 +136,7 @@ def test_ply_that_is_shorter_than_its_header_is_refused(tmp_path: Path, memory_s
 
 
 def test_zip_bomb_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
-    """80 megabytes of zeros in 80 kilobytes, and a member that is larger than the directory says."""
+    """80 megabytes of zeros in 80 kilobytes, and a member larger than its directory entry."""
     document = json.dumps(valid_documents()["material"][0])
     path = tmp_path / "bomb.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -223,7 +223,7 @@ def test_sparse_tar_member_is_refused(tmp_path: Path, memory_stays_low: None) ->
 
 
 def test_pipes_and_devices_are_not_read(tmp_path: Path) -> None:
-    """Reading them would wait for ever or never end."""
+    """Reading them would never end."""
     fifo = tmp_path / "fifo.tar"
     os.mkfifo(fifo)
     for path in (fifo, Path("/dev/zero"), tmp_path):

@@ -178,7 +178,7 @@ def test_plain_channels_are_not_resampled(tmp_path: Path) -> None:
     builder = Builder().quad()
     noise(tmp_path / "source" / "color.png")
     packed = noise(tmp_path / "source" / "arm.png", seed=1)
-    packed[..., 2] = 1  # a metalness of compression noise only
+    packed[..., 2] = 1  # metalness is only compression noise
     (tmp_path / "source" / "arm.png").write_bytes(encode_png(packed))
     builder.material(
         pbrMetallicRoughness={
@@ -410,7 +410,7 @@ def test_images_of_furniture_are_copied_unchanged(tmp_path: Path, shared_data: P
 def test_a_set_can_be_split_into_objects(tmp_path: Path, shared_data: Path) -> None:
     path = shared_data / "furniture" / "living_room_polyhaven" / "assets" / "tea_set_01_1k.gltf"
     records = import_asset(path, tmp_path, split=True)
-    assert len(records) == 8  # of ten nodes: the two lids go with their pots
+    assert len(records) == 8  # of ten nodes: each of the two lids joins its pot
     for record in records:
         asset = open_package(record.path).asset
         assert isinstance(asset, ObjectAsset)
@@ -433,7 +433,7 @@ def test_a_missing_image_is_refused_or_replaced_by_name(tmp_path: Path, shared_d
     (region,) = asset.camera_regions
     assert region.maximum_m[0] - region.minimum_m[0] > 5
     (opening,) = asset.openings
-    assert np.cross(opening.edge_u_m, opening.edge_v_m)[1] > 0  # the window is at -y and looks inwards
+    assert np.cross(opening.edge_u_m, opening.edge_v_m)[1] > 0  # the window is at -y and faces inwards
 
 
 def test_sources_are_found_and_unknown_ones_refused(tmp_path: Path, shared_data: Path) -> None:

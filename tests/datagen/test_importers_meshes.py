@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""OBJ, PLY, STL and what Blender reads: sizes, colours, units, and where their names may lead."""
+"""OBJ, PLY, STL and Blender's formats: sizes, colours, units, and paths."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def size_of(record: ImportedAsset) -> np.ndarray:
 
 
 def write_obj(folder: Path, texture: str = "") -> Path:
-    """A box, Y up, half of it of wood with a map, half of steel."""
+    """Write a box, Y up, one half of textured wood, the other of steel."""
     mesh = box()
     points = np.asarray(mesh.vertices)[:, [0, 2, 1]] * [1, 1, -1]  # (x, z, -y)
     lines = ["mtllib sofa.mtl", *(f"v {x} {y} {z}" for x, y, z in points)]
@@ -73,14 +73,14 @@ def test_obj_keeps_size_materials_and_triangles(tmp_path: Path) -> None:
     with open_package(record.path) as package:
         meshes = [decode_ply(package.read_bytes(part.mesh), part.mesh) for part in asset.parts]
     assert sum(len(mesh.faces) for mesh in meshes) == 12
-    for mesh in meshes:  # windings survive the change of axes: normals lead away from the middle
+    for mesh in meshes:  # windings survive the change of axes: normals point outwards
         corners = mesh.triangles()
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert ((corners.mean(1) - [0, 0, SIZE[2] / 2]) * normal).sum(1).min() > 0
 
 
 def test_corners_of_different_kinds_are_distinguished() -> None:
-    """One corner without uv and one with a normal: the totals are those of a uniform file."""
+    """One corner has no uv and one has a normal, while the totals equal those of a uniform file."""
     corners = [b"%d/%d" % (k + 1, 300 - k) for k in range(300)]
     corners[1], corners[2] = b"2", b"3/298/7"
     found = corner_indices(corners, (300, 300, 9))
@@ -127,8 +127,8 @@ def test_units_are_guessed_and_reported(tmp_path: Path, suffix: str, scale: floa
     box(scale).export(tmp_path / f"sofa{suffix}")
     (record,) = import_asset(tmp_path / f"sofa{suffix}", tmp_path / "library", OPTIONS)
     np.testing.assert_allclose(size_of(record), SIZE, rtol=1e-5)
-    told = [note for note in record.notes if "taken as" in note]
-    assert [unit in note for note in told] == ([True] if unit else [])
+    sentences = [note for note in record.notes if "taken as" in note]
+    assert [unit in note for note in sentences] == ([True] if unit else [])
 
 
 def test_a_given_unit_is_used(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_damaged_files_are_refused(tmp_path: Path, name: str, data: bytes, messa
 
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
 def test_readers_spend_the_budget(tmp_path: Path, suffix: str) -> None:
-    """A fan of 4,000 triangles round one vertex: pairs grow with the square."""
+    """Vertex pairs of a fan of 4,000 triangles around one vertex grow quadratically."""
     ring = [(np.cos(a), np.sin(a), 0.1 * (k % 2)) for k, a in enumerate(np.linspace(0, 6.28, 4000))]
     faces = [(0, k, k + 1) for k in range(1, len(ring))]
     fan = trimesh.Trimesh([(0, 0, 0), *ring], faces, process=False)
@@ -183,7 +183,7 @@ def test_readers_spend_the_budget(tmp_path: Path, suffix: str) -> None:
         import_asset(path, tmp_path / "library", ImportOptions(license="CC0-1.0", limits=Limits(pairs=1000)))
 
 
-# --- by way of Blender ------------------------------------------------------------------------------------
+# --- through Blender --------------------------------------------------------------------------------------
 
 _MAKE = """
 import sys, bpy
@@ -276,7 +276,7 @@ def test_compressed_gltf_names_a_converter(
         import_asset(tmp_path / "thing.gltf", tmp_path / "library", OPTIONS)
 
 
-# --- what an import says ----------------------------------------------------------------------------------
+# --- output of an import ----------------------------------------------------------------------------------
 
 
 def test_similar_sentences_are_merged() -> None:
@@ -292,9 +292,9 @@ def test_similar_sentences_are_merged() -> None:
 
 def test_a_report_is_short_and_names_the_full_one(tmp_path: Path) -> None:
     kinds = ["alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta"]
-    told = tuple(f"part: {kind} left out" for kind in kinds)
+    sentences = tuple(f"part: {kind} left out" for kind in kinds)
     record = ImportedAsset(
-        "sofa", "object", tmp_path / "sofa", "0", "CC0-1.0", told, (), "1.60 × 0.50 × 0.80 m"
+        "sofa", "object", tmp_path / "sofa", "0", "CC0-1.0", sentences, (), "1.60 × 0.50 × 0.80 m"
     )
     lines = summary_lines(record)
     assert lines[0].startswith("object sofa (CC0-1.0): 1.60 × 0.50 × 0.80 m; ")

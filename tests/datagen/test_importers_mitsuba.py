@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba scenes as packages: parsing, materials against Mitsuba itself, policies, lights, places."""
+"""Mitsuba scenes as packages: parsing, materials against Mitsuba, policies, lights, markers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def write_scene(folder: Path, body: str, name: str = "scene.xml", version: str =
 
 
 def colorful(path: Path, side: int = 32) -> Path:
-    """An image without any symmetry, so that a turned or mirrored texture shows."""
+    """An asymmetric image, which reveals rotated or mirrored textures."""
     v, u = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side), indexing="ij")
     pixels = np.stack([u, v, (u * v > 0.3) * 0.8 + 0.1], axis=-1)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,7 @@ def test_variables_includes_and_old_names_are_resolved(tmp_path: Path) -> None:
     assert parse_scene(path, {"a": "0.7"}).by_id["p"].get("alpha") == 0.7
     shape = scene.all_of("shape")[0]
     assert shape.children_of("bsdf")[0].id == "grey"
-    assert shape.get("to_world")[0, 3] == 2.0  # moved first, then scaled
+    assert shape.get("to_world")[0, 3] == 2.0  # translated first, then scaled
     np.testing.assert_allclose(scene.by_id["grey"].get("reflectance"), 0.21586, rtol=1e-4)
     assert [snake_case(n) for n in ("extIOR", "specularReflectance", "to_uv")] == [
         "ext_ior",
@@ -194,7 +194,7 @@ def test_conductor_f0_agrees_with_mitsuba(tmp_path: Path, mitsuba_variant: str) 
     mean = fresnel.conductor_mean(np.array(eta), np.array(k))
     np.testing.assert_allclose(np.array(draft.specular) * 20 / 21 + 1 / 21, mean, atol=1e-6)
     assert draft.diffuse == (0.0, 0.0, 0.0)
-    assert draft.roughness == pytest.approx(0.3)  # Beckmann: no change of width
+    assert draft.roughness == pytest.approx(0.3)  # Beckmann: width unchanged
     gold = fresnel.conductor_preset_mean("Au")
     np.testing.assert_allclose(
         gold,
@@ -267,7 +267,7 @@ def test_plastic_keeps_the_hemispherical_albedo(
     np.testing.assert_allclose(draft.specular, 0.04, rtol=1e-6)
     np.testing.assert_allclose(ours, theirs, rtol=0.01)
     other = fresnel.plastic_diffuse_albedo(np.array(reflectance), 1.5, not nonlinear)
-    assert np.abs(other / theirs - 1).max() > 0.05  # the test tells the two formulas apart
+    assert np.abs(other / theirs - 1).max() > 0.05  # the test distinguishes the two formulas
 
 
 def test_beckmann_width_is_the_closest_to_ggx() -> None:
@@ -429,7 +429,7 @@ def test_daylight_keeps_its_scales(
 
 @pytest.mark.parametrize("name", ["measured", "convert", "nested", "lobe_width"])
 def test_unknown_bsdfs_are_refused_by_name(tmp_path: Path, name: str) -> None:
-    """Names of the importer's own functions too."""
+    """Names of the importer's functions are no exception."""
     scene = f'<shape type="cube"><bsdf type="{name}"/></shape>'
     with pytest.raises(InputError, match=f"type '{name}'.*a supported BSDF: diffuse, plastic"):
         imported(tmp_path, scene)
@@ -470,7 +470,7 @@ def test_glass_is_refused_or_replaced_by_name(tmp_path: Path) -> None:
     assert "material 'Pane'" in str(caught.value)
     assert not (tmp_path / "library").exists() or not any((tmp_path / "library").rglob("asset.json"))
     record, asset = imported(tmp_path / "b", GLASS, ImportOptions(license="CC0-1.0", dielectric="replace"))
-    assert len(asset.parts) == 2  # the cube and the ball; panes let light pass
+    assert len(asset.parts) == 2  # the cube and the ball; panes transmit light
     assert asset.materials["Clear"].classes == ("glass",)
     text = "\n".join(record.approximations)
     assert "Clear: transparent, left out" in text
@@ -555,7 +555,7 @@ def test_mirrored_emitters_keep_their_side() -> None:
         matrix = np.diag([mirror, 2.0, 1.0, 1.0])
         light = emitter_shape_light(node, "l", matrix, (1.0, 1.0, 1.0))
         assert isinstance(light, AreaLight)
-        # Mitsuba carries the normal over by the inverse transpose: a mirrored rectangle still faces +z
+        # Mitsuba transforms normals by the inverse transpose: a mirrored rectangle still faces +z
         normal = np.cross(light.edge_u_m, light.edge_v_m)
         assert np.sign(normal[2]) == (-1 if flip else 1)
     sheared = np.eye(4)
@@ -582,7 +582,7 @@ SHAPES = """
 
 
 def test_every_shape_looks_as_in_mitsuba(tmp_path: Path, mitsuba_variant: str) -> None:
-    """Geometry, UVs, textures, camera, environment map and axes at once: the images agree pixel by pixel."""
+    """Images of geometry, UVs, textures, camera, environment map and axes agree pixel by pixel."""
     import OpenEXR
 
     from datagen.importers.reference import render_converted, render_original
@@ -619,14 +619,14 @@ def test_every_shape_looks_as_in_mitsuba(tmp_path: Path, mitsuba_variant: str) -
     with Library([record.path]) as library:
         ours = render_converted(library, record.asset_id, 64, 256, 3)
     difference = np.abs(ours - theirs)
-    # noise and edges; a turned texture or sky would be off by 0.2 and more
+    # noise and edges; a rotated texture or sky would give 0.2 or more
     assert difference.mean() < 0.06 * theirs.mean()
     assert agreement(ours, theirs).correlation > 0.998
     flipped = np.flip(theirs, axis=1)
     assert np.abs(ours - flipped).mean() > 0.1 * theirs.mean()
 
 
-# ---- places --------------------------------------------------------------------------------------
+# ---- markers -------------------------------------------------------------------------------------
 
 
 def test_largest_rectangle_against_brute_force() -> None:

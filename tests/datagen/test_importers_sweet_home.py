@@ -37,7 +37,7 @@ from datagen.library import check_library
 from tests.conftest import REPOSITORY
 from tests.hostile import damage
 
-FURNITURE = Path("/usr/share/sweethome3d/furniture")  # where the Debian package puts it
+FURNITURE = Path("/usr/share/sweethome3d/furniture")  # path of the Debian package
 REPLACE = ImportOptions(dielectric="replace", missing="replace")
 BOX_FACES = ((1, 2, 3, 4), (5, 8, 7, 6), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 8, 4), (5, 1, 4, 8))
 MTL = """
@@ -73,7 +73,7 @@ map_Kd leaf.png
 
 
 def box_obj(size: tuple[float, float, float], material: str, *, offset: int = 0, uv: bool = True) -> str:
-    """Statements of a box from the origin to ``size`` (x, y up, z to the front), wound outwards."""
+    """OBJ statements of an outward box from the origin to ``size`` (x, y up, z to the front)."""
     x, y, z = size
     corners = [(0, 0, z), (x, 0, z), (x, y, z), (0, y, z), (0, 0, 0), (x, 0, 0), (x, y, 0), (0, y, 0)]
     lines = [f"v {a} {b} {c}" for a, b, c in corners]
@@ -125,7 +125,7 @@ class Sh3f:
 
 
 def planks(seed: int = 3, channels: int = 3) -> bytes:
-    """A small PNG; with four channels half of it is see-through."""
+    """A small PNG; with four channels half of it is transparent."""
     import cv2
 
     pixels = np.random.default_rng(seed).integers(40, 200, (8, 8, channels), dtype=np.uint8)
@@ -186,7 +186,7 @@ def test_a_piece_without_any_licence_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_piece_has_the_catalogue_size_upright_and_with_its_front_to_minus_y(tmp_path: Path) -> None:
-    # 2 x 1 x 3 units in the model: every side is scaled by itself; a second part marks the front (+z)
+    # 2 x 1 x 3 units in the model: sides are scaled separately; a second part marks the front (+z)
     mark = "v 0 0 3\nv 2 0 3\nv 2 1 3\nusemtl matt\nf 9 10 11\n"
     sh3f = Sh3f().piece("crate", box_obj((2, 1, 3), "oak") + mark)
     sh3f.files["m/crate/planks.png"] = planks()
@@ -204,7 +204,7 @@ def test_a_piece_has_the_catalogue_size_upright_and_with_its_front_to_minus_y(tm
 
 
 def test_the_rotation_of_the_catalogue_comes_before_the_size(tmp_path: Path) -> None:
-    # the model lies on its back: its z is up; "1 0 0  0 0 1  0 -1 0" stands it up
+    # the model is on its back (z up); "1 0 0  0 0 1  0 -1 0" turns it upright
     sh3f = Sh3f().piece("post", box_obj((1, 1, 5), "matt"), modelRotation="1 0 0 0 0 1 0 -1 0",
                         width=10, depth=10, height=50)  # fmt: skip
     asset, package = import_one(tmp_path, sh3f)
@@ -221,7 +221,7 @@ def test_concave_polygons_are_cut_inside_their_outline() -> None:
             crosses = np.cross(cut[:, 1] - cut[:, 0], cut[:, 2] - cut[:, 0])
             assert len(cut) == 4
             assert np.isclose(0.5 * np.linalg.norm(crosses, axis=1).sum(), 7)  # a fan would cover more
-            assert np.isclose(0.5 * np.linalg.norm(crosses.sum(axis=0)), 7)  # all the same way round
+            assert np.isclose(0.5 * np.linalg.norm(crosses.sum(axis=0)), 7)  # with equal orientation
     dart = b"v 0 0 0\nv 1 1 0\nv 0 3 0\nv -1 1 0\nv 0 2 0\nf 1 2 5 4\nf 2 5 4 1\n"
     model = read_obj_model(dart.replace(b"f 2 5 4 1\n", b""), "dart.obj", Budget("x"))
     assert np.isclose(model.surfaces[0].mesh.areas().sum(), 2 * 0.5 * 1 * 2)
@@ -272,7 +272,7 @@ def test_phong_is_converted_to_d_s_and_r() -> None:
     assert max(dark.diffuse) > 0 and max(dark.specular) < 0.05  # painted
     assert phong_channels(table["matt"], is_metal=True, is_mirror=True).roughness == 0
     theta = (np.arange(200_000) + 0.5) / 200_000 * (np.pi / 2)
-    for n in (0.0, 10.0, 1000.0):  # densities of half vectors, normalised: the peaks are equally high
+    for n in (0.0, 10.0, 1000.0):  # normalised densities of half vectors: equal peaks
         peak = 1 / (2 * np.pi * (np.cos(theta) ** (n + 1) * np.sin(theta)).mean() * (np.pi / 2))
         assert np.isclose(peak, 1 / (np.pi * phong_roughness(n) ** 4), rtol=1e-4)
 
@@ -284,7 +284,7 @@ def test_textures_are_not_tinted_and_cut_outs_keep_their_opacity(tmp_path: Path)
     sh3f.files["m/crate/leaf.png"] = planks(channels=4)
     asset, package = import_one(tmp_path, sh3f)
     oak, leaf = asset.materials["oak"], asset.materials["leaf"]
-    assert isinstance(oak.diffuse_albedo, Texture) and oak.diffuse_albedo.scale == 1  # Kd tints nothing
+    assert isinstance(oak.diffuse_albedo, Texture) and oak.diffuse_albedo.scale == 1  # no tint by Kd
     assert package.read_bytes(oak.diffuse_albedo.texture) == planks()
     assert oak.classes == ("wood",) and oak.replaceable_by == ("wood", "painted") and oak.opacity is None
     assert isinstance(leaf.opacity, Texture) and leaf.opacity.channel == "a" and leaf.replaceable_by == ()
@@ -310,7 +310,7 @@ def test_see_through_materials_follow_the_policy(tmp_path: Path) -> None:
     ]
     crate, bowl_record = import_sweet_home(path, tmp_path / "library", REPLACE)
     asset = open_package(crate.path).asset
-    assert isinstance(asset, ObjectAsset) and list(asset.materials) == ["matt"]  # the pane inside is left out
+    assert isinstance(asset, ObjectAsset) and list(asset.materials) == ["matt"]  # the inner pane is omitted
     assert any("panes left out" in line for line in crate.approximations)
     bowl_asset = open_package(bowl_record.path).asset
     assert isinstance(bowl_asset, ObjectAsset)
@@ -347,7 +347,7 @@ def test_floor_standing_furniture_is_never_put_on_a_table(tmp_path: Path) -> Non
     supports = {a.title: a.supports for a in assets if isinstance(a, ObjectAsset)}
     assert supports["Stool"] == supports["Zydeco"] == supports["Small chair with cushion"] == ("floor",)
     assert supports["Vase"] == ("floor", "table", "counter") and "table" in supports["Mug"]
-    assert supports["Cupboard"] == supports["Pane"] == ()  # it hangs: no plan places it
+    assert supports["Cupboard"] == supports["Pane"] == ()  # hanging: never placed
     assert {a.title: a.category for a in assets if isinstance(a, ObjectAsset)}["Stool"] == "seat"
 
 
@@ -388,7 +388,7 @@ def test_faults_are_named_and_the_other_pieces_imported(tmp_path: Path) -> None:
         import_sweet_home(path, tmp_path / "library", on_step=lambda step, total: steps.append(step))
     assert len(steps) == 13
     assert [s.name for s in steps if s.outcome == "imported"] == [f"Test#box{k}" for k in range(4)]
-    told = "\n".join(str(p) for p in refused.value.problems)
+    messages = "\n".join(str(p) for p in refused.value.problems)
     for sentence in (
         "absent.obj: no such file in the catalogue",
         "broken.obj: a face refers to entry 9 of 2",
@@ -402,7 +402,7 @@ def test_faults_are_named_and_the_other_pieces_imported(tmp_path: Path) -> None:
         "Test#untextured: material 'oak' = 'Planks.PNG' (no such file)",
         "Test#colourless: materials = material 'unheard_of'",
     ):
-        assert sentence in told
+        assert sentence in messages
     assert check_library([tmp_path / "library"]).errors == ()
 
 
@@ -411,7 +411,7 @@ def test_a_truncated_archive_names_its_missing_pieces(tmp_path: Path) -> None:
     file = path.write(tmp_path / "x.sh3f")
     data = bytearray(file.read_bytes())
     at = data.find(b"mtllib two.mtl")
-    data[at + 20 : at + 60] = b"#" * 40  # the checksum of one member no longer holds
+    data[at + 20 : at + 60] = b"#" * 40  # the checksum of one member is wrong
     file.write_bytes(data)
     with pytest.raises(InputError, match=r"two\.obj: Bad CRC") as refused:
         import_sweet_home(file, tmp_path / "library", REPLACE)
@@ -466,7 +466,7 @@ def test_an_interrupted_import_resumes(tmp_path: Path) -> None:
         import_sweet_home(path, library, on_step=lambda step, total: again.append(step))
     assert [s.outcome for s in again].count("kept") == 2 and [s.outcome for s in again].count("imported") == 2
     assert all(p.stat().st_mtime_ns == stamp for p, stamp in stamps.items())
-    # a package of the same name from elsewhere is neither kept nor overwritten
+    # another package of that name is neither kept nor overwritten
     other = Sh3f().piece("box0", box_obj((1, 1, 1), "matt"))
     other.head = other.head.replace("Test#Models", "Other#Models")
     with pytest.raises(InputError, match="comes from elsewhere"):

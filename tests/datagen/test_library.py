@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Finding packages, asking for them, and telling about them."""
+"""Finding, selecting and describing packages."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Statistics against the float64 oracle, and what the definition demands of them."""
+"""Statistics against the float64 oracle and their defining properties."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from oracles.statistics import OracleOptions, statistics_by_loops, statistics_ve
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
-# A decision nearer than this to its limit may fall the other way in float32: projections err by some 1e-5 px.
+# Decisions closer than this to their limit may differ in float32: projections err by about 1e-5 px.
 DECISION_MARGIN = 2e-4
-# Bilinear weights err like projections, and white noise has a gradient of up to 1 a pixel.
+# Bilinear weights err like projections, and white noise has gradients of up to 1 per pixel.
 COLOR_TOLERANCE = {"nearest": 1e-7, "bilinear": 1e-4}
 
 COLORS = [name for name in STATISTICS_BUFFERS if BUFFERS[name].num_channels == 3]
@@ -62,7 +62,7 @@ def compute(views, options=None):
 
 
 def disagreement(result, expected, options) -> tuple[int, float]:
-    """Sure pixels whose count or colours differ from the oracle's, and the share of pixels that are sure."""
+    """Number of unambiguous pixels that differ from the oracle, and the share of unambiguous pixels."""
     *colors, count, margin = expected
     is_sure = margin > DECISION_MARGIN
     is_wrong = result["observation_count"][..., 0] != count
@@ -110,7 +110,7 @@ def test_equals_oracle(name):
     ],
 )
 def test_a_wrong_oracle_is_detected(wrong):
-    """The twin: with a parameter 5 % off, or another rule, the comparison must fail."""
+    """Injected fault: a parameter 5 % off, or another rule, is detected."""
     options = StatisticsOptions()
     views = make_views(((90, 60),))
     wrongs = 0
@@ -128,7 +128,7 @@ def test_background_and_emitters_keep_the_colour_of_the_view():
         assert (result["observation_count"][~is_empty] >= 1).all()
         for name in COLORS:
             np.testing.assert_array_equal(result[name][is_empty], view.color[is_empty])
-    assert not has_surface(views[5].depth_z_m, views[5].surface_mask).any()  # the one that looks away
+    assert not has_surface(views[5].depth_z_m, views[5].surface_mask).any()  # the camera that faces away
 
 
 def test_statistics_are_ordered_bounded_and_shaped():
@@ -143,7 +143,7 @@ def test_statistics_are_ordered_bounded_and_shaped():
         assert all(array.dtype == np.float32 for array in result.values())
         assert (result["color_min"] <= result["color_median"]).all()
         assert (result["color_median"] <= result["color_max"]).all()
-        # a pixel's own colour is one of those that its statistics are taken over (nine views, twelve places)
+        # statistics include the pixel's colour (nine views, best_views = 12)
         assert (result["color_min"] <= view.color).all() and (view.color <= result["color_max"]).all()
 
 
@@ -157,7 +157,7 @@ def test_single_view_returns_the_colours_of_the_view_exactly():
 
 
 def test_even_count_takes_the_mean_of_the_middle_two():
-    """Four cameras in one place with constant colours 0, 0.1, 0.4, 1: the median is 0.25."""
+    """Four cameras at one position with constant colours 0, 0.1, 0.4, 1: the median is 0.25."""
     base = make_views(num_views=1)[0]
     mask = np.ones_like(base.surface_mask)
     views = [
@@ -173,7 +173,7 @@ def test_even_count_takes_the_mean_of_the_middle_two():
 
 
 def test_equal_costs_keep_the_first_view():
-    """Six identical cameras and four places: views 0 to 3 are chosen for every view."""
+    """With ``best_views`` of 4 among six identical cameras every view selects views 0 to 3."""
     base = make_views(num_views=1)[0]
     views = [replace(base, color=np.full_like(base.color, value / 10)) for value in range(6)]
     hit = has_surface(base.depth_z_m, base.surface_mask)
@@ -183,7 +183,7 @@ def test_equal_costs_keep_the_first_view():
 
 
 def test_ranking_prefers_views_along_the_normal():
-    """A floor seen from straight above and from grazing cameras: with the wrong sign the latter would win."""
+    """A floor seen from straight above and by grazing cameras: a wrong sign would select the latter."""
     from datagen.foundation.cameras import look_at
 
     views = []

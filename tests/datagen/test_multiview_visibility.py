@@ -57,10 +57,10 @@ def test_traced_visibility_is_exact_and_depth_is_within_a_pixel_of_silhouettes()
         by_depth = observe_points(packed, points, normals, VisibilityOptions("depth"))
         mismatch.append((by_depth.visible_mask != expected).mean())
     assert 0.1 < expected.mean() < 0.9
-    # what is lost or won lies along silhouettes, so it halves as pixels do, down to what the tolerance leaves
+    # differences are along silhouettes, so they halve with the pixel size, down to the tolerance's share
     assert mismatch[1] < 0.6 * mismatch[0] and mismatch[2] < 0.7 * mismatch[1] and mismatch[2] < 0.01
     traced = observe_points(packed, points, normals, VisibilityOptions("trace"), mitsuba_scene())
-    assert (traced.visible_mask != expected).mean() < 2e-4  # within the tolerance of an edge's shadow
+    assert (traced.visible_mask != expected).mean() < 2e-4  # within the tolerance of the edge of a shadow
 
 
 def test_pixels_distance_and_cosine_equal_the_camera_model():
@@ -82,7 +82,7 @@ def test_pixels_distance_and_cosine_equal_the_camera_model():
 
 @pytest.mark.parametrize("tilt_deg", [0, 60, 80, 88])
 def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
-    """Points between the pixel centres of a steeply seen plane; without the slope term they would be lost."""
+    """Points between pixel centres of a grazing plane would be lost without the slope term."""
     camera = Camera(64, 64, 64.0, 64.0, 32.0, 32.0, look_at((0, 0, 0), (0, 1, 0)))
     tilt = np.deg2rad(tilt_deg)
     normal = np.array([0.0, -np.cos(tilt), np.sin(tilt)])
@@ -110,8 +110,8 @@ def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
 
 @pytest.mark.parametrize("cosine", [0.9, 0.3, 0.1, 0.055])
 def test_a_point_below_its_surface_is_visible_unless_occluded(cosine):
-    """Reconstructed points lie off the mesh by their error. As far beneath it as a part of the tolerance
-    says, they are seen at grazing angles as from above; and what stands closely before them hides them."""
+    """Reconstructed points are off the mesh by their error. Less than part of the tolerance below it they are
+    visible from above and at grazing angles, unless an occluder is just in front of them."""
     import mitsuba as mi
 
     distance, tolerance = 4.0, 1e-3
@@ -128,13 +128,13 @@ def test_a_point_below_its_surface_is_visible_unless_occluded(cosine):
 
     assert is_seen(0.7 * tolerance * distance, {"floor": floor})
     assert not is_seen(1.5 * tolerance * distance, {"floor": floor})
-    # a pane across the line of sight, 4 % before the point
+    # a pane across the line of sight, 4 % in front of the point
     pane = mi.ScalarTransform4f().look_at((0.04 * eye).tolist(), eye.tolist(), [1, 0, 0])
     assert not is_seen(0.0, {"pane": {"type": "rectangle", "to_world": pane}})
 
 
 def test_an_occluder_is_not_overlooked_at_the_most_grazing_angles():
-    """The shadow ray ends before the point, but never by more than a few per cent of the way."""
+    """The shadow ray ends before the point, but by at most a few per cent of its length."""
     import mitsuba as mi
 
     eye = np.array([0.0, -4.0, 4.0 * 1e-3])
@@ -159,8 +159,8 @@ def test_points_behind_outside_and_facing_away_are_not_seen():
 
 
 def test_the_image_ends_at_the_outer_edge_of_its_last_pixel():
-    """Points that project exactly onto the left, right, upper and lower border; behind the last row of the
-    first view's depth lies the first of the second's."""
+    """Points that project exactly onto the four borders; the last depth row of one view precedes the first
+    row of the next in memory."""
     camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
     packed = PackedViews([camera, camera], [np.full((10, 10), 2.0)] * 2)
     points = np.array([(-1, 2, 0), (1, 2, 0), (0, 2, 1), (0, 2, -1)])
@@ -172,7 +172,7 @@ def test_the_image_ends_at_the_outer_edge_of_its_last_pixel():
 
 @pytest.mark.parametrize("farthest", [0, 1, 2])
 def test_the_farthest_camera_is_found_at_any_index(farthest):
-    """Far from the origin, so that what lies behind the list of cameras would be taken for one."""
+    """Far from the origin, so memory behind the list of cameras would look like a nearer camera."""
     import mitsuba as mi
 
     centres = np.array([[40.0, 41.0, 40.0], [40.0, 40.0, 42.0], [41.0, 41.0, 40.0]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names of other languages as ids: readable, distinct, and the same in the Blender add-on."""
+"""Names in other languages as ids: readable, distinct, and equal in the Blender add-on."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Named(StrictModel):
     ],
 )
 def test_names_are_transliterated(name: str, expected: str) -> None:
-    """Umlauts had become hyphens, and names of other alphabets all "unnamed"."""
+    """Formerly umlauts became hyphens, and names in other alphabets "unnamed"."""
     for form in ("NFC", "NFD"):
         assert slug(unicodedata.normalize(form, name)) == expected
 
@@ -65,7 +65,7 @@ def test_ascii_is_unchanged(name: str) -> None:
 
 
 def test_the_add_on_transliterates_identically() -> None:
-    """It imports nothing of the project's other packages, so it has the same file."""
+    """It imports no other package of the project, so it has a copy of the file."""
     paths = ("datagen/foundation/transliteration.py", "blender_addon/gather/transliteration.py")
     here, there = ((REPOSITORY / path).read_text() for path in paths)
     assert here == there

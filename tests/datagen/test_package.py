@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Packages as containers, and the thorough check of what is in them."""
+"""Packages as containers, and the full check of their contents."""
 
 from __future__ import annotations
 
@@ -378,7 +378,7 @@ def test_ply_round_trip_and_foreign_layouts() -> None:
 
 
 def test_normals_that_cancel_or_are_missing_follow_a_surface() -> None:
-    """Two triangles back to back, one of them smaller: a made-up direction could lie in the surface."""
+    """Two triangles back to back, one smaller: an arbitrary normal could be in their plane."""
     positions = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]], np.float32)
     mesh = Mesh(positions, np.array([[0, 1, 2], [2, 1, 0]], np.int32))
     normals = vertex_normals(mesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Generated rooms: every kind is sound over many seeds, always the same, quick, and unlike every other."""
+"""Generated rooms: every kind is valid over many seeds, reproducible, fast, and each room different."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_rooms_are_sound_and_packages_valid(kind: str) -> None:
 
 
 def test_a_room_takes_less_than_two_seconds() -> None:
-    """Of processor time, room and package; measured: 0.3 s in the median, 0.9 s at most."""
+    """Processor time of room and package; measured: 0.3 s in the median, 0.9 s at most."""
     slowest = {}
     for kind in sorted(KINDS):
         start = time.process_time()
@@ -81,7 +81,7 @@ def test_few_rooms_are_rejected() -> None:
 
 
 def test_bytes_depend_on_kind_and_seed_alone() -> None:
-    """Another process with another hash seed, in another order, makes the same zips."""
+    """Another process with another hash seed and order makes the same zips."""
     wanted = [("hallway", "1"), ("cafe", "2"), ("bedroom", "3")]
     code = (
         "from datagen.formats.base import sha256_hex; from datagen.parametric.packing import room_package\n"
@@ -95,7 +95,7 @@ def test_bytes_depend_on_kind_and_seed_alone() -> None:
 
 
 def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
-    """Slots drawn in metal cannot be replaced by anything else; the share is that of the table."""
+    """Slots drawn as metal cannot be replaced; their share is that of the table."""
     found: dict[str, list[bool]] = {}
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -128,14 +128,14 @@ def test_three_quarters_of_the_shades_are_luminous() -> None:
             area = 0.5 * float(np.linalg.norm(cross, axis=1).sum())
             assert lamp.area_m2 == pytest.approx(area, rel=0.12)  # polygons in place of circles, and rims
             is_luminous = all(slot != "shade" for slot, _ in item.shapes)
-            if is_luminous:  # its side is in sight from eye level
+            if is_luminous:  # its side is visible from eye level
                 assert np.ptp(shape.points[:, 2]) > 0.1 and lamp.area_m2 > 0.05
             luminous += is_luminous
         assert 0.6 < luminous / 120 < 0.88, name
 
 
 def test_doors_have_switches_and_walls_sockets() -> None:
-    """Nearly all doors; none where a corner or a cupboard is in the way."""
+    """Nearly all doors have switches, except where a corner or a cupboard is in the way."""
     doors = switches = sockets = 0
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -153,7 +153,7 @@ def test_doors_have_switches_and_walls_sockets() -> None:
 
 
 def test_windows_have_curtains_blinds_or_neither() -> None:
-    """And radiators below, with curtains in front of some."""
+    """Windows also have radiators below, some behind curtains."""
     windows, found, both = 0, dict.fromkeys(("curtains", "blind", "radiator"), 0), 0
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -197,7 +197,7 @@ def test_a_package_in_memory_is_the_one_on_disk(tmp_path) -> None:
         assert opened.asset == package.asset
 
 
-# ---------------------------------------------------------------- the checks can fail
+# ---------------------------------------------------------------- injected faults
 
 
 def _changed(room: MadeRoom, name: str, **changes) -> Furnished:
@@ -261,7 +261,7 @@ def test_a_blocked_door_is_detected() -> None:
 
 
 def test_a_door_that_just_clears_is_not_blocked() -> None:
-    """The twin: a post in the sector's square but outside of its quarter disc is not in the way."""
+    """Counterpart: a post in the sector's square but outside of its quarter disc is not in the way."""
     room = _room("study", "1")
     shell = room.furnished.shell
     door = shell.doors[0]
@@ -304,7 +304,7 @@ def test_a_room_without_a_free_path_is_detected() -> None:
 
 @pytest.mark.parametrize("kind", ["cafe", "living_room", "bathroom", "workshop"])
 def test_no_triangles_cross(kind: str) -> None:
-    """The check by boxes against FCL, triangle by triangle; what rests on something is lifted by 1 mm."""
+    """The box check against FCL, triangle by triangle; resting objects are lifted by 1 mm."""
     room = _room(kind, "3")
     items = room.furnished.items
     bounds = [hull_of(p.boxes()) for p in items]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Generated rooms in datasets: planned, kept in the folder, rendered; old recipes mean what they meant."""
+"""Generated rooms in datasets: planned, stored in the folder, rendered; old recipes keep their meaning."""
 
 from __future__ import annotations
 
@@ -126,22 +126,22 @@ def test_a_folder_of_an_older_plan_revision_is_refused(
 
 
 def test_plain_slots_get_materials(planned: DatasetFolder, library: Library) -> None:
-    """Every slot of a plain colour for which the library has something is assigned one of its materials."""
+    """Every slot of constant colour for which the library has materials is assigned one."""
     recipe = _recipe()
     for unit in planned.read_plan().units:
         configuration = planned.read_configuration(unit)
         room = room_of(recipe, configuration, NUM_TRIES)
         assert room is not None and isinstance(room.package.asset, EnvironmentAsset)
-        dressed = configuration.environment.materials
+        materials = configuration.environment.materials
         assert {slot for _, slot in room.bare_slots} >= {"floor", "ceiling"}
-        assigned = [dressed[slot].asset for _, slot in room.bare_slots if slot in dressed]
+        assigned = [materials[slot].asset for _, slot in room.bare_slots if slot in materials]
         assert assigned and all(asset is not None for asset in assigned)
         fixed = {slot for slot, m in room.package.asset.materials.items() if not m.replaceable_by}
-        assert all(dressed[slot].asset is None for slot in fixed & dressed.keys())
+        assert all(materials[slot].asset is None for slot in fixed & materials.keys())
 
 
 def test_a_moved_dataset_renders(planned: DatasetFolder, tmp_path: Path) -> None:
-    """The folder brings its rooms along, wherever it goes."""
+    """The folder contains its rooms, so it can be moved."""
     root = tmp_path / "elsewhere"
     shutil.copytree(planned.root, root)
     summary = run_local(root, LocalOptions(workers=1))

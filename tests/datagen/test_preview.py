@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The page of a run: pictures of the last views, rate and time left, failures, after packing, too."""
+"""The page of a run: last views, rate, time left, failures, also after packing."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_failures_are_shown_as_text(tmp_path: Path, clock: list[float]) -> None:
 
 
 def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a farm that renders at once and fails once."""
+    """With a stub farm that renders immediately and fails once."""
     folder = plan_small(tmp_path / "set", tmp_path / "library", 1, 3)
 
     def run_local(out: Path, options: LocalOptions, on_event) -> RunSummary:

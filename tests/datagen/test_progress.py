@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Progress: bars on a terminal; elsewhere lines for further stages, for long silences and at the end."""
+"""Progress: bars on a terminal; elsewhere lines for later stages, after long pauses and at the end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Messages without the time of day."""
+    """Printed messages without the time of day."""
     return [line.split(" ", 1)[1] for line in capsys.readouterr().err.splitlines()]
 
 
@@ -51,7 +51,7 @@ def test_an_error_ends_it_without_a_line(clock: list[float], capsys: pytest.Capt
 
 
 def test_a_terminal_shows_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Stages side by side; a transient stage goes when the next begins, an unfinished one at an error."""
+    """Concurrent stages; a transient stage disappears when the next begins, an unfinished one at an error."""
     monkeypatch.setattr(
         "rich.console.Console", lambda **_: Console(force_terminal=True, stderr=True, width=99)
     )

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Real input end to end: an imported scene, scanned furniture and photographed materials, recombined by the
-recipe ``real`` at a small size."""
+"""Real input end to end: an imported scene, scanned furniture and photographed materials, recombined with the
+recipe ``real`` at small size."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def _datagen(*arguments: object) -> str:
 def test_imported_assets_are_recombined_rendered_and_verified(shared_data: Path, tmp_path: Path) -> None:
     library = tmp_path / "library"
     furniture = shared_data / "furniture" / "living_room_polyhaven" / "assets"
-    told = _datagen(
+    output = _datagen(
         "import", shared_data / "scenes" / "staircase2", "--library", library, "--dielectric", "replace"
     )
-    assert "CC-BY-3.0" in told and "approximated:" in told
+    assert "CC-BY-3.0" in output and "approximated:" in output
     for name in ("tea_set_01_1k.gltf", "painted_wooden_stool_1k.gltf"):
         _datagen("import", furniture / name, "--library", library)
     _datagen("import", shared_data / "textures" / "ambientcg", "--library", library)

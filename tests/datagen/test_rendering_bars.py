@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bright panes and dark bars of a pixel's width: the bars keep their values, and the record states the true
+"""Bright panes and dark bars of a pixel's width: the bars keep their values, and the record contains the true
 error."""
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ BAR_COLUMNS, BAR_ROWS = (42, 46, 52), (24, 29)
 
 @dataclass
 class Window:
-    """A view through a window with bars, and its truth."""
+    """A view through a window with bars, and its reference."""
 
     view: RenderedView
     noisy: NDArray[np.float32]
     truth: tuple[NDArray[np.float32], NDArray[np.float32]]
 
     def of_bars(self, image: NDArray) -> NDArray[np.float64]:
-        """Exposed luminance of the bars' pixels; those at their ends, which show half a pane, left out."""
+        """Exposed luminance of the bars' pixels without their ends, which are half pane."""
         scale = exposure_for(0.5 * (self.truth[0] + self.truth[1]))
         window = np.zeros(image.shape[:2], bool)
         for column in BAR_COLUMNS:
@@ -49,8 +49,8 @@ class Window:
 
 
 def behind_bars() -> SmallScene:
-    """A room, its front wall with a window, and behind it a board. All of one material: neither the albedo
-    nor the normal tells a bar from what is seen between the bars."""
+    """A room, its front wall with a window, and a board behind it, all of one material: neither albedo nor
+    normal separates a bar from the board."""
 
     def x(column: float) -> float:
         return (column - WIDTH / 2) * PIXEL_M
@@ -99,7 +99,7 @@ def window(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Wi
 
 
 def test_bars_keep_their_values(window: Window) -> None:
-    """Panes of tens of times white: denoised alone, the bars are twice as bright."""
+    """Panes are tens of times as bright as white: only denoised, the bars are twice too bright."""
     truth = 0.5 * (window.truth[0] + window.truth[1])
     assert exposure_for(truth) * truth.max() > 20
     ratios = window.of_bars(window.view.buffers["beauty"]) / window.of_bars(truth)
@@ -108,7 +108,7 @@ def test_bars_keep_their_values(window: Window) -> None:
 
 
 def test_recorded_error_of_bars_is_the_true_error(window: Window) -> None:
-    """Within a factor of 2. Without noisy pixels the record states less than half of it."""
+    """Correct within a factor of 2. Without noisy pixels the record has less than half of it."""
     recorded = window.view.render.estimated_rel_mse
     true = relative_mse(window.view.buffers["beauty"], *window.truth, exposed=True)
     assert recorded is not None and 0.5 * true < recorded < 2.0 * true
@@ -133,9 +133,9 @@ def test_only_noisy_pixels_beside_bright_ones_are_kept() -> None:
     elsewhere = share.copy()
     elsewhere[20:28, 32] = 0.0
     assert elsewhere[20:28, 30:34].mean() < 0.2 and not share[:, :25].any()
-    assert noisy_share(halves, truth, black)[20:28, 32].mean() < 0.2  # a bar that is right stays as it is
+    assert noisy_share(halves, truth, black)[20:28, 32].mean() < 0.2  # a correct bar is unchanged
     dim = truth.copy()
-    dim[20:28, 30:34], dim[20:28, 32] = 1.8, 0.3  # what is not much brighter than white hardly bleeds
+    dim[20:28, 30:34], dim[20:28, 32] = 1.8, 0.3  # panes barely brighter than white hardly bleed
     wrong = dim.copy()
     wrong[20:28, 32] = 1.2
     assert not noisy_share(halves_of(dim, 0.15), wrong, black).any()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rendering to an error: what recipes may say, the estimate from two halves, ceilings, clamp, equal bytes."""
+"""Rendering to an error target: recipe fields, the estimate from two halves, ceilings, clamp, equal bytes."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ NUM_TRIALS = 12
 
 
 def blur(image: Image, width: int) -> Image:
-    """A denoiser of known kind: the mean over width x width neighbours, mirrored at the border."""
+    """A denoiser with known bias: the mean over width x width neighbours, mirrored at the border."""
     from scipy.ndimage import uniform_filter
 
     return uniform_filter(image, (width, width, 0), mode="mirror").astype(np.float32)
 
 
 def truth() -> Image:
-    """Stripes, which blurring spoils, in colour; brighter at the top."""
+    """Coloured stripes, which blurring degrades; brighter at the top."""
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     stripes = 1.0 + 0.3 * np.sin(columns[..., None] * np.array([0.15, 0.2, 0.3]))
     return (stripes * (0.2 + rows[..., None] / SIZE[0])).astype(np.float32)
@@ -129,7 +129,7 @@ def test_estimate_includes_spread_and_bias_of_a_denoiser(width: int, sigma: floa
 
 
 def test_dependent_halves_bias_the_estimate() -> None:
-    """The twin: half of the noise is in both halves, and passes for a bias of the denoiser."""
+    """Injected fault: noise common to both halves is mistaken for bias of the denoiser."""
     estimated, true = estimated_and_true(3, 0.3, shared=0.5).mean(axis=0)
     assert estimated > 2 * true
 
@@ -156,14 +156,14 @@ def test_black_image_has_no_error_and_missing_light_counts() -> None:
     nothing = (black[..., 0], black[..., 0])
     assert estimate_error((black, black), (black.copy(), black.copy()), black, nothing).rel_mse == 0.0
     white = np.ones_like(black)
-    lost = np.full((4, 4), 1.0 / 9.0)  # a tenth of all
+    lost = np.full((4, 4), 1.0 / 9.0)  # a tenth of the pixels
     for removed, expected in (((lost, lost), 0.01), ((lost, 0 * lost), 0.0)):
         estimate = estimate_error((white, white), (white.copy(), white.copy()), black, removed)
         assert estimate.rel_mse == pytest.approx(expected * 0.81 / 0.82)
 
 
 def test_heavy_tailed_noise_does_not_meet_the_target() -> None:
-    """Few bright samples, as behind a door that is ajar: the target is met if it is met by a margin."""
+    """With few bright samples, as behind a door ajar, the target must be met by a margin."""
     rng = np.random.default_rng(3)
     black = np.zeros((*SIZE, 3), np.float32)
     budget, met, fell_short = SampleBudget(0.05, 8), 0, 0
@@ -198,15 +198,15 @@ def test_passes_triple_until_target_or_ceiling() -> None:
 
 
 def test_samples_are_spent_where_the_halves_differ() -> None:
-    """Errors fall with the inverse of the samples: their sum is least where counts go with their root."""
+    """Errors fall as 1 / samples, so their sum is least for counts proportional to their square roots."""
     bright = (np.arange(SIZE[1]) // TILE_PX == 3) & (np.arange(SIZE[0])[:, None] // TILE_PX == 2)
     counts = np.full(SIZE, 64, np.int64)
     added = SampleBudget(0.001, 4096).next_counts(counts, estimate_of(0.01, np.where(bright, 16.0, 1.0)))
-    assert np.unique(added[bright]) == 3 * 64  # as much as a pass may
+    assert np.unique(added[bright]) == 3 * 64  # the maximum of a pass
     far = ~ndimage.binary_dilation(bright, iterations=TILE_PX, structure=np.ones((3, 3)))
     assert 64 < np.unique(added[far]).item() < 128 and added.mean() <= 128
     assert (added[~far] >= added[far].max()).all() and added[~far].mean() > added[far].max()
-    missed = np.where(bright, 1.0, 0.0)  # elsewhere no sample has met light: little, but not nothing
+    missed = np.where(bright, 1.0, 0.0)  # elsewhere no sample found light: few samples, but some
     counts[bright] = 512
     assert (SampleBudget(0.001, 4096).next_counts(counts, estimate_of(0.01, missed))[~bright] > 0).all()
 
@@ -221,7 +221,7 @@ def test_a_near_target_needs_few_samples() -> None:
 
 
 def test_pixels_of_different_counts_have_the_same_expectation(budgeted: SceneRenderer) -> None:
-    """Between few and many samples means agree, and the noise falls with the counts."""
+    """Means of few and many samples agree, and noise falls with the counts."""
     sensor = budgeted.sensor(CAMERAS[1])
     width, height = (int(v) for v in sensor.film().crop_size())
     counts = np.full((height, width), 8, np.int64)
@@ -269,7 +269,7 @@ def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
 
 
 def test_record_is_compared_with_the_target(budgeted: SceneRenderer) -> None:
-    """Estimate and standard error: views stop when the estimate alone is low, which is often by chance."""
+    """The record adds the standard error, since views stop when the estimate is low, often by chance."""
     for passes in (1, 3):
         job = budgeted.view_job(1)
         for _ in range(passes):
@@ -287,7 +287,7 @@ def test_ceiling_is_kept_and_recorded(tmp_path: Path) -> None:
 
 
 def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRenderer) -> None:
-    """Remaining views of an interrupted run are rendered later: the same bytes, and the same record."""
+    """Remaining views of an interrupted run have the same bytes and record when rendered later."""
     together = list(budgeted.render_views([2, 0, 1]))
     assert [view.index for view in together] == [2, 0, 1]
     alone = budgeted.render_view(0)
@@ -296,7 +296,7 @@ def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRen
 
 
 def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> None:
-    """Far above its error, after the first pass; the fast denoiser serves the estimate alone."""
+    """It stops after the first pass, far above its target; only the estimate uses the fast denoiser."""
     asked: list[tuple[int, tuple[int, ...], float]] = []
 
     def is_enough(index: int, image: NDArray, estimate: ErrorEstimate) -> bool:
@@ -334,11 +334,11 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
         view.add_pass(count)
     sensor = budgeted.sensor(CAMERAS[1])
     converged = [budgeted.tracer.accumulate(sensor, 512, seed).mean() for seed in (5, 6)]
-    lit = (converged[0] > 0).all(axis=-1)  # of 1,536 pixels some see no surface
+    lit = (converged[0] > 0).all(axis=-1)  # some of 1,536 pixels show no surface
 
     def correlation(*halves: PathSums) -> float:
-        """Of the ranks of two images' noise, each against a reference of its own: its deviation is
-        1 / sqrt(pixels) for independent ones."""
+        """Rank correlation of two images' noise, each against a separate reference; its deviation is 1 /
+        sqrt(pixels) if independent."""
         noise = [
             luminance(half.mean() - image)[lit] / luminance(image)[lit]
             for half, image in zip(halves, converged, strict=True)
@@ -348,11 +348,11 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
     assert [half.mean_samples for half in view.halves] == [32, 32] and lit.sum() > 800
     assert abs(correlation(*view.halves)) < 4.5 / math.sqrt(lit.sum())
     shared = view.halves[0] + view.halves[1]
-    assert correlation(shared, view.halves[1]) > 0.5  # the twin: halves that share samples
+    assert correlation(shared, view.halves[1]) > 0.5  # injected fault: halves share samples
 
 
 def test_recorded_kernels_serve_every_call(budgeted: SceneRenderer) -> None:
-    """Other cameras, sizes, counts and limits are data of the recorded kernels: nothing of them stays."""
+    """Cameras, sizes, counts and limits are inputs of the recorded kernels, not constants."""
     tracer = budgeted.tracer
     counts = np.full((CAMERAS[0].height_px, CAMERAS[0].width_px), 2, np.int64)
     counts[::3] = 6
@@ -379,7 +379,7 @@ def test_recorded_kernels_serve_every_call(budgeted: SceneRenderer) -> None:
 
 
 def test_concurrently_open_scenes_are_independent(budgeted: SceneRenderer, tmp_path: Path) -> None:
-    """Recordings of one scene neither stop those of another nor know its lights; a scene may have none."""
+    """Kernels of one scene neither block those of another nor use its lights; a scene may have none."""
     recipe = render(path_samples=2, auxiliary_samples=4, denoise=False)
     sky = EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0))
     dark = renderer(tmp_path / "dark", box_room(), CAMERAS, recipe, objects=OBJECTS, lights=())
@@ -407,11 +407,11 @@ def test_clamp_removes_the_recorded_light(budgeted: SceneRenderer) -> None:
 
 
 def test_clamp_keeps_direct_light(budgeted: SceneRenderer) -> None:
-    """With next to nothing allowed, what is left is what paths of one reflection bring."""
+    """With a clamp near zero only paths of one reflection remain."""
     sensor = budgeted.sensor(CAMERAS[1])
     clamped = budgeted.tracer.accumulate(sensor, 32, 9, limit=1e-9)
     short = PathTracer(budgeted.built, 2, 5).accumulate(sensor, 32, 9)
-    # Other draws from the second vertex on, the same up to it.
+    # Random numbers differ from the second vertex on.
     assert clamped.radiance == pytest.approx(short.radiance, rel=1e-4, abs=1e-4)
     assert clamped.removed_share() > 0.1
 
@@ -436,7 +436,7 @@ def test_reference_quality_clamps_nothing(tmp_path: Path) -> None:
 
 
 def ajar(shared_data: Path, root: Path, recipe: RenderRecipe, size: tuple[int, int]) -> SceneRenderer:
-    """Veach's door: all light comes through a gap from the room behind."""
+    """Veach's door: all light enters through a gap from the room behind."""
     from datagen.formats.asset import EnvironmentAsset
     from datagen.importers.common import ImportOptions
     from datagen.importers.mitsuba_xml import import_mitsuba_scene

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""relMSE: its definition, the unbiasedness that two references give, and its independence of exposure."""
+"""relMSE: its definition, its unbiased form from two references, and its independence of exposure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_two_noisy_references_leave_no_bias() -> None:
     truth, first, second, image = images(0.02, 3)
     exact = relative_mse(image, truth)
     assert relative_mse(image, first, second) == pytest.approx(exact, rel=0.05)
-    assert relative_mse(image, first) > 1.5 * exact  # one reference adds its own noise
+    assert relative_mse(image, first) > 1.5 * exact  # a single reference adds its noise
 
 
 def test_exposed_error_does_not_depend_on_the_brightness_of_the_lights() -> None:

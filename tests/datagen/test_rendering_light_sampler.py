@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The choice of lights: slots, the warp of a number, what places learn, and images that stay as they were."""
+"""The light sampler: slots, the warp of a random number, per-cell probabilities, and unbiased images."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def two_chambers(tmp_path: Path) -> SceneRenderer:
 def spread(
     room: SceneRenderer, view: int, count: int = 8, samples: int = 64, limit: float = np.inf
 ) -> NDArray[np.float64]:
-    """Independent images of one view, (count, H, W, 3); ``limit`` is what reflected light is clamped to."""
+    """Independent images of one view, (count, H, W, 3); ``limit`` clamps reflected light."""
     sensor = room.sensor(room.configuration.cameras[view].camera())
     images = [room.tracer.accumulate(sensor, samples, 50 + k, limit=limit).mean() for k in range(count)]
     return np.stack(images).astype(np.float64)
 
 
 def with_uniform_choice(room: SceneRenderer) -> None:
-    """As if places had learned nothing of lights, but keep what they know of irradiance."""
+    """Replace per-cell probabilities by uniform ones and keep the irradiance cache."""
     from datagen.rendering.transport.light_sampler import LightSampler
 
     tracer = room.tracer
@@ -96,7 +96,7 @@ def test_a_number_is_warped_into_a_technique_and_a_number(tmp_path: Path) -> Non
 
 
 def test_cells_choose_visible_lights(tmp_path: Path) -> None:
-    """The lamp of the other chamber is a hundred times as bright, and hidden."""
+    """The lamp of the other chamber is a hundred times as bright, but hidden."""
     import mitsuba as mi
 
     room = two_chambers(tmp_path)
@@ -112,7 +112,7 @@ def test_cells_choose_visible_lights(tmp_path: Path) -> None:
 
 def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
     room = two_chambers(tmp_path)
-    # Of one sample each: more are divided among lights too evenly to tell
+    # One sample each: more are stratified over lights too evenly for a difference
     learned = spread(room, 1, 64, 1, limit=1e-20)
     with_uniform_choice(room)
     uniform = spread(room, 1, 64, 1, limit=1e-20)
@@ -122,7 +122,7 @@ def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
 
 
 def test_light_is_attributed_to_its_technique(tmp_path: Path) -> None:
-    """A lamp's to the lamp; the sky's to the guide, but for what is as bright as the sun."""
+    """Light of a lamp counts for the lamp, light of the sky for the guide unless as bright as the sun."""
     import drjit as dr
     import mitsuba as mi
 
@@ -179,7 +179,7 @@ def test_a_guide_keeps_its_share_of_a_uniform_choice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lights", [(LAMP, DAYLIGHT), (DAYLIGHT,)], ids=["lamp and daylight", "daylight"])
 def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
-    """Against a uniform choice with the same cache: area light, sun, sky, and the guide to the window."""
+    """Compared with a uniform choice with equal cache: area light, sun, sky, and the window's guide."""
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=lights)
     assert room.tracer.sky_guide is not None or len(lights) == 2
     learned = spread(room, 0, 16, 128)
@@ -188,11 +188,11 @@ def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
     means = [sample.mean(axis=(1, 2, 3)) for sample in (learned, uniform)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
     assert abs(means[0].mean() - means[1].mean()) < 4 * error
-    assert error < 0.01 * means[1].mean()  # the comparison tells something
+    assert error < 0.01 * means[1].mean()  # the comparison is significant
 
 
 def test_many_lights_are_chosen_uniformly(tmp_path: Path) -> None:
-    """More than places learn about; the guide to the window keeps its share."""
+    """There are too many lights for per-cell probabilities; the guide to the window keeps its share."""
     from datagen.rendering.transport.light_sampler import MAX_LEARNED
 
     bulbs = tuple(

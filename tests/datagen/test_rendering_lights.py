@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Every kind of light against the irradiance that it must cause on a plane, within 1 %.
+"""Every kind of light against its analytic irradiance on a plane, within 1 %.
 
-The plane has D = 0.5, S = 0, R = 1 and is seen from straight above: radiance = D / pi * irradiance, up to the
-Schlick term of S = 0, which is below 0.1 % there.
+The plane has D = 0.5, S = 0, R = 1 and is viewed from straight above: radiance = D / pi * irradiance, up to
+the Schlick term of S = 0, which is below 0.1 % there.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ RECIPE = RenderRecipe(path_samples=2048, auxiliary_samples=1, max_depth=2, denoi
 
 
 def irradiance(tmp_path: Path, *lights: Any, scene: SmallScene | None = None, at: Any = (0.0, 0.0)) -> Any:
-    """Irradiance (3,) that the render shows around a point of the plane z = 0."""
+    """Irradiance (3,) around a point of the plane z = 0, from the rendered image."""
     view = renderer(tmp_path, scene, [down_camera(at=at)], RECIPE, lights=lights).render_view(0)
     return view.buffers["beauty"].astype(np.float64).mean(axis=(0, 1)) * math.pi / ALBEDO
 
 
 def rectangle_irradiance(side: float, height: float, radiance: float) -> float:
-    """A square light, centred and parallel: E = L * the sum over cells of cos^2 / d^2 dA."""
+    """Irradiance E under a centred, parallel square light: L * the sum over cells of cos^2 / d^2 dA."""
     x = (np.arange(2000) + 0.5) / 2000 * side - side / 2
     square = x[:, None] ** 2 + x[None, :] ** 2 + height**2
     return radiance * float((height**2 / square**2).sum()) * (side / 2000) ** 2
@@ -118,7 +118,7 @@ def test_spot_is_dark_outside_its_cutoff(tmp_path: Path) -> None:
 
 
 def test_soft_sun_has_half_its_irradiance_where_an_edge_hides_its_centre(tmp_path: Path) -> None:
-    # The edge of a roof above x < 0 at height 0.5; the sun is in the zenith, a 0.2 rad disc.
+    # The edge of a roof above x < 0 at height 0.5; the sun is a 0.2 rad disc at the zenith.
     roof = quad([-20, -20, 0.5], [0, 40, 0], [20, 0, 0])
     scene = SmallScene()
     scene.parts["roof"] = (roof, "grey")
@@ -129,12 +129,12 @@ def test_soft_sun_has_half_its_irradiance_where_an_edge_hides_its_centre(tmp_pat
     profile = view.buffers["beauty"][..., 0].astype(np.float64).mean(axis=0) * math.pi / ALBEDO
     x = camera.unproject(camera.pixel_centers(), np.full((4, 64), 0.4))[0, :, 0]
     edge = np.clip(x / half_width, -1, 1)
-    seen = 0.5 + (edge * np.sqrt(1 - edge**2) + np.arcsin(edge)) / math.pi  # share of a disc beside a chord
+    seen = 0.5 + (edge * np.sqrt(1 - edge**2) + np.arcsin(edge)) / math.pi  # disc share cut by a chord
     assert np.abs(profile - seen).max() < 0.03
 
 
 def test_hidden_light_is_invisible_to_the_camera_only(tmp_path: Path) -> None:
-    # The camera looks down through the light (z = 0.5) at the floor, which a mirror-like wall would show.
+    # The camera looks down through the light (z = 0.5) at the floor, which a mirror-like wall reflects.
     light = AreaLight(
         name="l",
         radiance=RADIANCE,
@@ -180,7 +180,7 @@ def test_emissive_part_emits_light_and_is_masked(tmp_path: Path) -> None:
 
 
 def environment_package(root: Path, pixels: np.ndarray) -> str:
-    """A material package that carries an environment image, since any package may; returns its id."""
+    """Write a material package with an environment image, as any package may have; returns its id."""
     from datagen.formats.asset import Material, MaterialAsset
     from datagen.formats.package import write_package
     from oracles.rendering_scenes import CC0
@@ -203,7 +203,7 @@ def test_environment_image_follows_its_convention(tmp_path: Path) -> None:
     light = EnvironmentLight(name="l", asset=asset, image="sky.exr", scale=2.0)
     # along +Y: the image's centre; right of the view: right of the image; up: towards row 0
     camera = Camera(9, 9, 30, 30, 4.5, 4.5, look_at([0, 0, 1], [0, 1, 1]))
-    recipe = RECIPE.model_copy(update={"auxiliary_samples": 64})  # what the camera sees of lights is theirs
+    recipe = RECIPE.model_copy(update={"auxiliary_samples": 64})  # visible emission is that of the lights
     view = renderer(tmp_path, None, [camera], recipe, lights=(light,)).render_view(0)
     directions = camera.ray_directions()
     azimuth = np.arctan2(directions[..., 0], directions[..., 1])  # from +Y towards +X
@@ -212,7 +212,7 @@ def test_environment_image_follows_its_convention(tmp_path: Path) -> None:
     beauty = view.buffers["beauty"]
     assert beauty[..., 0] == pytest.approx(2 * expected_u, abs=2e-3)
     assert beauty[..., 1] == pytest.approx(2 * expected_v, abs=2e-3)
-    # A quarter turn about Z brings the centre to -X.
+    # A quarter rotation about Z moves the centre to -X.
     turned = light.model_copy(
         update={"world_from_environment": ((0, -1, 0, 0), (1, 0, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1.0))}
     )
@@ -244,7 +244,7 @@ def test_sky_irradiance_matches_the_integral_of_its_radiance(tmp_path: Path) -> 
 
 
 def test_sun_of_the_sky_is_in_the_given_direction(tmp_path: Path) -> None:
-    # A wall towards the sun stays dark on its shadow side: the floor behind a wall gets no direct sun.
+    # The floor behind a wall gets no direct sun.
     direction = np.array([1.0, 0.0, 1.0]) / math.sqrt(2)
     scene = SmallScene()
     scene.parts["wall"] = (quad([0.5, -5, 0], [0, 10, 0], [0, 0, 2]), "grey")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The renderer: names and shapes, equal bytes everywhere, the estimator against Mitsuba's, the denoiser."""
+"""The renderer: names and shapes, reproducible bytes, its estimator against Mitsuba's, the denoiser."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ RECIPE = RenderRecipe(path_samples=6, auxiliary_samples=16, keep_noisy=True)
 
 
 def box_room() -> SmallScene:
-    """A room, open towards -y, with one coloured wall and boxes of a glossy material."""
+    """A room open towards -y, with one coloured wall and glossy boxes."""
     grey = GREY.model_copy(update={"specular_albedo": (0.04, 0.04, 0.04), "roughness": 0.5})
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
@@ -69,7 +69,7 @@ def room(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Scen
 
 
 def digest(view: RenderedView) -> str:
-    """Hash of a view as it will be stored."""
+    """Hash of a view's stored form."""
     parts = [name.encode() + to_storage(BUFFERS[name], view.buffers[name]).tobytes() for name in view.buffers]
     return hashlib.sha256(b"".join(parts)).hexdigest()
 
@@ -193,7 +193,7 @@ def test_later_samples_continue_the_sequence(room: SceneRenderer) -> None:
     whole = room.tracer.accumulate(sensor, 64, 9)
     first = room.tracer.accumulate(sensor, 24, 9)
     counts = np.full((32, 48), 40)
-    counts[::3] = 20  # some pixels come later
+    counts[::3] = 20  # some pixels get later samples
     middle = room.tracer.accumulate(sensor, counts, 9, before=first.counts)
     rest = 64 - first.counts - middle.counts
     last = room.tracer.accumulate(sensor, rest, 9, before=(first + middle).counts)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scenes made by the scene builder, seen through the ground-truth buffers."""
+"""Scenes of the scene builder, checked by their ground-truth buffers."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ UNIT_FLOOR = {"floor": (quad([-0.5, -0.5, 0], [1, 0, 0], [0, 1, 0]), "grey")}
 
 
 def look_down(scene: SmallScene, tmp_path: Path, size: int = 32, **fields: Any) -> RenderedView:
-    """The unit square around the origin from above: column = x, row 0 at +y."""
+    """Buffers of the unit square around the origin from above: column = x, row 0 at +y."""
     camera = down_camera(size, size, 1.0)
     return renderer(tmp_path, scene, [camera], RECIPE, **{"lights": LAMP, **fields}).render_view(0)
 
 
 def quadrants(image: np.ndarray) -> list[np.ndarray]:
-    """Mean of the middle of each quadrant: top left, top right, bottom left, bottom right."""
+    """Means of the centre of each quadrant: top left, top right, bottom left, bottom right."""
     n = len(image) // 2
     inner = slice(n // 4, 3 * n // 4)
     halves = [image[:n], image[n:]]
@@ -162,7 +162,7 @@ def test_normal_map_tilts_the_normal_also_on_mirrored_uvs(tmp_path: Path) -> Non
     view = look_down(scene, tmp_path)
     normal = view.buffers["normal_world"]
     assert normal[16, 4] == pytest.approx(tilted, abs=2e-3)
-    # u runs towards -x there: the tangent turns round, the bitangent (v, upwards) does not
+    # u runs towards -x there: the tangent flips, the bitangent (v, upwards) does not
     assert normal[16, 28] == pytest.approx(tilted * [-1, 1, 1], abs=2e-3)
 
 
@@ -184,7 +184,7 @@ OFF_CENTRE = Camera(
 
 
 def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> None:
-    """Oblong pixels, an off-centre principal point, a rolled camera: every pixel's point lies on its box."""
+    """Oblong pixels, an off-centre principal point, a rolled camera: pixels' points are on their boxes."""
     rendered = two_boxes(tmp_path, OFF_CENTRE)
     view = rendered.render_view(0)
     assert view.instances == {"1": "room/floor", "2": "box-1", "3": "box-2", "4": "box-3"}
@@ -205,7 +205,7 @@ def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> N
 
 
 def test_camera_shows_only_between_its_clip_depths(tmp_path: Path) -> None:
-    """Nearer surfaces give way to those behind them, farther ones to the background; the rest stays."""
+    """Nearer surfaces reveal those behind them, farther ones the background; the others are unchanged."""
     near, far = 2.6, 3.4
     clipped = replace(OFF_CENTRE, clip_m=(near, far))
     full = two_boxes(tmp_path / "full", OFF_CENTRE).render_view(0).buffers["depth_z_m"][..., 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The schedule of views: order of results, views in flight, and failures; without rendering."""
+"""The schedule of views: order of results, concurrent views, and failures; without rendering."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_results_come_in_order_and_few_views_are_in_flight(waits: list[int]) -> 
 
 
 def test_a_view_is_traced_while_another_waits() -> None:
-    """The first waits until the second has begun: a schedule of one view at a time would never end."""
+    """The first view waits until the second has begun, which deadlocks a schedule of one view at a time."""
     has_begun = threading.Event()
 
     def first(pool: ThreadPoolExecutor) -> Steps[str]:

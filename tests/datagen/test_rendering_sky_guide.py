@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The guide to where the sky shines in: a density that is one, no bias, less noise, and none without need."""
+"""The sky guide: a normalised density, no bias, less noise, and no guide where it is not needed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 RECIPE = RenderRecipe(path_samples=4, auxiliary_samples=4, denoise=False)
 CAMERAS = [Camera(24, 16, 16, 16, 12, 8, look_at([x, -1.8, 1.2], [0.3, 1.0, 0.6])) for x in (-1.0, 1.0)]
 SKY = EnvironmentLight(name="sky", radiance=(3.0, 3.2, 3.6))
-# the sun stands behind the house: what comes in is sky
+# the sun is behind the house: only sky light enters
 DAYLIGHT = SkyLight(
     name="daylight", sun_direction=(0.2, -0.7, 0.5), turbidity=3.0, sky_scale=20, sun_scale=10
 )
@@ -32,7 +32,7 @@ LAMP = AreaLight(
 
 
 def walled_room(*, window: bool = True, curtain: bool = False) -> SmallScene:
-    """4 x 4 x 2 m, closed but for a window of 0.6 x 0.8 m in the wall at y = 2."""
+    """A room of 4 x 4 x 2 m, closed except for a window of 0.6 x 0.8 m in the wall at y = 2."""
     parts: dict[str, Any] = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
         "ceiling": (quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]), "grey"),
@@ -77,7 +77,7 @@ def test_the_guide_reduces_noise_without_bias(tmp_path: Path, case: str) -> None
     means = [sample.mean(axis=(1, 2, 3)) for sample in (guided, plain)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
     assert abs(means[0].mean() - means[1].mean()) < 4 * error
-    assert error < 0.02 * means[1].mean()  # the comparison tells something
+    assert error < 0.02 * means[1].mean()  # the comparison is significant
     variance = [np.median(sample.var(axis=0, ddof=1).mean(axis=-1)) for sample in (guided, plain)]
     assert variance[0] < 0.35 * variance[1]
 
@@ -95,8 +95,8 @@ def test_the_density_matches_the_samples(tmp_path: Path) -> None:
         point = mi.Point3f(place) + dr.zeros(mi.Point3f, count)
         direction = guide.sample(point, sampler.next_1d(), sampler.next_2d())
         pdf = np.array(guide.pdf(point, direction))
-        assert (pdf > 0.0).mean() > 0.9999  # but where rounding takes a direction to the cell beside
-        # f(w) = 1 / (0.2 + |w - a|^2) has most of its weight where openings are, from all three places
+        assert (pdf > 0.0).mean() > 0.9999  # except where rounding moves a direction to the next cell
+        # f(w) = 1 / (0.2 + |w - a|^2) has most of its weight at openings, from all three points
         target = dr.normalize(mi.Vector3f(0.3, 1.0, 0.0))
         by_guide = np.array(1.0 / (0.2 + dr.squared_norm(direction - target))).astype(np.float64)
         sphere: Any = mi.warp.square_to_uniform_sphere(sampler.next_2d())
@@ -156,12 +156,12 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
         assert np.array_equal(np.array(one), np.array(other))
 
 
-# ---- what is learned, of observations that are known -----------------------------------------------------
+# ---- guides fitted to synthetic observations ---------------------------------------------------------------
 
 
 def observed(count: int = 4096, **more: Any) -> Any:
-    """A room of 4 x 2 x 1 m with points all over, from whose middle every fourth ray leaves through one place
-    of its upper face."""
+    """Observations of a room of 4 x 2 x 1 m: points everywhere, and from the middle of the room every fourth
+    ray leaves through one point of its upper face."""
     from datagen.rendering.transport.sky_observation import SkyObservations
 
     points = np.random.default_rng(1).random((count, 3)) * [4, 2, 1]
@@ -185,12 +185,12 @@ def open_sky() -> Any:
 
 
 def test_the_share_of_the_sky_is_relative_to_all_direct_light() -> None:
-    """A quarter of cosine-distributed rays meet radiance 1: irradiance pi / 4."""
+    """A quarter of cosine-distributed rays hit radiance 1, so irradiance is pi / 4."""
     quarter = np.pi / 4
     assert observed().sky_share() == 1.0
     assert observed(others=quarter).sky_share() == pytest.approx(0.5)
     assert observed(environment=quarter / 2, others=quarter).sky_share() == pytest.approx(0.5)
-    # emitter sampling sees the sun too: that part is its own
+    # emitter sampling includes the sun: that part counts for it
     assert observed(environment=3 * quarter, others=quarter).sky_share() == pytest.approx(0.25)
     assert observed(radiance=np.zeros(1024)).sky_share() == 0.0
     assert observed(radiance=np.zeros(0), others=1.0).sky_share() == 0.0
@@ -201,7 +201,7 @@ def test_rays_that_met_the_sun_count_as_sky() -> None:
     radiance[::300] = 1e6
     calm = observed(radiance=radiance, others=np.pi / 4)
     assert calm.clamped_radiance().max() == pytest.approx(1.0) and calm.sky_share() == pytest.approx(0.5)
-    radiance[::100] = 1e6  # one in a hundred is no chance
+    radiance[::100] = 1e6  # one in a hundred is not rare
     assert observed(radiance=radiance).clamped_radiance().max() > 1e5
 
 
@@ -219,7 +219,7 @@ def test_a_guide_covers_the_opening_and_a_margin() -> None:
     areas = np.repeat([side[1] * side[2], side[0] * side[2], side[0] * side[1]], 2) / CELLS**2
     chance = np.array(found.density).reshape(6, CELLS, CELLS) * areas[:, None, None]
     assert chance.sum() == pytest.approx(1.0, abs=1e-3)
-    # rays end a little before the box's upper face, and so spread over few cells
+    # rays end just below the box's upper face and so spread over few cells
     column, row = (int(c) for c in (np.array([3.1, 0.4]) - found.box_m[0, :2]) / side[:2] * CELLS)
     assert chance[5, column - 3 : column + 4, row - 3 : row + 4].sum() == pytest.approx(1.0, abs=1e-3)
     centre = mi.Point3f(*(float(c) for c in found.box_m.mean(axis=0)))
@@ -275,11 +275,11 @@ def test_rays_leave_the_box_at_the_exact_positions() -> None:
     others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
     column, row = (np.clip(np.floor(place[rows, others[:, k]]), 0, CELLS - 1) for k in (0, 1))
     expected = ((2 * axis + (directions[rows, axis] > 0)) * CELLS + column) * CELLS + row
-    assert (cell == expected).mean() > 0.998  # but where rounding takes a place to the cell beside
+    assert (cell == expected).mean() > 0.998  # except where rounding moves a position to the next cell
 
 
 def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
-    """Points on the box's faces count as inside: their place there is 0 or 1, exactly."""
+    """Points on the box's faces count as inside; their position there is exactly 0 or 1."""
     import mitsuba as mi
 
     from datagen.rendering.transport.sky_guide import CELLS, exit_cell
@@ -294,7 +294,7 @@ def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
 
 
 def test_lanes_without_a_vertex_stay_inside_the_table() -> None:
-    """Missed rays bring NaN and infinity; their cells are gathered all the same."""
+    """Missed rays give NaN and infinity, but their cells are still looked up."""
     import mitsuba as mi
 
     from datagen.rendering.transport.sky_guide import CELLS, exit_cell

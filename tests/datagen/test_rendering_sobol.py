@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The samples of light paths: spread evenly in every pair of dimensions, uniform, independent by pixel."""
+"""Sobol samples of paths: stratified in every pair of dimensions, uniform, independent between pixels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def points(key: Any, count: int, *, first: int = 0, pairs: int = 3) -> NDArray[np.float64]:
-    """Pairs of dimensions (pairs, count, 2) of the samples from ``first`` on of one pixel."""
+    """Pairs of dimensions (pairs, count, 2) of one pixel's samples, beginning with sample ``first``."""
     import drjit as dr
     import mitsuba as mi
 
@@ -69,7 +69,7 @@ def test_pixels_and_dimensions_are_independent() -> None:
 
 
 def test_estimates_converge_faster_than_with_independent_samples() -> None:
-    """Of a smooth function, 256 points a pixel: root mean square error over 64 pixels."""
+    """Root mean square error over 64 pixels for a smooth function with 256 points per pixel."""
 
     def error(samples: list[NDArray[np.float64]]) -> float:
         values = [np.exp(-3 * s[:, 0]) * np.sin(np.pi * s[:, 1]) for s in samples]

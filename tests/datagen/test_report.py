@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The report's figures against counts made another way, its pixels against the shards', and its refusals."""
+"""The report's figures against independent counts, its pixels against the shards', and its refusals."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def report(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report with everything, in a folder of its own."""
+    """A report with all pixels."""
     out = tmp_path_factory.mktemp("report") / "page"
     with Library([dataset.parent / "library"]) as library:
         result = write_report(dataset, out, ReportOptions(price_per_hour=2.0), library)
@@ -201,7 +201,7 @@ def test_light_intensities_keep_their_units() -> None:
     assert light_intensity(SkyLight(name="c", sun_direction=(0, 0, 1), sky_scale=3.0))["value"] == 3.0
 
 
-# ---------------------------------------------------------------------- what is drawn together
+# ---------------------------------------------------------------------- findings and pixels
 
 
 def test_findings_link_to_their_views() -> None:
@@ -324,7 +324,7 @@ def test_tiles_equal_the_shards(report: Path, dataset: Path) -> None:
 
 
 def test_source_views_match_the_statistics(report: Path, dataset: Path) -> None:
-    """As many views as the statistics counted, at every pixel; the view itself among them."""
+    """At every pixel as many views as the statistics counted, including the view."""
     for view in Dataset(dataset).views():
         folder = report / "tiles" / view.record.configuration / view.record.name
         chosen = read_tile(folder / "sources.html")
@@ -336,7 +336,7 @@ def test_source_views_match_the_statistics(report: Path, dataset: Path) -> None:
 
 
 def test_source_views_follow_the_options(dataset: Path) -> None:
-    """The twin: another choice gives other counts, so the test above would tell."""
+    """Injected fault: other options give other counts, so the test above can fail."""
     views = list(ShardReader(dataset / Dataset(dataset).index.shards[0].file))
     inputs = [StatisticsView.from_buffers(v.record.camera.camera(), v.buffers) for v in views]
     record = views[0].record.statistics
@@ -406,7 +406,7 @@ def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.Ca
 
 @pytest.fixture(scope="module")
 def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
-    """A report with two methods; the second lacks one view and has four others that are wrong."""
+    """A report with two methods; the second lacks one view and has four broken ones."""
     root = tmp_path_factory.mktemp("predictions")
     good, bad = (predict(dataset, root / name, seed) for seed, name in enumerate(("good", "B & W")))
     places = {f"{v.record.configuration}/{v.record.name}": v for v in Dataset(dataset).views()}
@@ -420,7 +420,7 @@ def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     maps = {name: places["small-00000/view-004"].buffers[name].copy() for name in MATERIAL_MAPS}
     maps["specular_albedo"][20, 20] = np.nan
     (bad / "small-00000" / "view-004.exr").write_bytes(encode_view(maps))
-    # what `materials infer` writes: a folder views/ in the folder of each configuration
+    # as `materials infer` writes: a folder views/ for each configuration
     (good / "small-00001" / "views").mkdir()
     for path in (good / "small-00001").glob("*.exr"):
         path.rename(path.parent / "views" / path.name)
@@ -451,7 +451,7 @@ def test_prediction_errors_agree_with_another_count(compared: tuple[Path, Path, 
     ours = table["methods"][0]
     assert ours["num_views"] == 10 and ours["num_missing"] == ours["num_problems"] == 0
     np.testing.assert_allclose([ours["total"][m] for m in MATERIAL_MAPS], sums / num, rtol=1e-6)
-    assert sums.min() / num > 1e-4  # there is something to count
+    assert sums.min() / num > 1e-4  # some pixels are compared
 
 
 def test_wrong_predictions_are_named_and_the_others_shown(compared: tuple[Path, Path, Path]) -> None:
@@ -480,7 +480,7 @@ def test_methods_are_updated(compared: tuple[Path, Path, Path], dataset: Path, t
     before = tile.stat().st_mtime_ns
     options = ReportOptions(with_verify=False, predictions=parse_methods([good], ["ours"]))
     write_report(dataset, copy, options)
-    assert tile.stat().st_mtime_ns == before  # nothing has changed, so nothing is compared again
+    assert tile.stat().st_mtime_ns == before  # unchanged predictions are not compared again
     assert [p.name for p in (copy / "tiles" / "predictions").iterdir()] == ["ours"]
     write_report(dataset, copy, ReportOptions(with_verify=False))
     assert read_script(copy / "data" / "predictions.js", "predictions")["methods"] == []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Normals of observations: views from two sides of a thin column see different normals of one surfel."""
+"""Normals of observations: views from two sides of a thin column have different normals for one surfel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIDES, RADIUS_M = 32, 0.03
 
 @pytest.fixture(scope="module")
 def views(mitsuba_variant: str) -> tuple[TracedView, ...]:
-    """A column of 3 cm radius in front of a wall, from the left and from the right."""
+    """Views of a column of 3 cm radius in front of a wall, from the left and from the right."""
     angle = 2 * np.pi * np.arange(SIDES) / SIDES
     ring = RADIUS_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     column = np.concatenate([np.column_stack([ring, np.full(SIDES, z)]) for z in (0.0, 2.0)])

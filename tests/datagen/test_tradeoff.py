@@ -68,7 +68,7 @@ def test_front_contains_the_undominated_points(pairs: list[tuple[float, float]])
 
     unbeaten = {p for p in pairs if not any(beats(other, p) for other in pairs)}
     assert {pairs[k] for k in front} == unbeaten
-    assert len(front) == len(unbeaten)  # equal pairs once
+    assert len(front) == len(unbeaten)  # equal pairs occur once
     assert [pairs[k] for k in front] == sorted(unbeaten)
 
 
@@ -89,7 +89,7 @@ def test_recommendation_meets_the_error_at_the_least_cost(
 
 
 def test_only_rendering_settings_are_recommended() -> None:
-    cheap = point(0.1, 0.001, best_views=4)  # another statistic, not the same one for less
+    cheap = point(0.1, 0.001, best_views=4)  # another statistic, not a cheaper form of it
     small = point(0.1, 0.001, image_scale=0.5)
     fair = point(1.0, 0.001, path_samples=16)
     assert comparable([cheap, small, fair], BASE) == [fair]
@@ -101,9 +101,9 @@ def test_only_rendering_settings_are_recommended() -> None:
 
 def test_excess_over_the_front() -> None:
     front = [point(1.0, 0.1), point(4.0, 0.001, path_samples=64)]
-    assert excess_over_front(point(2.0, 0.01), front) == pytest.approx(1.0)  # half way in logarithms
+    assert excess_over_front(point(2.0, 0.01), front) == pytest.approx(1.0)  # halfway in logarithms
     assert excess_over_front(point(3.0, 0.01), front) == pytest.approx(1.5)
-    assert excess_over_front(point(9.0, 0.0005), front) == 0.0  # nothing else gets there
+    assert excess_over_front(point(9.0, 0.0005), front) == 0.0  # no other point reaches that error
     assert excess_over_front(point(2.0, 0.5), front) == pytest.approx(2.0)  # worse than the cheapest
 
 
@@ -117,11 +117,11 @@ def test_points_are_means_over_configurations() -> None:
         )
 
     found = points_of([trial("a", 0.1), trial("b", 0.3), trial("a", 0.5, path_samples=2)])
-    assert [p.setting for p in found] == [BASE]  # the other was tried on one of two only
+    assert [p.setting for p in found] == [BASE]  # the other was tried on one configuration only
     assert (found[0].rel_mse, found[0].worst_rel_mse) == (pytest.approx(0.2), 0.3)
 
 
-# ---- what is planned
+# ---- planned trials
 
 
 def test_every_setting_is_planned_once() -> None:
@@ -158,7 +158,7 @@ def test_averaged_textures_keep_their_mean() -> None:
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """(planned folder, finished sweep), the sweep interrupted after its first trial and continued."""
+    """Planned folder and finished sweep, interrupted after its first trial and continued."""
     root = tmp_path_factory.mktemp("tradeoff")
     folder = plan_small(root / "plan", root / "library", num_units=1, num_views=3).root
     sweep = Sweep(folder, root / "out", OPTIONS)
@@ -174,7 +174,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     before = _times(root / "out")
     assert len(Sweep(folder, root / "out", OPTIONS).run()) == 3
     after = _times(root / "out")
-    assert {path: after[path] for path in before} == before  # nothing was made twice
+    assert {path: after[path] for path in before} == before  # no trial was repeated
     return folder, root / "out"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Verification: a sound dataset passes, and each fault that is put into it is found and named."""
+"""Verification: a valid dataset passes, and each injected fault is found and named."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def sound_views(mitsuba_variant) -> list[tuple[ViewCamera, View]]:
 
 
 class Dataset:
-    """A dataset folder of one shard that a test can spoil: its views before writing, its files after."""
+    """A dataset folder of one shard, whose views (before) and files (after writing) tests modify."""
 
     def __init__(self, folder: Path, views: list[tuple[ViewCamera, View]]):
         self.folder = folder
@@ -129,7 +129,7 @@ class Dataset:
         return self.change_record(record)
 
     def write(self) -> Path:
-        """Write shard and index; the index vouches for what was written."""
+        """Write shard and index; the index has the hash of the written shard."""
         self.shard.parent.mkdir(parents=True, exist_ok=True)
         source = self.folder / "source"
         source.mkdir(exist_ok=True)
@@ -181,13 +181,13 @@ def dataset(tmp_path, sound_views) -> Dataset:
 
 
 def found(folder: Path, library=None) -> dict[str, list]:
-    """Faults by check."""
+    """Faults of a dataset by check."""
     report = verify_dataset(folder, library)
     return {check: mine for check in CHECKS if (mine := [f for f in report.faults if f.check == check])}
 
 
 def expect_only(folder: Path, check: str, text: str = "", where: str = "") -> None:
-    """Exactly this check finds something, at that place, and the exit code says so."""
+    """Assert that only this check finds faults, at that place, and that the exit code is 1."""
     faults = found(folder)
     assert list(faults) == [check], faults
     assert any(text in fault.got and where in fault.where for fault in faults[check]), faults
@@ -304,7 +304,7 @@ def test_index_faults(dataset):
     dataset.folder.joinpath("index.json").unlink()
     report = verify_dataset(dataset.folder)
     assert [fault.check for fault in report.faults] == ["index"]
-    assert report.num_shards == 2  # what is there is looked at all the same
+    assert report.num_shards == 2  # existing views are still checked
 
 
 def test_index_path_that_leaves_the_dataset(dataset):
@@ -351,7 +351,7 @@ def test_wrong_size(dataset):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),  # Inf cannot get into half floats: they are clipped when written
+    ("name", "value"),  # half floats never contain Inf: values are clipped when written
     [("beauty", np.nan), ("normal_world", np.nan), ("color_max", np.nan), ("depth_z_m", np.inf)],
 )
 def test_values_that_are_not_finite(dataset, name, value):
@@ -507,7 +507,7 @@ def test_slightly_moved_camera(dataset):
 
 @pytest.fixture(scope="module")
 def rough_library(tmp_path_factory):
-    """A library with a room of constant materials and a wood with a roughness texture, and their packages."""
+    """Library of a room of constant materials and a wood with a roughness texture, and their packages."""
     from datagen.formats.asset import Material, MaterialAsset, Texture
     from datagen.formats.package import write_package
     from datagen.foundation.images import encode_png
@@ -531,7 +531,7 @@ def rough_library(tmp_path_factory):
 
 
 def assign(dataset: Dataset, rough_library, offset: float = 0.0) -> None:
-    """Assign the textured material to every slot of the room, and name the views' material after it."""
+    """Assign the textured material to every slot of the room and name the views' material after it."""
     _, room, material = rough_library
     assignment = MaterialAssignment(asset=material, adjustment=ColorAdjustment(roughness_offset=offset))
     dataset.placed = PlacedAsset(

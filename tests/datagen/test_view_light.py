@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""The light that views record: in a closed box of known walls, in the shards of a dataset, and as a network
-is fed with it where a capture is reconstructed."""
+"""Recorded light of views: in a closed box of known walls, in a dataset's shards, and as network input for a
+capture."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TOLERANCE = 0.04
 
 @lru_cache(maxsize=1)
 def _medians() -> list[NDArray[np.float32]]:
-    """Of the box's views."""
+    """Median colours (H, W, 3) of the box's views."""
     return [s["color_median"] for s in compute_statistics([v.statistics for v in photographed_box()])]
 
 
@@ -49,7 +49,7 @@ def box_light(mitsuba_variant: str) -> ViewLight:
 
 
 def _by_wall(light: ViewLight, name: str, gain: float = 1.0) -> NDArray[np.float64]:
-    """Medians (6, C) of a buffer over the pixels of each wall, its edges left out."""
+    """Medians (6, C) of a buffer over the pixels of each wall without its edges."""
     found: list[list[NDArray]] = [[] for _ in range(6)]
     for index, view in enumerate(photographed_box()):
         values = light.buffers(index, gain * _medians()[index])[name]
@@ -69,7 +69,7 @@ def test_reflectance_is_the_albedo_of_diffuse_walls(box_light: ViewLight) -> Non
 
 
 def test_five_percent_too_bright_is_detected(box_light: ViewLight) -> None:
-    """The twin."""
+    """Injected fault: light 5 % too bright is detected."""
     error = np.abs(_by_wall(box_light, "reflectance", gain=1.05) / ALBEDOS - 1)
     assert error.max() > TOLERANCE
 
@@ -80,7 +80,7 @@ def test_all_light_of_a_closed_box_is_known(box_light: ViewLight) -> None:
 
 
 def test_mirror_images_show_the_mirrored_wall(box_light: ViewLight) -> None:
-    """A sharp one has the radiance of the wall that the mirrored ray meets, where that is far from others."""
+    """A sharp mirror image has the radiance of the wall hit by the mirrored ray, far from other walls."""
     import mitsuba as mi
 
     from datagen.multiview.visibility import vectors_from_rows
@@ -102,12 +102,12 @@ def test_mirror_images_show_the_mirrored_wall(box_light: ViewLight) -> None:
     ratio = np.concatenate(ratios)
     assert np.all(np.abs(np.median(ratio, axis=0) - 1) < 0.1), np.median(ratio, axis=0)
     spread = np.percentile(ratio, [25, 75], axis=0)
-    assert spread[0].min() > 0.6 and spread[1].max() < 1.6  # walls are not evenly lit
+    assert spread[0].min() > 0.6 and spread[1].max() < 1.6  # walls are not uniformly lit
 
 
 @lru_cache(maxsize=1)
 def _wall_radiance() -> NDArray[np.float64]:
-    """(6, 3) medians."""
+    """Median radiance (6, 3) of the walls."""
     walls = [view.geometry.face.ravel() // 2 for view in photographed_box()]
     colors = [view.color.reshape(-1, 3) for view in photographed_box()]
     wall, color = np.concatenate(walls), np.concatenate(colors)
@@ -149,7 +149,7 @@ def lit_shard(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) ->
 
 
 def test_shards_contain_the_buffers_of_a_reconstruction(lit_shard: Path) -> None:
-    """The same code on the capture that the shard is: equal but for the rounding of half floats."""
+    """The same code on the shard as a capture gives equal values but for half-float rounding."""
     from model.reconstruction.captures.read import read_capture
 
     views = list(ShardReader(lit_shard))
@@ -165,15 +165,15 @@ def test_shards_contain_the_buffers_of_a_reconstruction(lit_shard: Path) -> None
 
 
 def test_recorded_light_has_a_separate_revision(lit_shard: Path, tmp_path: Path) -> None:
-    """A change of recorded light alone leaves other datasets valid."""
+    """A change of only the recorded light keeps other datasets valid."""
     with_light = DatasetFolder(lit_shard.parent.parent).read_plan().versions
     without = plan_small(tmp_path / "dataset", tmp_path / "library").read_plan().versions
     assert with_light == {**without, "light_revision": str(LIGHT_REVISION)}
 
 
 def test_a_network_gets_the_inputs_of_its_training(lit_shard: Path, tmp_path: Path) -> None:
-    """A network that returns its inputs says what arrives; statistics of a traced capture differ from the
-    dataset's at edges alone."""
+    """A network that returns its inputs shows them; statistics of a traced capture differ from the dataset's
+    only at edges."""
     from model.checkpoint import CheckpointCard, save_checkpoint
     from model.networks import MAX_REFLECTANCE, NetworkConfig
     from model.own_network import make_network
@@ -187,7 +187,7 @@ def test_a_network_gets_the_inputs_of_its_training(lit_shard: Path, tmp_path: Pa
     save_checkpoint(tmp_path / "echo.safetensors", card, make_network(config))
     (tmp_path / "views").mkdir()
     traced = trace_capture(read_capture(lit_shard))
-    run = Run(tmp_path, InferOptions(precision="float32"), InferReport(), lambda *told: None)
+    run = Run(tmp_path, InferOptions(precision="float32"), InferReport(), lambda *progress: None)
     maps = predicted_maps(traced, tmp_path / "echo.safetensors", run)
     for view, found in zip(ShardReader(lit_shard), maps, strict=True):
         stored = np.minimum(view.buffers["reflectance"].astype(np.float32) / MAX_REFLECTANCE, 1)

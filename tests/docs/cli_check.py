@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a command that a page shows exists: verb, options and choices against the real command lines."""
+"""Checks documented commands against the real command lines: verb, options and choices."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ _STANDARD = {"venv", "pip", "http.server", "pytest", "ensurepip", "zipfile"}
 
 
 def check_command(words: list[str], is_whole: bool) -> str:
-    """Fault of a command, "" if there is none or the command is none of ours.
+    """Fault of a command; "" if there is none or the command is not of this project.
 
-    ``is_whole`` demands its required arguments too; a mention in a sentence may leave them out.
+    ``is_whole`` requires all arguments; a mention in a sentence may omit them.
     """
     words = [w for w in words if w not in ("...", "…")]
     if words[0] in ("nice", "time", "env"):

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Finds the commands of the README and the documentation, and what is to be done with them.
+"""Finds the commands of the README and the documentation, and how to test them.
 
-A fenced block of commands (or of Python) is preceded by a comment that the reader of the page does not see:
+A fenced block of commands (or of Python) is preceded by a comment that is invisible to the reader of the
+page:
 
-    <!-- test: run -->                        run it
-    <!-- test: run; needs rooms, photos -->   run it where these stand-ins are (stand_ins.py)
-    <!-- test: run slow -->                   the same, among the long tests only
-    <!-- test: not run; REASON -->            it needs what a test cannot have
-    <!-- test: file NAME -->                  the block is a file that later blocks use
-    <!-- test: patch -->                      the block is a patch to the stand-in `source`
+<!-- test: run --> run it <!-- test: run; needs rooms, photos --> run it with these stand-ins (stand_ins.py)
+<!-- test: run slow --> the same, among the long tests only <!-- test: not run; REASON --> it needs what a
+test cannot have <!-- test: file NAME --> the block is a file that later blocks use <!-- test: patch --> the
+block is a patch to the stand-in `source`
 
 The blocks of a page run one after another in one folder.
 """
@@ -41,7 +40,7 @@ _SPAN = re.compile(r"(?<!`)`([^`\n]+(?:\n[^`\n]+)?)`(?!`)")
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: ``line`` is that of its fence, ``note`` the comment before it, or ""."""
+    """A fenced block: ``line`` is the line number of its fence, ``note`` the comment before it, or ""."""
 
     page: Path
     line: int
@@ -60,13 +59,13 @@ class Block:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Stand-ins that have to be there."""
+        """Names of the required stand-ins."""
         rest = self.note.partition(";")[2].strip()
         return tuple(re.split(r", *", rest.removeprefix("needs "))) if rest.startswith("needs ") else ()
 
     @property
     def reason(self) -> str:
-        """Why it is not run."""
+        """Reason for not running it."""
         return self.note.partition(";")[2].strip()
 
     @property
@@ -75,7 +74,7 @@ class Block:
 
     @property
     def is_command(self) -> bool:
-        """Whether it has to be classified: Python, a shell's language, or lines that begin with a program."""
+        """Whether it must be classified: Python, a shell language, or lines that begin with a program."""
         if self.is_python or self.language in SHELLS[1:]:
             return True
         return self.language == "" and any(_program(line) for line in self.text.splitlines())
@@ -83,7 +82,7 @@ class Block:
 
 @dataclass
 class Page:
-    """Blocks of a page, and the commands that stand in its sentences."""
+    """Blocks of a page, and the commands within its sentences."""
 
     path: Path
     blocks: list[Block] = field(default_factory=list)
@@ -134,7 +133,7 @@ def read_page(path: Path) -> Page:
 
 
 def commands_of(text: str) -> list[list[str]]:
-    """Words of each simple command of a shell block: comments, continuations and ``&&`` are taken apart."""
+    """Words of each simple command of a shell block; comments, continuations and ``&&`` are resolved."""
     joined = re.sub(r"\\\n\s*", " ", text)
     found: list[list[str]] = []
     for line in joined.splitlines():

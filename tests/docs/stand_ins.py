@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Small things under the names that the pages use: recipes, a library, a dataset, photographs, a checkpoint.
+"""Small stand-ins under the names used in the pages: recipes, library, dataset, photographs, checkpoint.
 
-Each is made once a session by the project's own code and copied to where it is asked for.
+Each is made once per session by the project's code and copied where needed.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
 
 
 def write_recipes(folder: Path) -> None:
-    """The project's recipes, with two configurations of three small views of a small library."""
+    """Write the project's recipes, reduced to two configurations of three small views of a small library."""
     folder.mkdir(parents=True, exist_ok=True)
     for path in sorted((REPOSITORY / "scenes" / "recipes").glob("*.yaml")):
         recipe: dict[str, Any] = yaml.safe_load(path.read_text())
         recipe.update(configurations=2, views=3, resolution=list(SIZE_PX), objects={"count": [2, 3]})
         recipe.setdefault("library", [LIBRARY])
-        for key in ("environments", "lights"):  # generated rooms and panoramas: the small library has neither
+        for key in ("environments", "lights"):  # generated rooms and panoramas: absent from the small library
             recipe.pop(key, None)
         recipe["cameras"] = {"min_content": 2}
         recipe["render"] = {"path_samples": 2, "auxiliary_samples": 4}
@@ -49,14 +49,14 @@ def _library(out: Path) -> None:
 
 
 def _rooms(out: Path, has_light: bool = False) -> None:
-    """A rendered dataset of two configurations, each in a split of its own."""
+    """A rendered dataset of two configurations in different splits."""
     desk = out.parent / f"desk-{out.name}"
     write_recipes(desk / "scenes" / "recipes")
     _library(desk / LIBRARY)
     recipe = desk / "scenes" / "recipes" / "paper.yaml"
     if has_light:
-        told = yaml.safe_load(recipe.read_text()) | {"statistics": {"light": True}}
-        recipe.write_text(yaml.safe_dump(told))
+        fields = yaml.safe_load(recipe.read_text()) | {"statistics": {"light": True}}
+        recipe.write_text(yaml.safe_dump(fields))
     command = [sys.executable, "-m", "datagen", "run", str(recipe), "--out", str(out), "--workers", "1"]
     subprocess.run(command, cwd=desk, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, check=True)
 
@@ -96,7 +96,7 @@ def _sofa(out: Path) -> None:
 
 
 def _photographs(out: Path) -> None:
-    """The rendered room as COLMAP leaves a photographed one: images, cameras and a mesh."""
+    """The rendered room in COLMAP's form: images, cameras and a mesh."""
     from PIL import Image
 
     from datagen.foundation.color import exposure_for, srgb_from_linear
@@ -125,7 +125,7 @@ def _photographs(out: Path) -> None:
 
 
 def _checkpoint(out: Path) -> None:
-    """A checkpoint of random weights with a tiny network."""
+    """A checkpoint of a tiny network with random weights."""
     from model.checkpoint import CheckpointCard, save_checkpoint
     from model.confidence import ConfidenceNets
     from model.networks import MaterialNetwork, NetworkConfig
@@ -137,7 +137,7 @@ def _checkpoint(out: Path) -> None:
 
 
 def _room_blend(out: Path) -> None:
-    """The tagged room that a page of the documentation makes."""
+    """The tagged Blender room of a documentation page."""
     blocks = read_page(REPOSITORY / "docs" / "tutorials" / "blender-scene.md").blocks
     script = next(block.text for block in blocks if block.note == "file make_room.py")
     # Blender takes relative paths from PWD.
@@ -147,7 +147,7 @@ def _room_blend(out: Path) -> None:
 
 
 def _oak(out: Path) -> None:
-    """Textures of a wood."""
+    """Texture maps of a wood."""
     from PIL import Image
 
     out.mkdir()
@@ -157,7 +157,7 @@ def _oak(out: Path) -> None:
 
 
 def _source(out: Path) -> None:
-    """A copy of the packages, to try patches on."""
+    """A copy of the packages, for patches."""
     for name in PACKAGES:
         shutil.copytree(REPOSITORY / name, out / name, ignore=shutil.ignore_patterns("__pycache__"))
 
@@ -201,7 +201,7 @@ class StandIns:
         self._copy(LIBRARY, folder / LIBRARY, _library)
 
     def bring(self, name: str, folder: Path) -> None:
-        """Put a stand-in where the pages expect it, unless something is there."""
+        """Copy a stand-in to where the pages expect it, unless that exists."""
         place, make = STAND_INS[name]
         if not place or not (folder / place).exists():
             self._copy(place or name, folder / place, make)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The commands of the README and of every page: none unclassified, all of them real, and they work."""
+"""The commands of the README and of every page are classified, exist and work."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_every_command_exists(path: Path) -> None:
 
 
 def test_a_command_that_does_not_exist_is_found() -> None:
-    """The twin of the test above."""
+    """Injected fault: unknown commands are found."""
     wrong = (
         "datagen rnu recipe.yaml --out x",
         "datagen run recipe.yaml --out x --wrokers 2",
@@ -107,8 +107,8 @@ def _run_block(block: Block, folder: Path) -> None:
         "MPLBACKEND": "agg",
     }
     done = subprocess.run(command, input=given, cwd=folder, env=environment, capture_output=True, text=True)
-    said = f"{done.stdout[-2000:]}{done.stderr[-4000:]}"
-    assert done.returncode == 0, f"{block}: ended with {done.returncode}\n{block.text}\n{said}"
+    output = f"{done.stdout[-2000:]}{done.stderr[-4000:]}"
+    assert done.returncode == 0, f"{block}: ended with {done.returncode}\n{block.text}\n{output}"
 
 
 FAST = [p for p, page in READ.items() if any(b.action == "run" for b in page.blocks)]
@@ -117,7 +117,7 @@ SLOW = [p for p, page in READ.items() if any(b.action == "run slow" for b in pag
 
 @pytest.mark.parametrize("path", FAST, ids=_names(FAST))
 def test_the_commands_of_a_page_work(path: Path, tmp_path: Path, stand_ins: StandIns) -> None:
-    """Files of the long blocks do not exist: a block that is run here does not build on one of them."""
+    """Files of the long blocks do not exist, so other blocks must not depend on them."""
     _run_page(READ[path], ("run", "file", "patch"), tmp_path, stand_ins)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The notebook runs from top to bottom: small in the fast tests, as it is in the long ones."""
+"""The notebook runs from top to bottom: reduced in the fast tests, unchanged in the slow ones."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def _parameters(out: Path, library: Path | None) -> str:
 
 
 def _processor_s() -> float:
-    """Of the processes that have ended, and of those that they had waited for."""
+    """Processor seconds of ended child processes and their descendants."""
     times = os.times()
     return times.children_user + times.children_system
 
 
 def execute(out: Path, library: Path | None = None) -> Any:
-    """Run the notebook in a process of its own, with other parameters; returns it with its outputs. It has to
-    keep to its time."""
+    """Run the notebook in a separate process with other parameters, within its time limit; returns it with
+    its outputs."""
     from nbclient import NotebookClient
 
     book = nbformat.read(NOTEBOOK, as_version=4)
@@ -57,14 +57,14 @@ def _num_pictures(book: Any) -> int:
 
 @pytest.fixture
 def kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel is this Python, with this repository."""
+    """Use this Python with this repository as the kernel."""
     monkeypatch.setenv("PYTHONPATH", str(REPOSITORY))
     monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
 
 
 def test_no_outputs_are_stored() -> None:
-    """No outputs, no counts: what it shows is what it makes."""
+    """The stored notebook has neither outputs nor execution counts."""
     for cell in nbformat.read(NOTEBOOK, as_version=4).cells:
         if cell.cell_type == "code":
             assert cell.outputs == [] and cell.execution_count is None

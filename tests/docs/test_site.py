@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The documentation site: it builds without a warning, needs no network, and can be searched from disk."""
+"""The documentation site builds without warnings, needs no network, and is searchable from disk."""
 
 from __future__ import annotations
 

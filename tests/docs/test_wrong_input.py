@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every verb with the mistakes of a new user: code 2, a message with a remedy, no traceback, nothing written.
+"""Every verb with typical mistakes: code 2, a message with a remedy, no traceback, no files written.
 
 The commands run in this process through the function that the installed programs call.
 """
@@ -38,7 +38,7 @@ CHECK_PATH = ("check the path",)
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as a new user has it: some of everything, and the wrong things."""
+    """A folder with some valid and many wrong inputs."""
     root = tmp_path_factory.mktemp("desk")
     write_small_library(root / "library")
     (root / "small.yaml").write_text(RECIPE)
@@ -55,7 +55,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def in_desk(desk: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The desk as working directory; fails where a command leaves anything."""
+    """The desk as working directory; fails if a command leaves files."""
     monkeypatch.chdir(desk)
     before = sorted(desk.rglob("*"))
     yield desk
@@ -101,7 +101,7 @@ WRONG = [
     ("datagen run small.yaml --out x --library nope", ("nope: no such folder", "import assets")),
     ("datagen run small.yaml --out x --library text.txt", ("text.txt: no asset package",)),
     ("datagen run small.yaml --out x --library empty", ("no usable environment", "--library")),
-    # where things are to go
+    # output paths
     ("datagen run small.yaml --out text.txt", ("text.txt: file exists", "choose another name")),
     ("datagen run small.yaml --out /dev/null/x", ("/dev/null/x: not a directory", "choose a folder")),
     ("datagen run small.yaml --out /proc/nothing", ("/proc/nothing",)),
@@ -215,7 +215,7 @@ def test_a_mistake_is_named_with_a_remedy(
 
 
 def test_a_bug_is_not_reported_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The twin: errors that are no input keep their traceback."""
+    """Counterpart: errors other than bad input keep their traceback."""
 
     def broken() -> None:
         raise OSError("no file is named")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The Beckmann functions against the float64 oracle and against the identities that define them."""
+"""The Beckmann functions against the float64 oracle and their defining identities."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ALPHAS = np.unique(oracle.alpha_from_roughness(ROUGHNESS).astype(np.float32))
 
 
 def _slopes(rng: np.random.Generator, alpha: np.ndarray, num: int) -> np.ndarray:
-    """Half vectors with slopes of a few alpha, and some anywhere in the hemisphere."""
+    """Random half vectors with slopes of a few alpha, and some anywhere in the hemisphere."""
     slopes = rng.normal(size=(num, 2)) * alpha[:, None] * rng.choice([0.0, 0.1, 0.7, 2.0], num)[:, None]
     h = np.stack([-slopes[:, 0], -slopes[:, 1], np.ones(num)], -1)
     everywhere = oracle.direction(np.arccos(rng.uniform(-1, 1, num)), rng.uniform(0, 2 * np.pi, num))
@@ -80,7 +80,7 @@ def test_visible_normals_integrate_to_one(alpha: float, angle_deg: float) -> Non
     h, weight = oracle.slopes_grid(alpha, num=1000, reach=6.0)
     w_all = np.repeat(w, len(h), 0)
     density = array(beckmann.visible_normal_pdf(vector(w_all), vector(h), mi.Float(alpha))).astype(np.float64)
-    # The slope at which normals turn invisible is a kink for the grid: second order in its spacing.
+    # The slope at which normals become invisible is a kink: the grid's error is of second order there.
     assert np.sum(density * weight) == pytest.approx(1.0, abs=3e-4)
 
 
@@ -106,13 +106,13 @@ def test_sampled_normals_are_finite_unit_and_visible_everywhere() -> None:
     assert np.all(np.isfinite(h))
     np.testing.assert_allclose(np.linalg.norm(h, axis=1), 1.0, atol=4 * EPS)
     assert h[:, 2].min() > 0.0
-    # On the viewer's side up to the rounding of the reflection's geometry.
+    # On the viewer's side up to rounding of the reflection.
     assert np.sum(w * h, 1).min() > -4 * EPS
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.8, 1.4, np.pi / 2 - 1e-4, np.pi / 2 - 1e-6])
 def test_sampled_slopes_follow_the_distribution_function(angle_rad: float) -> None:
-    """Inverting Heitz & d'Eon's distribution function gives back the variate, in float64, at alpha = 1."""
+    """Heitz & d'Eon's distribution function at the sampled slope is the variate (float64, alpha = 1)."""
     from scipy.special import erf
 
     u = ((np.arange(4000) + 0.5) / 4000).astype(np.float32)
@@ -131,7 +131,7 @@ def test_sampled_slopes_follow_the_distribution_function(angle_rad: float) -> No
 
 
 def test_derivatives_are_finite_at_the_singularities() -> None:
-    """Zero vectors, the tangent plane, the normal, the smallest alpha: no 0/0 hides in the derivatives."""
+    """Zero vectors, the tangent plane, the normal and the smallest alpha cause no 0/0 in the derivatives."""
     unit = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1e-4, 0, 1], [1, 0, 1e-6], [1, 0, 1e-12], [0, 0, -1]])
     any_length = np.concatenate([unit, [[1e-12, 0, 1e-12], [0, 0, 1e-12], [1e-8, 0, 1e-6]]])
     functions = (beckmann.beckmann_d, beckmann.smith_g1, beckmann.smith_g1_over_cos)

@@ -32,7 +32,7 @@ CTX = mi.BSDFContext()
 
 
 def _directions(rng: np.random.Generator, roughness: np.ndarray, num: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs rounded to float32: two thirds within the lobe, one third anywhere above the horizon."""
+    """Direction pairs rounded to float32: two thirds in the lobe, the others anywhere above the horizon."""
     wi = oracle.direction(rng.choice(ANGLES_RAD, num), rng.uniform(0, 2 * np.pi, num))
     alpha = oracle.alpha_from_roughness(roughness)[:, None]
     slope = rng.normal(size=(num, 2)) * alpha * rng.choice([0.1, 0.7, 1.4], num)[:, None]
@@ -82,7 +82,7 @@ def test_value_and_density_agree_with_the_oracle() -> None:
 
 
 def test_oracle_against_a_second_derivation() -> None:
-    """The oracle itself, against the formula with everything taken from cosines, where those are safe."""
+    """The oracle against the formula written in cosines, where those are accurate."""
     rng = np.random.default_rng(22)
     num = 4000
     wi, wo = (oracle.direction(rng.uniform(0.1, 1.2, num), rng.uniform(0, 2 * np.pi, num)) for _ in range(2))
@@ -153,7 +153,7 @@ def test_specular_part_is_reciprocal() -> None:
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize("angle_deg", [0.0, 50.0, 85.0])
 def test_density_integrates_to_at_most_one(roughness: float, angle_deg: float) -> None:
-    """The density over all directions is 1 minus the share of reflections that point below the surface."""
+    """The density integrates to 1 minus the share of reflections below the surface."""
     num_theta, num_phi = 800, 800
     cos = (np.arange(num_theta) + 0.5) / num_theta
     phi = 2 * np.pi * (np.arange(num_phi) + 0.5) / num_phi
@@ -174,7 +174,7 @@ def test_density_integrates_to_at_most_one(roughness: float, angle_deg: float) -
 
 @pytest.mark.parametrize("angle_deg", [0.0, 45.0, 75.0, 85.0])
 def test_white_furnace_against_quadrature(angle_deg: float) -> None:
-    """Mean sample weight is the directional albedo: Z-test per roughness, with a 5 % error as its twin."""
+    """The mean sample weight is the directional albedo (Z-test per roughness); a 5 % error is detected."""
     num = 100_000
     rng = np.random.default_rng(27)
     wi = oracle.direction(np.array([np.radians(angle_deg)]), np.array([1.1]))
@@ -206,7 +206,7 @@ def _two_sided_z(significance: float, num_tests: int) -> float:
 def _gradients(
     wi: np.ndarray, wo: np.ndarray, channels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """d(eval, summed over RGB) / d(D, S, R) by Dr.Jit, lane by lane."""
+    """Derivatives of eval, summed over RGB, by D, S and R with Dr.Jit, per lane."""
     num = len(wi)
     bsdf = material(*channels, num)
     parameters = mi.traverse(bsdf)
@@ -224,7 +224,7 @@ def test_gradients_agree_with_finite_differences_of_the_oracle() -> None:
     num = 40_000
     d = rng.uniform(0.05, 0.95, (num, 3)).astype(np.float32)
     s = rng.uniform(0.02, 0.95, (num, 3)).astype(np.float32)
-    # Away from sqrt(1e-3), where the clamp of alpha has a corner.
+    # Away from the kink of alpha's clamp at sqrt(1e-3).
     r = rng.choice(np.float32([0.04, 0.1, 0.3, 0.6, 0.95]), num)
     wi, wo = _directions(rng, r, num)
     exponent = (np.tan(oracle.theta(wi + wo)) / oracle.alpha_from_roughness(r)) ** 2
@@ -235,7 +235,7 @@ def test_gradients_agree_with_finite_differences_of_the_oracle() -> None:
     def value(dd: Any = 0.0, ds: Any = 0.0, dr_: Any = 0.0) -> np.ndarray:
         return oracle.eval_cos(wi, wo, d64 + dd, s64 + ds, r64 + dr_)
 
-    # Linear in D and, h fixed, in S: a long step has no truncation error, only float64's rounding.
+    # Linear in D and, for fixed h, in S: a long step has no truncation error, only float64 rounding.
     step = 0.02
     rounding = 4 * np.finfo(np.float64).eps * value() / step
     for got, plus, minus in (
@@ -243,12 +243,12 @@ def test_gradients_agree_with_finite_differences_of_the_oracle() -> None:
         (grad_s, value(ds=step), value(ds=-step)),
     ):
         expected = (plus - minus) / (2 * step)
-        # The derivative by S, F' spec - D cos / pi, cancels somewhere: relative to its larger term there.
+        # The derivative by S, F' spec - D cos / pi, may cancel: the error is relative to its larger term.
         scale = np.maximum(np.abs(expected), 1e-2 * value())
         assert np.max((np.abs(got - expected) - rounding)[checked] / scale[checked]) < 1e-3
     h = 1e-5 * r64
     expected_r = ((value(dr_=h) - value(dr_=-h)) / (2 * h[:, None])).sum(1)
-    # The derivative by R crosses zero inside the lobe: the error is relative to value / R there.
+    # The derivative by R crosses zero inside the lobe: the error is relative to value / R.
     scale = np.maximum(np.abs(expected_r), value().sum(1) / r64)[checked]
     assert np.max(np.abs(grad_r - expected_r)[checked] / np.maximum(scale, 1e-20)) < 1e-3
     assert checked.sum() > num / 3
@@ -266,7 +266,7 @@ def test_gradients_are_finite_everywhere() -> None:
 
 
 def test_parameters_at_the_ends_of_their_range_keep_their_gradient() -> None:
-    """Albedos of exactly 0 or 1 and a roughness of 1 have the one-sided derivative."""
+    """Albedos of 0 or 1 and a roughness of 1 have one-sided derivatives."""
     num = 4
     wi = np.repeat(unit_float32(oracle.direction(np.array([0.7]), np.array([0.0]))), num, 0)
     wo = wi * [-1, 1, 1]
@@ -333,7 +333,7 @@ def test_flags_match_the_reflecting_sides(two_sided: bool) -> None:
 
 
 def test_all_lanes_are_active_by_default() -> None:
-    """Calls without a mask equal calls with one that is true; where it is false, results are zero."""
+    """Calls without a mask equal calls with an all-true one; false lanes return zero."""
     wi, wo = (unit_float32(oracle.direction(np.array([a]), np.array([b]))) for a, b in ((0.5, 0.0), (0.3, 2)))
     bsdf, si = material(0.5, 0.3, 0.4), interaction(wi)
     lanes = [mi.Float(0.9), mi.Point2f(0.3, 0.4)]
@@ -350,11 +350,11 @@ def test_all_lanes_are_active_by_default() -> None:
         (bsdf.eval_attribute_3, ("specular_albedo", si)),
     ]
     for method, words in calls:
-        usual, told, none = (
+        usual, given, none = (
             [array(part) for part in (found if isinstance(found, tuple) else (found,))]
             for found in (method(*words), method(*words, True), method(*words, False))
         )
-        for a, b, c in zip(usual, told, none, strict=True):
+        for a, b, c in zip(usual, given, none, strict=True):
             np.testing.assert_array_equal(a, b)
             assert (a > 0).all() and (c == 0).all(), method
     assert bsdf.has_attribute("roughness") and not bsdf.has_attribute("sheen")
@@ -379,7 +379,7 @@ def test_components_add_up() -> None:
 
 
 def test_each_lobe_has_its_separate_density() -> None:
-    """The cosine's over pi, or that of a surface which only mirrors."""
+    """The diffuse lobe has density cos / pi, the specular one that of a purely specular surface."""
     rng = np.random.default_rng(33)
     wi, wo = _directions(rng, np.full(500, 0.5), 500)
     wo[:, 2] = np.maximum(wo[:, 2], 0.01)
@@ -415,7 +415,7 @@ def test_attributes_return_the_channels() -> None:
     assert bool(pointer.has_attribute("roughness")[0]) and not bool(pointer.has_attribute("metallic")[0])
     reflectance = array(bsdf.eval_diffuse_reflectance(si))[0]
     np.testing.assert_allclose(reflectance, np.array([0.1, 0.5, 0.9]) * 0.7, rtol=2 * EPS)
-    assert array(pointer.eval_attribute_1("metallic", si))[0] == 0.0  # as Mitsuba's own BSDFs answer
+    assert array(pointer.eval_attribute_1("metallic", si))[0] == 0.0  # as Mitsuba's BSDFs do
 
 
 def test_parameters_can_be_changed_and_differentiated() -> None:
@@ -454,7 +454,7 @@ def test_bad_textures_are_refused_with_their_file(tmp_path: Path) -> None:
     scene = {"type": "scene", "oak": {"type": "cook_torrance", "diffuse_albedo": texture, "roughness": 2.0}}
     with pytest.raises(InputError) as error:
         load_dict(scene)
-    first, second = (str(problem) for problem in error.value.problems)  # all at once
+    first, second = (str(problem) for problem in error.value.problems)  # all in one error
     assert first.startswith(
         "oak: diffuse_albedo.data = 1 of 48 values NaN or Inf in oak_color.exr (first at (3, 0"
     )

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Sampling against density (chi-square) and renders against Mitsuba's own BSDFs (Z-test).
+"""Sampling against density (chi-square) and renders against Mitsuba's BSDFs (Z-test).
 
-Each test knows how many tests it is one of (Sidak's correction), and each has a twin with a 5 % error put in
-that must be detected.
+Each test is corrected for the number of tests (Sidak), and an injected 5 % error must be detected.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from mitsuba.chi2 import ChiSquareTest, SphericalDomain  # isort: skip  (needs t
 
 SIGNIFICANCE = 0.01
 ANGLES_DEG = (0.0, 30.0, 60.0, 80.0, 88.0)
-# Below 0.5 the lobe is narrower than the cells of a grid over the sphere: there the grid is over slopes.
+# Below 0.5 the lobe is narrower than a spherical grid's cells, so the grid is over slopes.
 NARROW_ROUGHNESS = (0.0, 0.05, 0.15, 0.3)
 WIDE_ROUGHNESS = (0.5, 0.7, 1.0)
 NUM_SAMPLES = 200_000
@@ -27,9 +26,9 @@ NUM_CHI2_TESTS = len(ANGLES_DEG) * (len(NARROW_ROUGHNESS) + len(WIDE_ROUGHNESS))
 
 
 class SlopeDomain:
-    """Directions by the slopes of their half vector: (1 - exp(-|s|^2 / alpha^2), azimuth / 2 pi).
+    """Directions parametrised by half-vector slopes s: (1 - exp(-|s|^2 / alpha^2), azimuth / 2 pi).
 
-    Under D alone the first coordinate is uniform, so that cells are filled evenly at any alpha.
+    Under D alone the first coordinate is uniform, so cells are filled uniformly at any alpha.
     """
 
     def __init__(self, wi: np.ndarray, alpha: float):
@@ -71,14 +70,14 @@ def _bsdf(roughness: float) -> Any:
 def _chi2_test(
     angle_deg: float, roughness: float, pdf_roughness: float, specular_only: bool = False
 ) -> ChiSquareTest:
-    """Samples of one roughness against the density of another: equal ones must pass, others must not."""
+    """Chi-square test of samples of one roughness against the density of another."""
     is_narrow = roughness in NARROW_ROUGHNESS
     wi = oracle.direction(np.array(np.radians(angle_deg)), np.array(0.7))
     sampled, described = _bsdf(roughness), _bsdf(pdf_roughness)
     ctx = mi.BSDFContext()
     if (
         is_narrow or specular_only
-    ):  # the specular lobe alone: the diffuse one would fall into the last column of cells
+    ):  # only the specular lobe: the diffuse one would fill the last column of cells
         ctx.type_mask = +mi.BSDFFlags.GlossyReflection
     domain = SlopeDomain(wi, float(oracle.alpha_from_roughness(np.float64(roughness)))) if is_narrow else None
 
@@ -119,19 +118,19 @@ def test_samples_follow_their_density(angle_deg: float, roughness: float) -> Non
 @pytest.mark.parametrize("roughness", NARROW_ROUGHNESS[1:] + WIDE_ROUGHNESS)
 @pytest.mark.parametrize("angle_deg", ANGLES_DEG)
 def test_a_wrong_density_is_detected(angle_deg: float, roughness: float) -> None:
-    """The twin: a density whose alpha is 5 % too small (of the lobe alone: the diffuse one dilutes it)."""
+    """Injected fault: the density's alpha is 5 % too small (specular lobe only; the diffuse dilutes it)."""
     test = _chi2_test(angle_deg, roughness, roughness * np.sqrt(0.95), specular_only=True)
     assert not test.run(SIGNIFICANCE, NUM_CHI2_TESTS, quiet=True)
 
 
-# ---- renders in the limits where Mitsuba has the same model ----
+# ---- renders in the limits where Mitsuba has an equal model ----
 
 SIZE = 20
 NUM_RENDERS = 24
 SPP = 96
-# Limit -> (channels, Mitsuba's own BSDF).
+# Limit -> (channels, Mitsuba's BSDF).
 LIMITS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    # S = 1: Fresnel is 1 and no diffuse light is left, as for a perfect mirror's microfacets.
+    # S = 1: Fresnel is 1 without a diffuse part, as for ideal mirror microfacets.
     "mirror, alpha 0.04": (
         {"diffuse_albedo": 0.7, "specular_albedo": 1.0, "roughness": 0.2},
         {"type": "roughconductor", "material": "none", "alpha": 0.04, "distribution": "beckmann"},
@@ -146,7 +145,7 @@ LIMITS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 def _scene(bsdf: dict[str, Any]) -> Any:
     transform = mi.ScalarTransform4f
     sky = np.ones((16, 32, 3), np.float32)
-    sky[2:6, 4:9] = 8.0  # a window of light, so that the lobe's shape shows
+    sky[2:6, 4:9] = 8.0  # a small emitter that resolves the lobe's shape
     return mi.load_dict(
         {
             "type": "scene",
@@ -176,7 +175,7 @@ def _renders(bsdf: dict[str, Any], first_seed: int) -> np.ndarray:
 
 
 def _largest_z(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """(largest |Z|, its threshold): Welch's test per pixel, Sidak over the pixels of all limits."""
+    """Largest |Z| and its threshold: Welch's test per pixel, Sidak over the pixels of all limits."""
     from scipy.stats import t
 
     variance = (a.var(0, ddof=1) + b.var(0, ddof=1)) / NUM_RENDERS
@@ -198,11 +197,11 @@ def test_renders_like_roughconductor(limit: str) -> None:
 
 
 def test_diffuse_term_renders_like_diffuse() -> None:
-    """The diffuse component alone, at S = 0: its integrand is Mitsuba's; only the sampling differs."""
+    """The diffuse component alone at S = 0 has Mitsuba's integrand, but other sampling."""
     import mitsuba_plugins.cook_torrance as module
 
     class DiffuseOnly(module.CookTorrance):
-        """cook_torrance with Fresnel left out: what remains must be Lambert's law."""
+        """cook_torrance without Fresnel, which must reduce to Lambert's law."""
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             return super().eval_pdf(_diffuse_context(), si, wo, active)
@@ -231,7 +230,7 @@ def _diffuse_context() -> Any:
 
 @pytest.mark.parametrize("radiance", [1e-6, 1e6])
 def test_renders_scale_with_radiance(radiance: float) -> None:
-    """The same samples under a millionth and a million times the light: the same picture, scaled."""
+    """The same samples under 1e-6 and 1e6 times the light give the same picture, scaled."""
     own = {"type": "cook_torrance", "diffuse_albedo": 0.5, "specular_albedo": 0.3, "roughness": 0.2}
 
     def render(level: float) -> np.ndarray:

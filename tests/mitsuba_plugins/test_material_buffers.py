@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ground-truth buffers: exact on flat surfaces, blended at edges where they may be, and only there."""
+"""Ground-truth buffers: exact on flat surfaces, and blended only at edges of blendable channels."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _cook_torrance(channels: dict[str, Any], **options: Any) -> dict[str, Any]:
 
 
 def _sensor(rfilter: str = "box", to_world: Any = None, **options: Any) -> dict[str, Any]:
-    """Looks down from z = 4; the image shows about 4 x 2.7 m of the plane z = 0."""
+    """A sensor looking down from z = 4; the image shows about 4 x 2.7 m of the plane z = 0."""
     film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "rfilter": {"type": rfilter}}
     film.update(options.pop("film", {}))
     to_world = to_world or T().look_at([0, 0, CAMERA_HEIGHT], [0, 0, 0], [0, 1, 0])
@@ -46,7 +46,7 @@ def _scene(**shapes: Any) -> Any:
 
 
 def _edge_scene(rfilter: str = "box") -> Any:
-    """Red above blue; the red plane ends at x = 0.013, with the blue one 1 m below."""
+    """A red plane that ends at x = 0.013, 1 m above a blue one."""
     edge = T().translate([-9.987, 0, 1]).scale(10)
     return _scene(
         red=_plane(_cook_torrance(RED), edge), blue=_plane(_cook_torrance(BLUE)), sensor=_sensor(rfilter)
@@ -83,7 +83,7 @@ def test_flat_surface_equals_its_parameters() -> None:
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
 def test_depth_is_along_the_axis_at_the_pixels_centre(scale: float) -> None:
-    """A tilted camera above a plane, against the intersection written out; from millimetres to 10 km."""
+    """A tilted camera above a plane, against the closed-form intersection, from millimetres to 10 km."""
     eye, target = scale * np.array([1.0, -3.0, 2.5]), scale * np.array([0.2, 0.3, 0.1])
     to_world = T().look_at(eye.tolist(), target.tolist(), [0, 0, 1])
     sensor = _sensor(to_world=to_world, near_clip=1e-3 * scale, far_clip=1e3 * scale)
@@ -110,7 +110,7 @@ def test_edges_blend_channels_but_not_ids_nor_depth() -> None:
     buffers = render_material_buffers(_edge_scene(), spp=256, ids=IDS)
     red_share = (buffers["diffuse_albedo"][..., 0] - 0.05) / 0.65
     mixed = (red_share > 0.02) & (red_share < 0.98)
-    assert np.all(mixed.sum(1) == 1)  # one pixel of each row lies across the edge
+    assert np.all(mixed.sum(1) == 1)  # the edge crosses one pixel of each row
     for name in ("specular_albedo", "roughness"):
         expected = red_share[..., None] * RED[name] + (1 - red_share[..., None]) * BLUE[name]
         np.testing.assert_allclose(buffers[name], expected, atol=1e-4)
@@ -138,8 +138,8 @@ def test_more_samples_change_blends_only() -> None:
 
 @pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell"])
 def test_pixel_filter_is_that_of_the_beauty_image(rfilter: str) -> None:
-    """A surface in front of a black background, against Mitsuba's film: the mask is the filtered coverage."""
-    # Reaches over the image's border: there the film has no samples from outside.
+    """The mask of a surface before a black background is the filtered coverage of Mitsuba's film."""
+    # The filter extends beyond the image's border, where the film has no samples.
     tilted = T().translate([0.3, 0.4, 0]).rotate([0, 0, 1], 31).scale(0.9)
     white = {"diffuse_albedo": [0.5, 0.5, 0.5], "specular_albedo": [0.0, 0.0, 0.0], "roughness": 1.0}
     floor = _plane(_cook_torrance(white), tilted)
@@ -151,11 +151,11 @@ def test_pixel_filter_is_that_of_the_beauty_image(rfilter: str) -> None:
     assert np.abs(ours - np.clip(film, 0, 1)).max() < 0.03
     box = render_material_buffers(_scene(floor=floor), spp=400)["surface_mask"][..., 0]
     is_the_same = np.abs(box - np.clip(film, 0, 1)).max() < 0.03
-    assert is_the_same == (rfilter == "box")  # the twin: another filter's edges are told apart
+    assert is_the_same == (rfilter == "box")  # injected fault: another filter's edges differ
 
 
 def test_sub_pixel_samples_are_even() -> None:
-    """At 64 samples, an edge's coverage is at least twice as exact as independent samples make it."""
+    """At 64 samples an edge's coverage is at least twice as accurate as with independent samples."""
     tilted = T().translate([0.3, 0.1, 0]).rotate([0, 0, 1], 31).scale(0.9)
     scene = _scene(floor=_plane(_cook_torrance(RED), tilted))
     ours, exact = (render_material_buffers(scene, spp=n)["surface_mask"][..., 0] for n in (64, 16384))
@@ -168,7 +168,7 @@ def test_sub_pixel_samples_are_even() -> None:
 
 
 def test_depth_of_field_is_that_of_the_beauty_image() -> None:
-    """A thin lens out of focus: the mask blurs as Mitsuba's film does; depth is the lens centre's."""
+    """With a thin lens out of focus the mask blurs as Mitsuba's film does, and depth is the lens centre's."""
     tilted = T().translate([0.3, 0.1, 0]).rotate([0, 0, 1], 31).scale(0.9)
     white = {"diffuse_albedo": [0.5, 0.5, 0.5], "specular_albedo": [0.0, 0.0, 0.0], "roughness": 1.0}
     lens = _sensor("gaussian") | {"type": "thinlens", "aperture_radius": 0.3, "focus_distance": 2.5}
@@ -224,7 +224,7 @@ def test_masked_surfaces_blend_by_opacity(opacity: float) -> None:
 
 
 def test_cut_outs_show_surfaces_behind_them() -> None:
-    """A 0/1 opacity texture: half of the plane is not there."""
+    """A 0/1 opacity texture cuts out half of the plane."""
     texels = np.zeros((2, 2, 1), np.float32)
     texels[:, 1] = 1.0
     opacity = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True, "filter_type": "nearest"}
@@ -237,7 +237,7 @@ def test_cut_outs_show_surfaces_behind_them() -> None:
 
 
 def _lobe_normal(bsdf: Any, si: Any, num: int = 4096) -> np.ndarray:
-    """The normal that a smooth BSDF reflects about: the mean half vector of its samples, in si's frame."""
+    """Shading normal of a smooth BSDF: the mean half vector of its samples, in si's frame."""
     rng = np.random.default_rng(3)
     wide = dr.gather(mi.SurfaceInteraction3f, si, dr.zeros(mi.UInt32, num))
     u = rng.uniform(size=(3, num)).astype(np.float32)
@@ -250,7 +250,7 @@ def _lobe_normal(bsdf: Any, si: Any, num: int = 4096) -> np.ndarray:
 @pytest.mark.parametrize("is_back", [False, True])
 @pytest.mark.parametrize("encoded", [[0.5, 0.5, 1.0], [0.7, 0.6, 0.9], [0.2, 0.5, 0.85]])
 def test_normal_maps_tilt_the_rendered_normal(wrapping: str, is_back: bool, encoded: list[float]) -> None:
-    """The buffer's normal is the one that the BSDF itself reflects about, from the front and from behind."""
+    """The buffer's normal is the BSDF's shading normal, from the front and from behind."""
     mirror = {"type": "cook_torrance", "diffuse_albedo": 0.0, "specular_albedo": 1.0, "roughness": 0.1}
     bsdf: dict[str, Any] = {
         "type": "normalmap",
@@ -280,7 +280,7 @@ def test_normal_maps_tilt_the_rendered_normal(wrapping: str, is_back: bool, enco
 
 
 def test_back_faces_of_surfaces() -> None:
-    """Two-sided: the same channels, the normal turned to the viewer. One-sided: nothing is reflected."""
+    """Two-sided surfaces have equal channels and a normal towards the viewer; one-sided ones are black."""
     upside_down = T().rotate([1, 0, 0], 180).scale(10)
     buffers = render_material_buffers(_scene(floor=_plane(_cook_torrance(RED), upside_down)), spp=2)
     np.testing.assert_allclose(buffers["diffuse_albedo"][0, 0], RED["diffuse_albedo"], atol=1e-5)
@@ -299,7 +299,7 @@ def test_front_and_back_have_separate_materials() -> None:
 
 
 def test_textures_are_exact_texel_by_texel() -> None:
-    """One texel a pixel, nearest filter, box filter: the buffer is the texture."""
+    """With one texel per pixel, nearest and box filters, the buffer equals the texture."""
     rng = np.random.default_rng(4)
     texels = rng.uniform(size=(HEIGHT, WIDTH, 1)).astype(np.float32)
     texture = {
@@ -313,7 +313,7 @@ def test_textures_are_exact_texel_by_texel() -> None:
     fit = T().scale([half_width, half_width * HEIGHT / WIDTH, 1])
     scene = _scene(floor=_plane({"type": "cook_torrance", "roughness": texture}, fit))
     roughness = render_material_buffers(scene, spp=4)["roughness"]
-    # Row 0 of a bitmap lies at v = 0, which the rectangle has at its lower side.
+    # Row 0 of a bitmap is at v = 0, the rectangle's lower side.
     matches = np.abs(roughness - texels[::-1])[1:-1, 1:-1] < 1e-3
     assert matches.mean() > 0.99  # a sample may round across a texel's border
 
@@ -353,7 +353,7 @@ def test_materials_are_created_once_for_all_views() -> None:
 
 
 def test_scenes_from_xml_have_distinct_ids() -> None:
-    """Mitsuba gives shapes of an XML file no ids of their own."""
+    """Mitsuba gives shapes of an XML file no ids."""
     xml = """<scene version="3.0.0">
       <shape type="sphere"><bsdf type="cook_torrance"/></shape>
       <shape type="cube"><bsdf type="cook_torrance"/></shape>

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Loads an asset package with the add-on, in a process of its own, and renders its cameras with Cycles.
+"""Loads an asset package with the add-on in a separate process and renders its cameras with Cycles.
 
 ``python -m tests.model.cycles_of_asset PACKAGE OUT SAMPLES CAMERA...`` writes ``OUT/CAMERA.npy``, linear.
-``PACKAGE+FILE.glb`` (or ``.usdz``) takes the surfaces from there, opened by Blender's own importer;
-cameras and lights stay the package's.
+``PACKAGE+FILE.glb`` (or ``.usdz``) takes the surfaces from that file through Blender's importer, cameras and
+lights from the package.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Prints what Blender's importer makes of a GLB's lights: python -m tests.model.glb_in_blender FILE."""
+"""Prints a GLB's lights as Blender's importer reads them: python -m tests.model.glb_in_blender FILE."""
 
 from __future__ import annotations
 

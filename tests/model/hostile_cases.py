@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Hostile input of `materials`: captures of every form, meshes, photographs, shards, weights."""
+"""Hostile input of `materials`: captures in every format, meshes, photographs, shards, weights."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ TOKENS = [
 
 
 def mutate_text(text: str, rng: random.Random) -> bytes:
-    """Lines and words replaced, removed, doubled or swapped; now and then damaged bytes."""
+    """The text with lines and words replaced, removed, doubled or swapped, sometimes with damaged bytes."""
     action = rng.random()
     if action < PRISTINE:
         return text.encode()
@@ -94,7 +94,7 @@ def _camera() -> Camera:
 
 
 def _read_all(path: Path, options: CaptureOptions | None = None) -> None:
-    """A capture and the pixels of its first view; no image or mesh may lie outside the folder."""
+    """Read a capture and the pixels of its first view; no image or mesh may be outside of the folder."""
     capture = read_capture(path, options or CaptureOptions(max_width_px=32))
     folder = path if path.is_dir() else path.parent
     for view in capture.views:
@@ -105,12 +105,12 @@ def _read_all(path: Path, options: CaptureOptions | None = None) -> None:
 
 
 def capture_texts(name: str) -> dict[str, str]:
-    """The text files of a valid capture of a form, by name; its photograph is ``images/a.png``."""
+    """Text files of a valid capture in a format, by name; its photograph is ``images/a.png``."""
     return _TEXTS[name]()
 
 
 def _capture(text: Callable[[], dict[str, str]], opened: str = "") -> CaseMaker:
-    """A form of text files: one of them is mutated, or now and then the photograph or the mesh."""
+    """A capture in a text format: one file is mutated, or sometimes the photograph or the mesh."""
 
     def make(folder: Path) -> Case:
         root = folder / "capture"
@@ -118,7 +118,7 @@ def _capture(text: Callable[[], dict[str, str]], opened: str = "") -> CaseMaker:
         set_traps(root)
         set_traps(root / "images")
         for trap in root.glob("*.ply"):
-            trap.unlink()  # or there would be several meshes
+            trap.unlink()  # to avoid several meshes
         files = {**{name: content.encode() for name, content in text().items()},
                  "images/a.png": _picture(), "room.ply": _mesh_bytes()}  # fmt: skip
         for name, content in files.items():
@@ -176,7 +176,7 @@ def _colmap_text() -> dict[str, str]:
 
 
 def colmap_binary(folder: Path) -> Case:
-    """COLMAP's binary model, damaged."""
+    """A damaged binary model of COLMAP."""
     root = folder / "capture"
     (root / "images").mkdir(parents=True)
     (root / "images" / "a.png").write_bytes(_picture())
@@ -311,7 +311,7 @@ def _mesh_case(suffix: str) -> CaseMaker:
 
 
 def _exported(suffix: str) -> bytes:
-    """A textured box as a file of this kind."""
+    """Bytes of a textured box as a mesh file with this suffix."""
     import trimesh
 
     mesh = with_uv(box([-1, -1, 0], [1, 1, 1]))
@@ -332,7 +332,7 @@ def _exported(suffix: str) -> bytes:
 
 
 def photograph(folder: Path) -> Case:
-    """Photographs with EXIF, of every format that is read."""
+    """Photographs with EXIF in every supported format."""
     import cv2
 
     pixels = np.random.default_rng(0).integers(0, 256, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
@@ -363,7 +363,7 @@ def photograph(folder: Path) -> Case:
 
 
 def rendered(folder: Path) -> Case:
-    """A shard with the library that it was rendered with: damaged, or with mutated documents."""
+    """A shard and the library of its rendering: damaged, or with mutated documents."""
     package = write_package(folder / "library" / "room", _room(), {"room.ply": _mesh_bytes()})
     shard = _small_shard(folder, package.sha256)
 
@@ -374,7 +374,7 @@ def rendered(folder: Path) -> Case:
 
 
 def training_shard(folder: Path) -> Case:
-    """A shard as training reads it: by offsets, view by view."""
+    """A shard read as in training: by offsets, view by view."""
     data = make_shard(folder, "room-00000", 1, width=SIZE[0], height=SIZE[1]).read_bytes()
     names = ("beauty", "roughness", "normal_world", "depth_z_m", "surface_mask")
 
@@ -413,7 +413,7 @@ def _small_shard(folder: Path, package_sha256: str) -> bytes:
 
 
 def _damaged_shard(shard: bytes, rng: random.Random) -> bytes:
-    """Bytes damaged anywhere, in a member's header, or in a number or name of a document."""
+    """The shard damaged anywhere, in a member's header, or in a number or name of a document."""
     if rng.random() < 0.3:
         return damage(shard, rng)
     if rng.random() < 0.4:
@@ -430,7 +430,7 @@ def _damaged_shard(shard: bytes, rng: random.Random) -> bytes:
 
 
 def checkpoint(folder: Path) -> Case:
-    """Weights with their card: damaged, with a mutated header, or with a mutated card."""
+    """A checkpoint: damaged, with a mutated header, or with a mutated card."""
     torch.manual_seed(0)
     config = NetworkConfig(base_channels=1, global_channels=1)
     card = CheckpointCard(network=config, loss="l1", phase="joint", step=1, metrics={"a": 0.5})
@@ -441,7 +441,7 @@ def checkpoint(folder: Path) -> Case:
 
 
 def run_state(folder: Path) -> Case:
-    """The state of an unfinished training run."""
+    """A state file of an unfinished training run."""
     save_state(folder, RunProgress(phase=1, step=2), torch.nn.Linear(2, 2), None)
     path = folder / "state.safetensors"
     original = path.read_bytes()

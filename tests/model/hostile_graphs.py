@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sizes and graphs that strangers may hand to the readers of captures (see the importers' twin)."""
+"""Untrusted sizes and graphs for the readers of captures (see the importers' counterpart)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BLACK = encode_png(np.zeros((8, 12, 3), np.uint8))
 
 
 def _capture(files: Callable[[random.Random, int], Files], opened: str = "") -> CaseMaker:
-    """A capture of as many frames as is drawn."""
+    """A capture with a random number of frames."""
 
     def make(folder: Path) -> Case:
         scale, root = Scale(), folder / "capture"
@@ -38,7 +38,7 @@ def _capture(files: Callable[[random.Random, int], Files], opened: str = "") -> 
         def write(rng: random.Random) -> Path:
             scale.draw(rng)
             contents = files(rng, scale.size(rng, 100))
-            for path in (root / "images").iterdir():  # of the input before
+            for path in (root / "images").iterdir():  # of the previous input
                 if path.name != "a.png" and f"images/{path.name}" not in contents:
                     path.unlink()
             for name, content in contents.items():
@@ -119,7 +119,7 @@ def _sensors(rng: random.Random, count: int) -> Files:
 
 
 def mesh_gltf(folder: Path) -> Case:
-    """Documents with node graphs, as the mesh of a capture."""
+    """glTF documents with node graphs as the mesh of a capture."""
     scale = Scale()
 
     def write(rng: random.Random) -> Path:
@@ -131,7 +131,7 @@ def mesh_gltf(folder: Path) -> Case:
 
 
 def mesh_file(folder: Path) -> Case:
-    """PLY and OBJ: polygons of any number of corners, vertices without faces, words of any length."""
+    """PLY and OBJ files: polygons of any number of corners, vertices without faces, words of any length."""
     scale = Scale()
 
     def obj(rng: random.Random) -> bytes:

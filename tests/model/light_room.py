@@ -72,7 +72,7 @@ def quads() -> list[Quad]:
 
 
 def room_geometry() -> CaptureGeometry:
-    """Faces 2 k and 2 k + 1 are quad k."""
+    """Geometry of the room; faces 2 k and 2 k + 1 are quad k."""
     every = quads()
     positions = np.concatenate([quad.corners() for quad in every]).astype(np.float32)
     faces = [[4 * k + i for i in corner] for k in range(len(every)) for corner in ((0, 1, 2), (0, 2, 3))]
@@ -81,7 +81,7 @@ def room_geometry() -> CaptureGeometry:
 
 
 def room_cameras(num: int = 24) -> list[Camera]:
-    """From two rings around the middle, outwards, up and down."""
+    """Cameras on two rings around the centre, looking outwards, up and down."""
     cameras = []
     for index in range(num):
         angle = 2 * np.pi * (index + 0.5 * (index % 2)) / num * 2
@@ -93,7 +93,7 @@ def room_cameras(num: int = 24) -> list[Camera]:
 
 @lru_cache(maxsize=2)
 def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
-    """The views, HDR, through the pixels' centres."""
+    """HDR views, with samples at pixel centres."""
     import mitsuba as mi
 
     from mitsuba_plugins import register
@@ -102,7 +102,7 @@ def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 16},
-        "sky": {  # fills the window; as a panel it is sampled without much noise
+        "sky": {  # fills the window; sampled as a panel it has little noise
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f()
             .translate([SIDES[0] + 0.02, 1.5, 1.4])
@@ -158,7 +158,7 @@ def without_pixels(view: TracedView, hidden: NDArray[np.bool_]) -> TracedView:
 
 @dataclass(frozen=True)
 class Photograph:
-    """Pixels of a view of the room."""
+    """Photograph of one view of the room."""
 
     color: NDArray[np.float32]
 
@@ -170,7 +170,7 @@ class Photograph:
 
 
 def room_capture(lamp: Color = LAMP) -> Capture:
-    """The room as `materials infer` reads it; its geometry claims that the lamp's radiance is ``lamp``."""
+    """The room as a capture; its geometry declares that the lamp's radiance is ``lamp``."""
     geometry = room_geometry()
     parts = tuple(part if part.emission is None else replace(part, emission=lamp) for part in geometry.parts)
     views = tuple(

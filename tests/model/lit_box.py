@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""A closed room of 4 x 3 x 2.5 m whose six walls have known diffuse albedos, with a lamp in its ceiling,
-photographed by Mitsuba's path tracer: what light between surfaces says about it is known."""
+"""A closed room of 4 x 3 x 2.5 m with six walls of known diffuse albedos and a lamp in its ceiling,
+photographed by Mitsuba's path tracer: a reference for methods based on interreflection."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _walls() -> list[NDArray[np.float64]]:
 
 
 def box_geometry() -> CaptureGeometry:
-    """Faces 2 k and 2 k + 1 are wall k; the last two are the lamp."""
+    """Geometry of the box; faces 2 k and 2 k + 1 are wall k; the last two are the lamp."""
     quads = [*_walls(), _LAMP]
     faces = [[4 * k + i for i in corner] for k in range(7) for corner in ((0, 1, 2), (0, 2, 3))]
     mesh = Mesh(np.concatenate(quads).astype(np.float32), np.array(faces, np.int32), None, None)
@@ -50,7 +50,7 @@ def box_geometry() -> CaptureGeometry:
 
 
 def box_cameras(num: int = 12) -> list[Camera]:
-    """From near the middle all around, up and down."""
+    """Cameras near the centre, looking all around, up and down."""
     cameras = []
     for index in range(num):
         angle = 2 * np.pi * index / num
@@ -62,8 +62,8 @@ def box_cameras(num: int = 12) -> list[Camera]:
 
 @lru_cache(maxsize=2)
 def photographed_box(has_sun: bool = False, samples: int = 64) -> tuple[TracedView, ...]:
-    """The views. ``has_sun`` adds a spot that no photograph shows, and that lights part of the floor several
-    times brighter than the lamp does."""
+    """The views. ``has_sun`` adds an unphotographed spot light that lights part of the floor several times
+    brighter than the lamp does."""
     import mitsuba as mi
 
     scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 24}}
@@ -98,7 +98,7 @@ def photographed_box(has_sun: bool = False, samples: int = 64) -> tuple[TracedVi
 
 
 def _radiance(room: Any, camera: Camera, samples: int, seed: int) -> NDArray[np.float32]:
-    """(H, W, 3) through the pixels' centres."""
+    """Radiance (H, W, 3) at pixel centres."""
     import mitsuba as mi
 
     direction = np.repeat(camera.ray_directions().reshape(-1, 3), samples, axis=0)
@@ -113,7 +113,7 @@ def _radiance(room: Any, camera: Camera, samples: int, seed: int) -> NDArray[np.
 
 @dataclass(frozen=True)
 class Photograph:
-    """``color`` as a sensor that takes no more than ``white`` has it."""
+    """A photograph of ``color`` by a sensor that clips at ``white``."""
 
     color: NDArray[np.float32]
     white: float
@@ -129,7 +129,7 @@ class Photograph:
 
 
 def box_capture(white: float = np.inf) -> Capture:
-    """The room as photographs of a sensor that takes no more than ``white``."""
+    """The room as a capture by a sensor that clips at ``white``."""
     views = [
         CaptureView(f"view-{index:03d}", view.camera, Photograph(view.color, white))
         for index, view in enumerate(photographed_box())

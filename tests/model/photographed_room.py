@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The textured room as photographs: what a camera in it would show, whatever mesh or poses are claimed.
+"""Photographs of the textured room, independent of the claimed mesh and poses.
 
-Photographs are made by brute force from the true room; the capture may then be given a wrong mesh, wrong
-poses or damaged photographs.
+Photographs are computed by brute force from the true room; a test may then replace mesh, poses or
+photographs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SIZE = (320, 220)
 
 @dataclass(frozen=True)
 class Photograph:
-    """Pixels that were taken, and the maps under them."""
+    """Pixels of a photograph, and the maps of the visible surface."""
 
     color: NDArray[np.float32]
     maps: dict[str, NDArray]
@@ -37,7 +37,7 @@ class Photograph:
 
 
 def photograph(mesh: Mesh, camera: Camera, seed: int = 0) -> Photograph:
-    """Albedo under a light from a corner, one brightness a quad, and 1 % of noise."""
+    """Albedo under a light from a corner, one brightness per quad, with 1 % noise."""
     uv, depth = uv_of_pixels(mesh, camera)
     maps = materials_at(np.nan_to_num(uv))
     cell = np.floor(np.nan_to_num(uv) * [4, 3]).astype(int)
@@ -50,7 +50,7 @@ def photograph(mesh: Mesh, camera: Camera, seed: int = 0) -> Photograph:
 
 @lru_cache(maxsize=4)
 def photographed_room(num: int = 10, size: tuple[int, int] = SIZE) -> Capture:
-    """The room as it is; made once."""
+    """The capture of the unchanged room, cached."""
     mesh = room_mesh()
     cameras = room_cameras(num, size)
     views = [
@@ -60,26 +60,26 @@ def photographed_room(num: int = 10, size: tuple[int, int] = SIZE) -> Capture:
 
 
 def with_mesh(capture: Capture, mesh: Mesh) -> Capture:
-    """Another mesh under the same photographs."""
+    """The capture with another mesh and the same photographs."""
     return replace(capture, geometry=geometry_of(mesh))
 
 
 def with_view(capture: Capture, index: int, **changes: object) -> Capture:
-    """A view with another camera or source."""
+    """The capture with changed fields of one view."""
     views = list(capture.views)
     views[index] = replace(views[index], **changes)  # type: ignore[arg-type]
     return replace(capture, views=tuple(views))
 
 
 def with_color(capture: Capture, index: int, color: NDArray) -> Capture:
-    """A view whose photograph shows something else."""
+    """The capture with another photograph in one view."""
     source = capture.views[index].source
     assert isinstance(source, Photograph)
     return with_view(capture, index, source=replace(source, color=color.astype(np.float32)))
 
 
 def turned(capture: Capture, index: int, degrees: float, axis: tuple[float, float, float]) -> Capture:
-    """A view whose camera is claimed to be turned about an axis of its own."""
+    """The capture with one camera's claimed pose rotated about a camera axis."""
     camera = capture.views[index].camera
     pose = camera.world_from_camera.copy()
     pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix()

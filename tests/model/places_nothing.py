@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""In place of ``model.reconstruction.unwrap.xatlas_process``: an unwrap in which no triangle has a place."""
+"""Replacement of ``model.reconstruction.unwrap.xatlas_process``: an unwrap without any placed triangle."""
 
 from __future__ import annotations
 

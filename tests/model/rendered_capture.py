@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One rendered configuration of the tests' library as a shard: eight views that see most of the room."""
+"""A rendered configuration of the tests' library as a shard: eight views that cover most of the room."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIZE = (96, 64)
 
 
 def cameras(num: int) -> list[ViewCamera]:
-    """From around the room's middle outwards and inwards, alternately."""
+    """Cameras around the room's centre, looking outwards and inwards alternately."""
     made = []
     for k in range(num):
         angle = 2 * np.pi * k / num

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gains out of points whose reflectance and irradiance are given, and the rays that gather irradiance."""
+"""Gains from points of given reflectance and irradiance, and the rays that gather irradiance."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ ARRIVING = np.random.default_rng(5).uniform(0.5, 2.0, (NUM, 3))
 
 
 def leaving(reflected: float = 0.4) -> NDArray[np.float64]:
-    """Radiance of points that reflect what was predicted times what is wanted."""
+    """Outgoing radiance (NUM, 3) of points with the predicted reflectance times the wanted gains."""
     return reflected * WANTED[np.arange(NUM) % 3] * ARRIVING / np.pi
 
 
 def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_level.Points:
-    """Points of the three regions in turn, from which ``radiance`` leaves."""
+    """Points of the three regions in turn, with outgoing ``radiance``."""
     nowhere, which = np.zeros_like(radiance), np.arange(len(radiance)) % 3
     return albedo_level.Points(nowhere, nowhere, radiance, np.full_like(radiance, reflected), REGIONS[which])
 
@@ -40,7 +40,7 @@ def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_l
 def fit(
     num: int = NUM, coverage: Any = 1.0, noise: float = 0.0, reflected: float = 0.4, **changes: Any
 ) -> AlbedoLevel:
-    """Points in three regions whose ln reflectances spread by ``noise`` about those wanted."""
+    """Fit to points in three regions whose ln reflectances have deviation ``noise`` from the wanted ones."""
     which = np.arange(num) % 3
     arriving = np.resize(ARRIVING, (num, 3))
     factor = np.exp(noise * np.random.default_rng(4).normal(size=(num, 1)))
@@ -65,12 +65,12 @@ def test_gains_are_per_region_and_the_rooms_elsewhere() -> None:
     assert report.is_applied and (report.points_used, report.regions_used) == (NUM, 3)
     assert (report.coverage, report.used_share, report.clipped_share) == (1.0, 1.0, 0.01)
     assert report.spread < 1e-3 and report.impossible_share == 0.0
-    # a third of the points lie at each of ln 0.9, ln 1.2 and ln 1.3: quartiles are the outer ones
+    # a third of the points are at each of ln 0.9, ln 1.2 and ln 1.3: the quartiles are the outer ones
     assert report.region_spread == pytest.approx(0.5 * np.log(1.3 / 0.9), rel=0.03)
 
 
 def test_points_with_little_known_light_count_less() -> None:
-    """Full weight from a known share of 0.9, none below 0.6, half between."""
+    """Points have full weight from a known share of 0.9, none below 0.6, half in the middle."""
     random = np.random.default_rng(0)
     coverage = random.choice([0.5, 0.75, 0.9, 1.0], NUM)
     level = fit(coverage=coverage)
@@ -83,7 +83,7 @@ def test_points_with_little_known_light_count_less() -> None:
 
 @pytest.mark.parametrize("num_dark", [60, 660])
 def test_dark_points_are_not_used(num_dark: int) -> None:
-    """Also where most of them are dark."""
+    """Dark points are ignored even if most are dark."""
     left = leaving()
     left[:num_dark] = 0.0
     level = fit(radiance=left)
@@ -92,7 +92,7 @@ def test_dark_points_are_not_used(num_dark: int) -> None:
 
 
 def test_points_without_incident_light_are_not_used() -> None:
-    """Their light came by ways that no photograph shows: the reflectance would be unbounded."""
+    """Their incident light is not photographed, so the reflectance would be unbounded."""
     arriving = ARRIVING.copy()
     arriving[:60] = 0.0
     level = albedo_level.fit_level(points_of(leaving()), arriving, np.ones(NUM), 4, 0.0)
@@ -101,7 +101,7 @@ def test_points_without_incident_light_are_not_used() -> None:
 
 
 def test_a_surface_may_reflect_all_incident_light() -> None:
-    """Exactly all is not more than all."""
+    """A reflectance of exactly 1 is possible."""
     left = np.random.default_rng(7).uniform(0.1, 0.5, (NUM, 3))
     for factor, share in ((1.0, 0.0), (0.999, 1.0)):
         level = albedo_level.fit_level(points_of(left), left * np.pi * factor, np.ones(NUM), 4, 0.0)
@@ -109,7 +109,7 @@ def test_a_surface_may_reflect_all_incident_light() -> None:
 
 
 def test_spread_is_half_the_interquartile_range() -> None:
-    """Of a normal distribution 0.6745 times its standard deviation."""
+    """For a normal distribution the spread is 0.6745 standard deviations."""
     level = fit(num=30_000, noise=0.3)
     assert level.report.is_applied and level.report.spread == pytest.approx(0.6745 * 0.3, rel=0.04)
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.03)
@@ -136,12 +136,12 @@ def test_few_points_change_nothing(num: int, is_applied: bool) -> None:
 
 @pytest.mark.parametrize(("coverage", "is_applied"), [(0.73, True), (0.71, False)])
 def test_little_weight_changes_nothing(coverage: float, is_applied: bool) -> None:
-    """0.4 of full weight is reached at a known share of 0.72."""
+    """A known share of 0.72 gives 0.4 of the full weight."""
     assert fit(coverage=coverage).report.is_applied == is_applied
 
 
 def test_predictions_near_zero_are_clamped_to_a_fiftieth() -> None:
-    """A ratio to nothing would say that the room reflects without end."""
+    """A ratio to a prediction near zero would give an unbounded reflectance."""
     black = fit(reflected=0.02)
     np.testing.assert_allclose(black.gains[REGIONS], WANTED, rtol=0.02)
     same = fit(reflected=0.005)
@@ -149,7 +149,7 @@ def test_predictions_near_zero_are_clamped_to_a_fiftieth() -> None:
 
 
 def test_the_gain_of_a_small_region_is_shrunk_to_the_rooms() -> None:
-    """One point at 4 times the room's level pulls its region less than 200 do."""
+    """One point at 4 times the room's level changes its region's gain less than 200 do."""
     gains = []
     for count in (1, 200):
         region = np.zeros(NUM, np.int64)
@@ -163,7 +163,7 @@ def test_the_gain_of_a_small_region_is_shrunk_to_the_rooms() -> None:
 
 
 def test_outliers_do_not_move_a_regions_gain() -> None:
-    """A third of the points receive three times the light that is known of."""
+    """A third of the points receive three times the known light."""
     random = np.random.default_rng(6)
     lit = np.where(random.random((NUM, 1)) < 1 / 3, 3.0, 1.0)
     spread = np.exp(0.05 * random.normal(size=(NUM, 1)))
@@ -180,9 +180,9 @@ def test_rays_are_cosine_weighted_with_one_per_stratum() -> None:
     side = round(np.sqrt(NUM_RAYS))
     strata = np.sort(np.floor((1 - cosine**2) * side).astype(int), axis=1)
     np.testing.assert_array_equal(strata, np.tile(np.repeat(np.arange(side), side), (3, 1)))
-    np.testing.assert_allclose(rays.mean(axis=1), 2 / 3 * normal, atol=0.01)  # sides cancel
+    np.testing.assert_allclose(rays.mean(axis=1), 2 / 3 * normal, atol=0.01)  # tangential parts cancel
     across = rays - cosine[..., None] * normal[:, None]
-    for k in range(3):  # evenly around the normal
+    for k in range(3):  # uniformly around the normal
         spread = across[k].T @ across[k] / NUM_RAYS
         np.testing.assert_allclose(spread, 0.25 * (np.eye(3) - np.outer(normal[k], normal[k])), atol=0.01)
 

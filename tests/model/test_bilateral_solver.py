@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The bilateral solver against a dense solve, its adjoint, batches, and what it does to images."""
+"""The bilateral solver against a dense solve; its adjoint, batches, and effect on images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXACT = SolverConfig(sigma_xy=4.0, sigma_luma=16.0, sigma_chroma=12.0, tolerance
 
 
 def _images(height: int, width: int, channels: int = 2, seed: int = 0, batch: int = 1) -> list[torch.Tensor]:
-    """Guide of a few flat regions with noise, target, confidence; float64."""
+    """Random float64 guide of a few flat regions with noise, target and confidence."""
     generator = torch.Generator().manual_seed(seed)
 
     def rand(c: int, h: int, w: int) -> torch.Tensor:
@@ -77,7 +77,7 @@ def test_a_batch_equals_its_single_images():
 
 
 def test_smooths_within_regions_and_keeps_their_edges():
-    """Noise on two flat regions goes; the step between them, which the guide shows, stays."""
+    """Noise on two flat regions is removed, but the step between them in the guide is kept."""
     generator = torch.Generator().manual_seed(3)
     truth = torch.zeros(1, 1, 64, 64)
     truth[..., 32:] = 0.8
@@ -141,7 +141,7 @@ def test_guide_is_scaled_by_its_maximum():
 
 
 def test_scaling_the_target_scales_the_result():
-    """However small it is."""
+    """Also for very small targets."""
     guide, target, confidence = _images(24, 32)
     grid = build_grid(guide)
     whole = bilateral_solve(target, confidence, grid)
@@ -150,8 +150,8 @@ def test_scaling_the_target_scales_the_result():
 
 
 def test_the_confidence_weighted_sum_is_kept():
-    """The sum of confidence times result is that of confidence times target: its gradient is the confidence,
-    which the adjoint knows before its first iteration."""
+    """The sum of confidence times result equals that of confidence times target; its gradient is therefore
+    the confidence, from the adjoint's initial guess on."""
     guide, target, confidence = _images(24, 32)
     target.requires_grad_()
     filtered = bilateral_solve(target, confidence, build_grid(guide), SolverConfig(max_iterations=1))
@@ -173,7 +173,7 @@ def test_a_target_of_another_size_is_refused():
 
 
 def test_warnings_of_torch_are_suppressed():
-    """It warns of its sparse matrices, once a process: so in a process of its own."""
+    """Torch warns about sparse matrices once per process, so this runs in a separate process."""
     code = (
         "import torch; from model.bilateral_solver import SolverConfig, bilateral_solve, build_grid\n"
         "image = torch.rand(1, 3, 8, 8); grid = build_grid(image, SolverConfig())\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Exposure brackets against the radiance that they photograph."""
+"""Exposure brackets against the photographed radiance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RADIANCE = np.geomspace(0.004, 12.0, SIZE[0] * SIZE[1]).reshape(SIZE[1], SIZE[0]
 def write_bracket(
     folder: Path, times: tuple[float, ...] = TIMES_S, *, step_m: float = 0.0, has_exif: bool = True
 ) -> None:
-    """JPEG of the best quality, each ``step_m`` beside the last."""
+    """Write JPEGs of the best quality, each camera ``step_m`` from the previous one."""
     folder.mkdir(exist_ok=True)
     write_mesh(folder)
     frames = []
@@ -73,7 +73,7 @@ def test_order_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_weights_are_exposures(tmp_path: Path) -> None:
-    """Values 0.5 of the long and 0.6 of the short exposure: (0.5 + 0.6 / 8) / (1 + 1 / 8)."""
+    """Values of 0.5 in the long and 0.6 in the short exposure give (0.5 + 0.6 / 8) / (1 + 1 / 8)."""
     write_bracket(tmp_path)
     (view,) = read_capture(tmp_path).views
     sources = []

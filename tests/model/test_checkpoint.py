@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints: round trip, the card, and refusal of what is damaged, foreign or hostile."""
+"""Checkpoints: round trip, card, and refusal of damaged, foreign or hostile files."""
 
 from __future__ import annotations
 
@@ -158,10 +158,10 @@ def test_the_bundled_checkpoint_is_small_and_names_its_training_data():
         "pale": 720,
         "pale_validation": 80,
     }
-    assert {"study", "kitchen"} <= data["learning"].assets.keys()  # its validation views are of the study
+    assert {"study", "kitchen"} <= data["learning"].assets.keys()  # its validation views show the study
     for name in ("checkpoint", "pale"):
         assert "staircase" in data[name].assets
-        assert "study" not in data[name].assets  # what judges is not learnt from
+        assert "study" not in data[name].assets  # validation data is not trained on
         assert not data[name].assets.keys() & data["pale_validation"].assets.keys()
     assert not any({"veach-ajar", "dining-room"} & record.assets.keys() for record in data.values())
     assert checkpoint.card.training["initial_checkpoint"] is None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``materials``: help without heavy imports, dry run, training, and what bad input looks like."""
+"""The command ``materials``: help without heavy imports, dry run, training, and messages for bad input."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def dataset(tmp_path_factory):
 
 
 def _loaded(module: str, names: set[str]) -> set[str]:
-    """Those of ``names`` that a fresh interpreter has loaded after importing ``module``."""
+    """Subset of ``names`` that a new interpreter has loaded after importing ``module``."""
     code = f"import sys, {module}; print(*sorted(sys.modules))"
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True, text=True)
@@ -67,7 +67,7 @@ def test_train_and_bad_input(dataset, tmp_path):
 
 
 def test_training_without_validation_views_prints_a_note(tmp_path):
-    """A note, unless validation is turned off."""
+    """A note is printed unless validation is off."""
     data = make_dataset(tmp_path / "set", {"room-0": ("train", 4)})
     arguments = ["train", str(data), "--out", str(tmp_path / "run"), "--preset", "smoke", "--quiet"]
     arguments += ["--device", "cpu", "--set", "phases=[{name: diffuse, steps: 1}]"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence networks: ranges and sizes, and that their training learns to distrust what is wrong."""
+"""Confidence networks: ranges, sizes, and training with wrong predictions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR tensor support is in 
 
 
 def _scene(size: int = 32) -> tuple[torch.Tensor, dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-    """Image, true maps, predicted maps. Where the image is bright, a highlight spoils both predictions."""
+    """Image, true maps, and predicted maps, which are wrong at a bright highlight."""
     generator = torch.Generator().manual_seed(0)
     diffuse = torch.nn.functional.interpolate(torch.rand(1, 3, 2, 2, generator=generator), size=(size, size))
     truth = {
@@ -55,8 +55,7 @@ def test_inputs_are_detached_and_diffuse_albedo_is_not_filtered():
 
 
 def test_training_lowers_confidence_at_highlights():
-    """The filtered error falls well below the raw one, and confidence is lower where predictions are
-    wrong."""
+    """The filtered error falls well below the raw one, and confidence is lower at wrong predictions."""
     torch.manual_seed(1)
     image, truth, predicted = _scene()
     nets = ConfidenceNets()

@@ -58,7 +58,7 @@ def test_crops_of_a_view_stay_within_their_block():
 
 @pytest.mark.parametrize(("ranks", "batch", "accumulation"), [(1, 8, 1), (2, 4, 1), (4, 1, 2), (2, 2, 2)])
 def test_ranks_share_each_step_without_overlap_or_loss(ranks, batch, accumulation):
-    """However the 8 crops of a step are split among ranks and micro-batches, they are the same 8."""
+    """The 8 crops of a step are the same for any split among ranks and micro-batches."""
     order = CropOrder(13, 3, 4, seed=1)
     plans = [list(BatchPlan(order, batch, accumulation, r, ranks, stop=9)) for r in range(ranks)]
     reference = list(BatchPlan(order, 8, stop=9))
@@ -117,7 +117,7 @@ def test_a_window_is_a_part_of_the_whole(shard):
 
 
 def test_a_flip_is_the_mirror_image_of_the_scene(shard):
-    """Points stay on their plane, normals stay theirs, projections move with the pixels."""
+    """Points stay on their plane, normals remain valid, and projections move with the pixels."""
     sample = view_sample(load_view(index_shard(shard)[0], NAMES), 0)
     for horizontal, vertical in ((True, False), (False, True), (True, True)):
         flipped = flip_sample(dict(sample), horizontal=horizontal, vertical=vertical)
@@ -151,7 +151,7 @@ def test_crops_are_reproducible_and_differ(shard):
 
 
 def lit_crops(folder, **options):
-    """Crops with recorded light, drawn with the same seed whatever the ``options`` of the data."""
+    """Crops with recorded light, drawn with the same seed for any data ``options``."""
     if not (folder / "lit").exists():
         make_dataset(folder / "lit", {"room-0": ("train", 3)}, has_light=True)
     places = index_shard(next(folder.glob("lit/shards/*.tar")))
@@ -204,7 +204,7 @@ def test_noise_grows_with_the_root_of_exposed_radiance(shard):
         before, after = plain[crop], noisy[crop]
         assert [n for n, value in before.items() if not torch.equal(value, after[n])] == ["beauty"]
         exposed = before["beauty"] * before["exposure"]
-        bright = exposed > 0.05  # no value of these is cut off at zero
+        bright = exposed > 0.05  # none of these values is clipped at zero
         error = (after["beauty"] * after["exposure"] - exposed)[bright]
         relative = error / exposed[bright].sqrt()
         dim, light = exposed[bright] < exposed[bright].median(), exposed[bright] >= exposed[bright].median()
@@ -224,7 +224,7 @@ def test_spread_jitter_widens_minimum_and_maximum(shard):
         before, after = plain[crop], jittered[crop]
         for name, value in before.items():
             if name not in stops:
-                assert torch.equal(value, after[name]), name  # nothing else changes, nor what is drawn
+                assert torch.equal(value, after[name]), name  # other buffers and random draws are unchanged
                 continue
             lit = value > 1e-3
             ratio = torch.log2(after[name][lit] / value[lit])
@@ -246,7 +246,7 @@ def test_loader_yields_the_plan_for_any_number_of_workers(shard, workers):
     torch.manual_seed(11)
     before = torch.get_rng_state()
     batches = list(make_loader(dataset, plan, workers=workers))
-    assert torch.equal(before, torch.get_rng_state())  # loading draws nothing from the training's stream
+    assert torch.equal(before, torch.get_rng_state())  # loading does not use the training's random stream
     assert [b["sample_id"].tolist() for b in batches] == list(plan)
     assert batches[0]["beauty"].shape == (4, 3, 32, 32)
     torch.testing.assert_close(batches[2]["beauty"][1], dataset[list(plan)[2][1]]["beauty"])
@@ -256,13 +256,13 @@ def test_loader_yields_the_plan_for_any_number_of_workers(shard, workers):
     ("ranks", "workers"), [(1, 0), (2, 0), (3, 0), pytest.param(2, 2, marks=pytest.mark.slow)]
 )
 def test_ranks_and_loader_workers_resume_in_an_epoch_without_overlap_or_loss(shard, ranks, workers):
-    """12 crops, an epoch of 12: whoever loads them, and wherever the run was cut, each comes once, in the
-    same order, with the same pixels."""
+    """An epoch of 12 crops: with any loader and interruption each occurs once, in the same order, with the
+    same pixels."""
     order = CropOrder(4, 3, 4, seed=5)
     batch, cut = 12 // ranks // 2, 1
     whole = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
     seen = []
-    for start, stop in ((0, cut), (cut, 4)):  # a run that is cut in the first epoch, and its continuation
+    for start, stop in ((0, cut), (cut, 4)):  # a run interrupted in the first epoch, and its continuation
         loaders = []
         for rank in range(ranks):
             plan = BatchPlan(order, batch, rank=rank, num_ranks=ranks, start=start, stop=stop)

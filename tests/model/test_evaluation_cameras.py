@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Photographs as cameras take them: every fault has its size, and nothing else changes."""
+"""Simulated camera faults: each has the stated size and changes nothing else."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ class _Image:
         self.color = color
 
     def read(self, camera: Camera) -> ColorImage:
-        np.testing.assert_array_equal(
-            camera.world_from_camera, CAMERA.world_from_camera
-        )  # where it really is
+        np.testing.assert_array_equal(camera.world_from_camera, CAMERA.world_from_camera)  # the true position
         return ColorImage(self.color.astype(np.float32), np.ones(self.color.shape[:2], bool))
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
@@ -38,7 +36,7 @@ class _Image:
 
 
 def _capture(num_views: int = 40) -> Capture:
-    """Radiances from 0.02 to 0.8, and a lamp of 40 on a fiftieth of every image."""
+    """A capture with radiances from 0.02 to 0.8, and a lamp of 40 on 2 % of every image."""
     random = np.random.default_rng(3)
     images = random.uniform(0.02, 0.8, (num_views, 64, 96, 3))
     images.reshape(num_views, -1, 3)[:, : 64 * 96 // 50] = 40.0
@@ -63,7 +61,7 @@ def test_the_given_share_of_pixels_is_clipped_lamps_first() -> None:
     limit = max(float(color.max()) for color in _taken(capture, clipped_share=0.3))
     true = np.concatenate([view.read().color.max(axis=2).ravel() for view in capture.views])
     assert (true > limit * 1.0001).mean() == pytest.approx(0.3, abs=0.01)
-    assert limit < 0.8  # all of the lamps are
+    assert limit < 0.8  # all lamp pixels are
 
 
 def test_every_image_has_its_own_exposure() -> None:
@@ -151,12 +149,12 @@ def test_a_suite_may_name_faults_and_bundles(tmp_path: Path) -> None:
     own = read_suite(suite("[{name: dim, exposure_stops: 1}]"))
     assert own.cameras == (CameraFaults(name="dim", exposure_stops=1.0),)
     assert read_suite(SMALL).cameras == ()
-    for camera, said in {
+    for camera, expected in {
         "[fisheye]": "expected each, bits-8",
         "[phone, phone]": "its own name",
         "[{name: x, jpeg: 90}]": "bits: 8 with jpeg",
     }.items():
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=expected):
             read_suite(suite(camera))
     with pytest.raises(ValidationError, match="linear"):
         CameraFaults(name="x", bits=14, contrast=0.1)

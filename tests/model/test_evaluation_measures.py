@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Measures of maps by kind of surface and by level, those of others, noise of figures, LPIPS by halves."""
+"""Measures of maps by kind of surface and by level, published measures, noise of figures, and split LPIPS."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_errors_cover_the_common_surface() -> None:
 
 
 def test_kinds_are_separated() -> None:
-    """A wall, a chrome column, a glossy white floor: errors go to the kind that they are made on."""
+    """On a wall, a chrome column and a glossy white floor errors are attributed to the kind of surface."""
     truth = _maps()
     truth[S][:, :2], truth[D][:, :2] = 0.9, 0.0  # metal
     truth[D][:, 2:4], truth[R][:, 2:4] = 0.8, 0.2  # white and glossy
@@ -90,7 +90,7 @@ def test_kinds_are_separated() -> None:
 
 
 def _room() -> tuple[CaptureGeometry, list[DirectionalLight]]:
-    """A table of 2 m with a cube of 10 cm on it, under a slanting sun."""
+    """A table of 2 m with a cube of 10 cm, under an oblique sun."""
     table = box((2.0, 2.0, 0.1))
     cube = box((0.1, 0.1, 0.1))
     cube.apply_translation((0, 0, 0.1))
@@ -133,7 +133,7 @@ def test_small_things_shadows_and_rare_views_are_found() -> None:
     np.testing.assert_array_equal(surfaces.kinds["small"], surfaces.region == 1)
     np.testing.assert_array_equal(surfaces.kinds["seldom seen"].any(axis=1), np.arange(size) == 0)
     sunlit = surfaces.kinds["sunlit"]
-    assert sunlit[middle, middle] and 0.005 < (~sunlit).mean() < 0.03  # but for the cube's shadow
+    assert sunlit[middle, middle] and 0.005 < (~sunlit).mean() < 0.03  # except for the cube's shadow
     shadow = np.argwhere(~sunlit).mean(axis=0)
     beyond = view.camera.camera_from_world @ np.array([-0.1, 0.0, 0.05, 1.0])  # away from the sun
     column = 100.0 * beyond[0] / beyond[2] + size / 2
@@ -148,17 +148,17 @@ def test_level_and_pattern_are_separated() -> None:
     assert found["diffuse_gain"] == pytest.approx(2)
     assert found["diffuse_mse_gain"] == pytest.approx(0, abs=1e-12)
     assert found["level_error"] == pytest.approx(np.log(2))
-    two = truth * np.where(region == 0, 0.5, 1.5)[:, None]  # right patterns on two wrong levels
+    two = truth * np.where(region == 0, 0.5, 1.5)[:, None]  # correct patterns at two wrong levels
     found = level_figures(two, truth, region)
     assert found["diffuse_mse_gain"] > 0.01
     assert found["diffuse_mse_region_gain"] == pytest.approx(0, abs=1e-12)
-    flat = np.broadcast_to(truth.mean(axis=0), truth.shape)  # right level, no pattern
+    flat = np.broadcast_to(truth.mean(axis=0), truth.shape)  # correct level, no pattern
     found = level_figures(flat, truth, region)
     assert found["level_error"] < 0.05 < 2 * found["diffuse_mse_region_gain"]
 
 
 def test_published_measures_follow_their_code() -> None:
-    """By hand for one view: kd where the truth is fully rough, everything off the surface zero in both."""
+    """Closed form for one view: kd where the truth is fully rough, and zeros off the surface in both."""
     truth = _maps(0.6, 0.0)
     truth[R][:, 3:] = 0.5
     lit = np.zeros(SHAPE, bool)
@@ -200,7 +200,7 @@ def test_informative_confidence_scores_higher() -> None:
 
 
 def test_the_bootstrap_has_the_size_of_the_noise() -> None:
-    """Over 300 draws of 12 views: its mean is the standard deviation of their means, to 5 %."""
+    """Over 300 draws of 12 views its mean is the standard deviation of their means, within 5 %."""
     random = np.random.default_rng(11)
     draws = random.normal(20, 3, (300, 12))
     errors = np.array([bootstrap_error(row) for row in draws])
@@ -210,14 +210,14 @@ def test_the_bootstrap_has_the_size_of_the_noise() -> None:
 
 def test_significant_differences_are_detected() -> None:
     random = np.random.default_rng(13)
-    hard = random.normal(20, 5, 12)  # views differ much, methods little
+    hard = random.normal(20, 5, 12)  # views differ more than methods
     other = {f"view-{k:03d}": float(v) for k, v in enumerate(hard)}
     better = {name: value + 0.5 + random.normal(0, 0.1) for name, value in other.items()}
     found = difference(other, better)
     assert found is not None and not found.is_none
     assert found.this - found.other == pytest.approx(0.5, abs=0.1) and found.error < 0.1
     noisy = difference(other, better, (1.0, 1.0))
-    assert noisy is not None and noisy.is_none  # a renderer's noise of 1 dB a view hides it
+    assert noisy is not None and noisy.is_none  # renderer noise of 1 dB per view hides it
     same = difference(other, {name: value + random.normal(0, 0.5) for name, value in other.items()})
     assert same is not None and same.is_none
     assert difference(other, {"view-000": 1.0}) is None
@@ -236,7 +236,7 @@ def test_a_second_seed_gives_the_spread() -> None:
 
 
 def _random_layers() -> list[Convolution]:
-    """VGG16 as it might be: its channels with weights that were never trained."""
+    """VGG16 with random weights."""
     generator = torch.Generator().manual_seed(23)
     channels = (3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
     return [

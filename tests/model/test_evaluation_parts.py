@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Suites, worse meshes, figures of merit, lights and tables of the evaluation, each by itself."""
+"""Suites, degraded meshes, figures of merit, lights and tables of the evaluation."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_all_faults_of_a_suite_are_reported_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "expected"),
     [
         ("kind: texture", "kind: textur", "methods"),
         ("atlas: 1024", "atlas: 5", "atlas"),
@@ -61,11 +61,11 @@ def test_all_faults_of_a_suite_are_reported_at_once(tmp_path: Path) -> None:
         ("kind: texture", "kind: truth, geometry: {noise_m: 0.1}", "no geometry"),
     ],
 )
-def test_bad_suites_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_bad_suites_are_refused(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = SMALL.read_text()
     assert old in text
     (tmp_path / "suite.yaml").write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=expected):
         read_suite(tmp_path / "suite.yaml")
 
 
@@ -108,7 +108,7 @@ def test_noise_has_its_size_and_keeps_lamps(geometry: CaptureGeometry) -> None:
     room = worse.mesh.faces[: worse.parts[0].num_faces]
     points = worse.mesh.positions[np.unique(room)].astype(np.float64)
     low, high = np.zeros(3), np.array([4, 3, 2.5])
-    # noise across the nearest wall is what moves a point off the box
+    # only noise normal to the nearest wall moves a point off the box
     off = np.minimum(np.abs(points - low), np.abs(points - high)).min(axis=1)
     assert len(points) > 1000
     assert np.sqrt((off**2).mean()) == pytest.approx(0.01, rel=0.1)
@@ -134,7 +134,7 @@ def test_decimation_and_holes_remove_their_shares(geometry: CaptureGeometry) -> 
 
 
 def _slow_ssim(a: NDArray, b: NDArray) -> float:
-    """Wang et al. 2004, pixel by pixel, where the window fits."""
+    """SSIM of Wang et al. 2004, pixel by pixel, where the window fits."""
     x = np.arange(-5, 6)
     window = np.exp(-(x[:, None] ** 2 + x[None] ** 2) / (2 * 1.5**2))
     window /= window.sum()
@@ -250,10 +250,10 @@ def test_all_faults_of_given_maps_are_reported_at_once(geometry: CaptureGeometry
     (tmp_path / "view-003.exr").write_bytes(b"no image")
     with pytest.raises(InputError) as caught:
         maps_files(tmp_path, capture)
-    told = "\n".join(str(problem) for problem in caught.value.problems)
-    assert "view-000" not in told
-    for said in ("view-001.exr", "48 x 32", "view-002.exr", "1.5", "view-003.exr", "view-004"):
-        assert said in told
+    messages = "\n".join(str(problem) for problem in caught.value.problems)
+    assert "view-000" not in messages
+    for expected in ("view-001.exr", "48 x 32", "view-002.exr", "1.5", "view-003.exr", "view-004"):
+        assert expected in messages
 
 
 # ---- tables

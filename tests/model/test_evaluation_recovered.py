@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rooms re-lit from what was found of them: whose lights shine when, and the column of their figures."""
+"""Re-lighting of reconstructed rooms: which lights are on, and the columns of their figures."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Opened:
-    """What :func:`recovered_sceneries` asks of an opened scene."""
+    """The fields of an opened scene that :func:`recovered_sceneries` reads."""
 
     sceneries: dict[str, Scenery]
     capture: Seen
@@ -53,7 +53,7 @@ def lamp(slot: str, face: int, radiance: tuple[float, float, float], *, is_named
 
 @pytest.fixture
 def reconstruction(tmp_path: Path) -> Path:
-    """A package with a lamp that the geometry names, one that it does not, and a window."""
+    """A package with a lamp that the geometry names, an unnamed one, and a window."""
     lamps = (
         lamp("lamp-0", 0, (2.5, 3.5, 4.5), is_named=True),
         lamp("found-0", 1, (1.0, 1.0, 1.0), is_named=False),
@@ -76,7 +76,7 @@ def opened(asset: Path, gain: float) -> Opened:
 def test_lamps_of_the_scene_light_a_reconstruction(
     reconstruction: Path, gain: float, mitsuba_variant: str
 ) -> None:
-    """With the scene's radiance, not with that which was found; under modified light times its gain."""
+    """They have the scene's radiance instead of the recovered one, times the gain under modified light."""
     sceneries = recovered_sceneries(opened(reconstruction, gain), reconstruction)  # type: ignore[arg-type]
     assert list(sceneries) == [OWN, MODIFIED, INSERTED, RECOVERED]
     off = (0.0, 0.0, 0.0)
@@ -90,7 +90,7 @@ def test_lamps_of_the_scene_light_a_reconstruction(
 
 
 def test_recovered_lights_replace_those_of_the_scene(reconstruction: Path, mitsuba_variant: str) -> None:
-    """The package's emission and its window; nothing of the scene's."""
+    """Only the package's emission and window light the scene."""
     scene = opened(reconstruction, 0.0)
     relit = recovered_sceneries(scene, reconstruction)[RECOVERED].configuration  # type: ignore[arg-type]
     assert relit.environment.emission == {} and relit.environment.asset == "room"

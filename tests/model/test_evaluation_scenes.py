@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Test scenes: cameras where a person would stand, the truth beside every photograph, nothing made twice,
-and no checkpoint that knows the scene."""
+"""Test scenes: plausible cameras, ground truth with every photograph, no repeated work, and no checkpoint
+trained on the scene."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_photographs_contain_the_ground_truth(prepared: PreparedScene) -> None:
     assert isinstance(room, EnvironmentAsset)
     assert [type(light) for light in capture.lights] == [type(light) for light in room.lights]
     for mine, theirs in zip(capture.lights, room.lights, strict=True):
-        assert mine.model_dump(exclude={"asset"}) == theirs.model_dump(exclude={"asset"})  # own intensities
+        assert mine.model_dump(exclude={"asset"}) == theirs.model_dump(exclude={"asset"})  # as in the scene
     copper = np.array(room.materials["copper"].specular_albedo, dtype=float)
     seen = np.zeros((0, 3))
     for view in capture.views:
@@ -82,7 +82,7 @@ def test_photographs_contain_the_ground_truth(prepared: PreparedScene) -> None:
         assert surface.mean() > 0.5
         assert np.isfinite(maps["beauty"]).all() and maps["beauty"][surface].mean() > 0
         seen = np.concatenate([seen, maps["specular_albedo"][surface].astype(float)])
-    assert np.abs(seen - copper).max(axis=1).min() < 0.01  # the metal that is there is in the truth
+    assert np.abs(seen - copper).max(axis=1).min() < 0.01  # the scene's metal is in the truth
 
 
 def test_a_finished_scene_is_not_prepared_again(prepared: PreparedScene) -> None:
@@ -92,14 +92,14 @@ def test_a_finished_scene_is_not_prepared_again(prepared: PreparedScene) -> None
     again = prepare_scene(small_scene(), cache, lambda stage, done, total: stages.append(stage))
     assert again == prepared
     assert stages == []
-    index = prepared.capture.parents[1] / "index.json"  # written from the markers, whatever was there
+    index = prepared.capture.parents[1] / "index.json"  # written from the markers in any case
     kept = {p: t for p, t in files.items() if p.name not in ("index.json", "dataset.json", "recipe.yaml")}
     assert index.is_file() and kept
     assert {p: p.stat().st_mtime_ns for p in kept} == kept
 
 
 def test_other_settings_have_another_folder(prepared: PreparedScene, tmp_path: Path) -> None:
-    """The folder's name covers what decides the pixels: the source's content too, but not its place."""
+    """The folder's name depends on all that determines pixels: the source's content, but not its path."""
     cache = prepared.library[0].parents[1]
     moved = tmp_path / "elsewhere"
     shutil.copytree(ROOM, moved)
@@ -122,8 +122,8 @@ def test_a_package_can_be_a_source(prepared: PreparedScene, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("unit_m", [1.0, 2.0])
 def test_cameras_are_at_plausible_positions(unit_m: float, tmp_path: Path) -> None:
-    """At the height of a held camera above the floor, whatever the file's unit; nowhere inside things; the
-    walk through free air, between photographs."""
+    """Cameras are at hand-held height above the floor in any unit, outside of objects; the novel views are on
+    a path through free space between photographs."""
     options = ImportOptions(unit_scale=unit_m, asset_id="room")
     import_mitsuba_scene(ROOM / "room.xml", tmp_path, options)
     recipe = CameraRecipe(height_m=HEIGHTS, min_distance_m=0.3)
@@ -141,13 +141,13 @@ def test_cameras_are_at_plausible_positions(unit_m: float, tmp_path: Path) -> No
     assert [space.fault(place, 0.1) for place in places] == [""] * len(places)
     for camera in (c.camera() for c in cameras):
         hits = space.rays.cast(camera.position_m, camera.ray_directions().reshape(-1, 3))
-        assert (hits.distance_m < 0.3).mean() < 0.1  # not in front of a wall
+        assert (hits.distance_m < 0.3).mean() < 0.1  # not facing a near wall
         assert np.median(hits.distance_m) > 0.8 * unit_m
     steps = np.diff(places[12:], axis=0)
     lengths = np.linalg.norm(steps, axis=1)
-    assert lengths == pytest.approx([lengths[0]] * 4, abs=1e-6)  # one even walk
+    assert lengths == pytest.approx([lengths[0]] * 4, abs=1e-6)  # one path of even steps
     assert not space.rays.occluded(places[12:-1], steps / lengths[:, None], lengths).any()
-    assert np.linalg.norm(places[12:, None] - places[None, :12], axis=2).min() > 0.02 * unit_m  # and novel
+    assert np.linalg.norm(places[12:, None] - places[None, :12], axis=2).min() > 0.02 * unit_m  # novel
     moved = Counter(tuple(np.round(place, 3)) for place in places)
     assert max(moved.values()) == 1
 
@@ -199,8 +199,8 @@ materials: {replace_probability: 1.0, any_class_probability: 1.0, include: [mapl
 
 
 def test_a_recipe_defines_a_scene(tmp_path: Path) -> None:
-    """Furniture, materials and lights are the recipe's, cameras the scene's; what must be unknown to a
-    checkpoint is everything, or the materials alone."""
+    """The recipe determines furniture, materials and lights, the scene the cameras; either all assets or only
+    the materials must be unknown to a checkpoint."""
     recipe = tmp_path / "drawn.yaml"
     recipe.write_text(DRAWN)
     scene = small_scene(name="drawn", source=recipe, configuration=1, may_know_shapes=True)
@@ -222,14 +222,14 @@ def test_a_recipe_defines_a_scene(tmp_path: Path) -> None:
 
 
 def test_a_scene_can_provide_assets(tmp_path: Path, shared_data: Path) -> None:
-    """The living room of Poly Haven is furnished with things that are imported with it."""
+    """The living room of Poly Haven is furnished with objects that are imported with it."""
     suite = read_suite(REPOSITORY / "scenes" / "suites" / "development.yaml")
     room = next(scene for scene in suite.scenes if scene.name == "living-room")
     planned = plan_scene(room.model_copy(update={"views": 4, "novel_views": 0}), tmp_path)
     configuration = planned.folder.read_configuration(planned.plan.units[0])
     assert configuration.environment.asset == "living_room"
     assert len({thing.asset for thing in configuration.objects}) >= 3
-    assert all(thing.materials == {} for thing in configuration.objects)  # in their own
+    assert all(thing.materials == {} for thing in configuration.objects)  # in their classes
 
 
 def test_wrong_sources_are_refused(prepared: PreparedScene, tmp_path: Path) -> None:
@@ -243,15 +243,15 @@ def test_wrong_sources_are_refused(prepared: PreparedScene, tmp_path: Path) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "unit_m"), [("veach-ajar", 0.75), ("dining-room", 0.34)])
 def test_scenes_of_the_paper(name: str, unit_m: float, shared_data: Path, tmp_path: Path) -> None:
-    """They are marked for evaluation only, and lend themselves to photographs."""
+    """They are marked for evaluation only and can be photographed."""
     scene = small_scene(
         name=name, source=shared_data / "scenes" / name, unit_m=unit_m, views=6, novel_views=2
     )
     found = prepare_scene(scene, tmp_path)
     assert open_package(found.package).asset.provenance.usage == "evaluation_only"
     with Library(found.library) as library:
-        assert library.select("environment") == []  # no recipe draws it
+        assert library.select("environment") == []  # not available to recipes
     assert_not_trained_on(found, read_card(bundled_checkpoint()))
     capture = read_capture(found.capture, CaptureOptions(library=found.library))
     luminance = [float(np.median(view.source.read_maps(("beauty",))["beauty"])) for view in capture.views]
-    assert min(luminance) > 0.01 * max(luminance)  # none stands in the dark, or in a wall
+    assert min(luminance) > 0.01 * max(luminance)  # none is in the dark or in a wall

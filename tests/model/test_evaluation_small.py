@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The small suite from photographs to tables: rendered, rebuilt, judged, written, and not done twice."""
+"""The small suite from photographs to tables: rendered, reconstructed, evaluated, not repeated."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def test_figures_are_in_a_plausible_order(small: tuple[Suite, Evaluation]) -> No
             )
             assert psnr == sorted(psnr, reverse=True), (light, views, psnr)
             assert dssim == sorted(dssim), (light, views, dssim)
-            assert psnr[0] > psnr[1] + 5  # the true maps are of another kind than any estimate
-    assert not any("recovered" in m.images for m in methods.values())  # no photograph shows the lamp
+            assert psnr[0] > psnr[1] + 5  # the true maps are far better than any estimate
+    assert not any("recovered" in m.images for m in methods.values())  # the lamp is not photographed
     merged = [m.maps_merged["diffuse_albedo"] for m in (oracle, ours, constant)]
     assert merged == sorted(merged)
     assert set(oracle.maps_per_view.values()) == {0.0}
@@ -81,7 +81,7 @@ def test_results_are_written_and_self_contained(small: tuple[Suite, Evaluation],
     with (tmp_path / "kinds.csv").open(newline="") as file:
         kinds = {(row["method"], row["surfaces"]): row for row in csv.DictReader(file)}
     metal = [float(kinds[name, "metal"]["S (RMSE)"]) for name in ("oracle", "constant")]
-    assert metal[0] < 0.1 < 0.3 < metal[1]  # copper, where one small S is said everywhere
+    assert metal[0] < 0.1 < 0.3 < metal[1]  # copper, while the constant method predicts a small S
     assert float(kinds["ours", "glossy"]["of all (%)"]) + float(kinds["ours", "matt"]["of all (%)"]) < 100
     with (tmp_path / "noise.csv").open(newline="") as file:
         noise = [row for row in csv.DictReader(file) if row["method"] == "ours"]
@@ -96,12 +96,12 @@ def test_results_are_written_and_self_contained(small: tuple[Suite, Evaluation],
         assert header in markdown
     assert json.loads((tmp_path / "evaluation.json").read_text())["suite"] == "small"
     page = (tmp_path / "index.html").read_text()
-    # with the colon: letters alone may stand in an image, which is base64
+    # with the colon: letters alone may occur in base64 images
     assert "http:" not in page and "https:" not in page and "<script src" not in page and "<link" not in page
-    sliders, errors = 4 * 2 * 2, 5 * 3 + 1  # four methods: two pairs; maps, with the truth, and the scale
+    sliders, errors = 4 * 2 * 2, 5 * 3 + 1  # four methods: two pairs; maps with the truth, and the scale
     assert (
         page.count("data:image/jpeg;base64,") == 5 * 8 + 1 + sliders + errors
-    )  # and all pictures, with the truth, which recovered light is held against
+    )  # and all pictures, with the truth for recovered light
     assert "±" in page and page.count('class="pair"') == 8
     assert page.count('<svg viewBox="0 0 430') == 3 and ">metal<" in page
     with Image.open(tmp_path / "figures" / "small-room-relighting.png") as image:
@@ -116,7 +116,7 @@ def test_finished_suite_is_not_repeated(small: tuple[Suite, Evaluation], cache: 
 
 
 def test_stopped_suite_continues(small: tuple[Suite, Evaluation], cache: Path) -> None:
-    """A method whose figures and one view are missing: that view alone is rendered again, as it was."""
+    """If a method's figures and one view are missing, only that view is rendered again, identically."""
     suite, evaluation = small
     constant = _methods(evaluation)["constant"]
     (result,) = Path(constant.folder).glob("result-*.json")
@@ -164,8 +164,8 @@ def test_maps_of_another_method_are_evaluated_like_ours(
 
 
 def test_cameras_and_seeds_reach_the_results(small: tuple[Suite, Evaluation], cache: Path) -> None:
-    """Texture on photographs of a phone differs from that on rendered ones; the truth is judged once, and
-    rendered apart from the photographs; a second seed says how far its figures can be trusted."""
+    """Reconstructed texture differs between phone and rendered photographs; the truth is evaluated once, and
+    rendered separately from the photographs; a second seed gives the uncertainty of the figures."""
     suite, evaluation = small
     methods = tuple(method for method in suite.methods if method.kind == "texture")
     changes = {
@@ -194,7 +194,7 @@ def test_cameras_and_seeds_reach_the_results(small: tuple[Suite, Evaluation], ca
 def test_methods_of_one_checkpoint_share_its_predictions(
     small: tuple[Suite, Evaluation], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without materials from light, the networks have no more to say."""
+    """Without materials from light, methods with the same checkpoint have the same predictions."""
     suite, evaluation = small
 
     def refuse(*_: object) -> None:
@@ -214,7 +214,7 @@ def test_methods_of_one_checkpoint_share_its_predictions(
 def test_estimates_need_fewer_samples_than_the_truth(
     small: tuple[Suite, Evaluation], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is far from the truth stops where noise is a small share of that, and has the same figures."""
+    """Rendering of poor estimates stops when noise is a small share of their error, with the same figures."""
     suite, _ = small
     passes: list[int] = []
     add_pass = ViewJob.add_pass
@@ -227,7 +227,7 @@ def test_estimates_need_fewer_samples_than_the_truth(
     constant = tuple(method for method in suite.methods if method.kind == "constant")
     render = RenderRecipe(max_rel_mse=1e-3, max_path_samples=128, auxiliary_samples=16)
     changes = {"methods": constant, "render": render, "truth": render, "input_views": 2, "novel_views": 1}
-    evaluate(suite.model_copy(update={**changes, "noise_share": 0.5}), cache)  # with it the truth
+    evaluate(suite.model_copy(update={**changes, "noise_share": 0.5}), cache)  # including the truth
     figures, needed = [], []
     for share in (None, 0.05):
         passes.clear()
@@ -235,7 +235,7 @@ def test_estimates_need_fewer_samples_than_the_truth(
         (scene,) = evaluate(changed, cache).result.scenes
         figures.append(scene.methods[0].images)
         needed.append(len(passes))
-    assert needed[1] <= needed[0] - 4 and needed[1] >= 7  # views of both lights and of what is put in
+    assert needed[1] <= needed[0] - 4 and needed[1] >= 7  # views of both lights and of the inserted object
     for light in ("own", "modified"):
         for views in ("input", "novel"):
             full, early = (images[light][views]["psnr_srgb_db"] for images in figures)
@@ -245,8 +245,8 @@ def test_estimates_need_fewer_samples_than_the_truth(
 def test_a_failed_scene_does_not_stop_the_others(
     small: tuple[Suite, Evaluation], cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A scene that a checkpoint knows and one that cannot be imported, beside one that can be judged: the two
-    are told before anything is rendered, the third has its figures."""
+    """A scene that a checkpoint was trained on and one that cannot be imported are reported before anything
+    is rendered; the third is evaluated."""
     suite, evaluation = small
     whole = suite.scenes[0]
     shutil.copytree(Path(whole.source).parent, tmp_path / "kitchen")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The hook for training and inference: what listeners hear, and that a broken one ends nothing."""
+"""The event hook of training and inference: events of listeners, and failing listeners."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def test_listeners_get_the_entries_of_the_log(tmp_path: Path) -> None:
             (int(r["step"]), f"{r['kind']}/{r['phase']}", r["name"], float(r["value"]))
             for r in csv.DictReader(file)
         }
-    told = {
+    received = {
         (e.step, e.name, name, value)
         for e in HEARD
         if e.kind == "scalars"
         for name, value in e.values.items()
     }
-    assert told == logged and len(told) > 20
+    assert received == logged and len(received) > 20
     images = [event.image for event in HEARD if event.kind == "image"]
     assert images and all(i.dtype == np.uint8 and i.shape[2] == 3 for i in images)
     assert [(e.kind, e.source, e.folder) for e in HEARD[-1:]] == [("end", "train", tmp_path / "run")]
@@ -65,8 +65,8 @@ def test_a_failing_listener_is_reported_and_dropped(
     for step in range(3):
         listeners.tell(Event("train", "scalars", tmp_path, "train/joint", step, {"loss": 1.0}))
     assert len(calls) == 1 and [event.step for event in HEARD] == [0, 1, 2]
-    said = capsys.readouterr().err
-    assert "broken failed and is not called again" in said and "the server is gone" in said
+    output = capsys.readouterr().err
+    assert "broken failed and is not called again" in output and "the server is gone" in output
 
 
 @pytest.mark.parametrize("quiet", [(), ("--quiet",)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""USDZ: what USD's own validators and readers find in it, held against mesh, maps and lights."""
+"""USDZ, checked with USD's validators and readers against mesh, maps and lights."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PANELS = FoundPatch("panel-0", (PANEL,), (9.0, 0.5, 1.5), 1.5, (1.0, 2.0, 4.0))
 
 
 def made(folder: Path, lights: FoundLights | None, known: tuple[Light, ...] = ()) -> Path:
-    """The textured room with an atlas of random values, as USDZ."""
+    """Export the textured room with an atlas of random values as USDZ."""
     capture = replace(room_capture(2, (32, 24)), lights=known)
     atlas = empty_atlas(64)
     atlas.face[:] = 0
@@ -48,7 +48,7 @@ def made(folder: Path, lights: FoundLights | None, known: tuple[Light, ...] = ()
 
 
 def all_lights(folder: Path) -> Path:
-    """With a lamp, a surface that was found to shine, a panel, and a sky bright at one pixel."""
+    """Export with a lamp, an emissive surface, a panel, and a sky with one bright pixel."""
     lamps = tuple(
         FoundLamp(slot, np.array([face], np.int32), 1, (1.0, 2.0, 4.0), (0.0, 0.0, 0.0), 0.01, is_named)
         for slot, face, is_named in (("lamp-0", 0, True), ("found-0", 5, False))
@@ -59,7 +59,7 @@ def all_lights(folder: Path) -> Path:
 
 
 def faults(stage: Any) -> list[str]:
-    """Names of what the validators that ``usdchecker`` runs object to."""
+    """Names of the faults found by the validators of ``usdchecker``."""
     from pxr import UsdValidation
 
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
@@ -69,7 +69,7 @@ def faults(stage: Any) -> list[str]:
 
 
 def texture(shader: Any, name: str) -> tuple[str, str, str]:
-    """File, channel and colour space that an input of a surface is connected to."""
+    """File, channel and colour space of the texture at an input of a surface."""
     from pxr import UsdShade
 
     connected, channel, _ = shader.GetInput(name).GetConnectedSource()
@@ -79,7 +79,7 @@ def texture(shader: Any, name: str) -> tuple[str, str, str]:
 
 
 def to_world(prim: Any) -> NDArray[np.float64]:
-    """(4, 4) for columns."""
+    """World transform (4, 4) of a prim, for column vectors."""
     from pxr import UsdGeom
 
     return np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)).T
@@ -91,7 +91,7 @@ def test_usd_validators_find_nothing(tmp_path: Path) -> None:
 
     path = all_lights(tmp_path)
     assert faults(Usd.Stage.Open(str(path))) == []
-    with zipfile.ZipFile(path) as package:  # the twin: without a texture, and without an up axis
+    with zipfile.ZipFile(path) as package:  # injected faults: no texture, and no up axis
         package.extractall(tmp_path / "open")
     (tmp_path / "open" / "orm.png").unlink()
     stage = Usd.Stage.Open(str(tmp_path / "open" / "room.usdc"))
@@ -102,7 +102,7 @@ def test_usd_validators_find_nothing(tmp_path: Path) -> None:
 
 @needs_usd
 def test_surfaces_are_exported_completely(tmp_path: Path) -> None:
-    """In metres with Y up; D, S and R as the atlas's images have them, connected where they belong."""
+    """In metres with Y up; D, S and R equal the atlas's images and are connected to the right inputs."""
     from pxr import Usd, UsdGeom, UsdShade
 
     path = all_lights(tmp_path)
@@ -127,7 +127,7 @@ def test_surfaces_are_exported_completely(tmp_path: Path) -> None:
         ("metallic", {"diffuseColor": "base_color.rgb", "metallic": "orm.b", "roughness": "orm.g"}),
         ("specular", {"diffuseColor": "diffuse_albedo.rgb", "specularColor": "specular_albedo.rgb"}),
     ):
-        if workflow == "specular":  # the other one is there from the start
+        if workflow == "specular":  # the other one exists from the start
             stage.GetDefaultPrim().GetVariantSet("workflow").SetVariantSelection(workflow)
         assert shader.GetInput("useSpecularWorkflow").Get() == (workflow == "specular")
         for name, source in wanted.items():
@@ -196,7 +196,7 @@ def radiance(prim: Any) -> NDArray[np.float64]:
 
 @needs_usd
 def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None:
-    """A point has the intensity of the sphere that stands for it."""
+    """The sphere that replaces a point light has its intensity."""
     from pxr import Usd, UsdLux
 
     known: tuple[Light, ...] = (
@@ -237,7 +237,7 @@ def test_large_atlases_are_averaged_down(tmp_path: Path, monkeypatch: pytest.Mon
 def test_infer_writes_it_on_demand(
     tmp_path: Path, mitsuba_variant: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without usd-core it says so before work starts."""
+    """Without usd-core a message appears before work starts."""
     capture = room_capture(3, (48, 32))
     with monkeypatch.context() as patch:
         patch.setitem(__import__("sys").modules, "pxr.Usd", None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The lights that `materials infer` finds, and how they leave: report, Mitsuba scene, package, GLB."""
+"""The lights that `materials infer` finds, and their export: report, Mitsuba scene, package, GLB."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SAMPLES = 64
 
 @dataclass(frozen=True)
 class Inferred:
-    """A result, and the input of its balance."""
+    """A result, and the input of its light balance."""
 
     out: Path
     reconstruction: Reconstruction
@@ -46,7 +46,7 @@ class Inferred:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Inferred:
-    """The room, solved by light alone: networks that were never trained."""
+    """The room reconstructed from light with untrained networks."""
     folder = tmp_path_factory.mktemp("found")
     torch.manual_seed(1)
     network = NetworkConfig(base_channels=4, global_channels=8)
@@ -81,7 +81,7 @@ def lights_of(out: Path) -> dict[str, dict[str, Any]]:
 
 
 def test_lamp_and_window_are_found(inferred: Path) -> None:
-    """Radiance, area and power within 5 %; a lamp's is known better than a window's, whose edge is found by
+    """Radiance, area and power are within 5 %, for a lamp closer than for a window, whose edge is found by
     rays."""
     lights = lights_of(inferred)
     assert sorted(lights) == ["lamp-0", "window-0"]
@@ -96,7 +96,7 @@ def test_lamp_and_window_are_found(inferred: Path) -> None:
 
 
 def gains_of(run: Inferred, factors: dict[str, Color]) -> dict[str, NDArray[np.float64]]:
-    """Gains of the recovered lights times ``factors``, times these factors: 1 if found right."""
+    """Product of ``factors`` applied to recovered lights and the gains found: 1 if correct."""
     assert run.reconstruction.lights is not None
     wrong = replace(run.reconstruction, lights=run.reconstruction.lights.with_gains(factors))
     found = balance.balanced(wrong, run.samples)
@@ -105,7 +105,7 @@ def gains_of(run: Inferred, factors: dict[str, Color]) -> dict[str, NDArray[np.f
 
 
 def test_wrong_lights_are_corrected(run: Inferred) -> None:
-    """Each light and channel comes back from its own error."""
+    """Each light and channel is corrected for its error."""
     found = gains_of(run, {"lamp-0": (0.4, 0.5, 0.4), "window-0": (2.5, 2.5, 2.0)})
     for slot in ("lamp-0", "window-0"):
         np.testing.assert_allclose(found[slot], 1, rtol=0.07, err_msg=slot)
@@ -150,7 +150,7 @@ def test_samples_are_unclipped_pixels_in_any_order_of_the_views() -> None:
 
 
 def rendered(out: Path, xml: str | None = None) -> dict[int, NDArray[np.float64]]:
-    """Views of the exported Mitsuba scene alone."""
+    """Rendered views of the exported Mitsuba scene."""
     import mitsuba as mi
 
     from mitsuba_plugins import register
@@ -167,8 +167,8 @@ def rendered(out: Path, xml: str | None = None) -> dict[int, NDArray[np.float64]
 
 
 def apart(shown: dict[int, NDArray[np.float64]]) -> tuple[float, float]:
-    """Of all views against the photographs: the mean's logarithm, and the median over blocks of 5 x 5 pixels
-    of that of each block."""
+    """Absolute log ratio of rendered to photographed means over all views, and the median of those of 5 x 5
+    blocks."""
     blocks, sums = [], np.zeros(2)
     for index, image in shown.items():
         pair = [np.asarray(values, np.float64) for values in (image, photographed_room()[index].color)]
@@ -179,13 +179,13 @@ def apart(shown: dict[int, NDArray[np.float64]]) -> tuple[float, float]:
 
 
 def test_mitsuba_scene_reproduces_the_photographs(inferred: Path) -> None:
-    """Materials and lights are found, nothing else is told: the closed room renders lit."""
+    """With only recovered materials and lights the closed room renders like the photographs."""
     mean, block = apart(rendered(inferred))
     assert mean < 0.05 and block < 0.06, (mean, block)
 
 
 def test_a_ten_per_cent_light_error_is_detected(inferred: Path) -> None:
-    """The twin: the lamp and the window 10 % brighter."""
+    """Injected fault: lamp and window 10 % brighter."""
     import re
 
     xml = (inferred / "mitsuba" / "scene.xml").read_text()
@@ -215,7 +215,7 @@ def test_package_contains_the_lights(inferred: Path) -> None:
 
 
 def test_package_renders_under_its_lights(inferred: Path) -> None:
-    """By the project's own renderer, alone."""
+    """The package renders alone in the project's renderer."""
     from model.reconstruction.render.relight import RelightOptions, render_asset
 
     names = tuple(f"view-{k:03d}" for k in SHOWN[:3])
@@ -232,7 +232,7 @@ def glb_document(path: Path) -> dict[str, Any]:
 
 
 def test_glb_round_trips_with_its_lights(inferred: Path, tmp_path: Path) -> None:
-    """Emission by the project's importer and by trimesh; the lamp as a point light is too large here."""
+    """Emission is read by the project's importer and trimesh; the lamp is too large for a point light."""
     import trimesh
 
     from datagen.importers.common import ImportOptions
@@ -257,7 +257,7 @@ def test_glb_round_trips_with_its_lights(inferred: Path, tmp_path: Path) -> None
 
 
 def test_confidence_has_an_image_and_pictures(inferred: Path) -> None:
-    """Light alone: every texel that was seen rests on light, none of the others does."""
+    """With materials from light only, exactly the seen texels have confidence."""
     confidence = read_image(inferred / "atlas" / "confidence.png")
     seen = read_image(inferred / "atlas" / "mask.png")[..., 0] == 255
     assert confidence.shape == (256, 256, 3)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Captures and weights from strangers: a valid object or an InputError, nothing read outside, no pickle.
+"""Untrusted captures and weights: a valid object or an InputError, no access outside, no pickle.
 
-The full run and how it works: ``tests/datagen/test_hostile_input.py``.
+For the full run see ``tests/datagen/test_hostile_input.py``.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def test_readers_return_objects_or_refuse(name: str, tmp_path: Path) -> None:
 
 @pytest.fixture
 def outside(tmp_path: Path) -> Path:
-    """A folder with a photograph and a mesh that a capture beside it has no right to."""
+    """A folder with a photograph and a mesh that a capture beside it must not read."""
     folder = tmp_path / "outside"
     folder.mkdir()
     (folder / "a.png").write_bytes(encode_png(np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)))
@@ -57,7 +57,7 @@ def outside(tmp_path: Path) -> Path:
 
 
 def _write_form(root: Path, form: str, image: str) -> Path:
-    """A capture of ``form`` whose photograph is called ``image`` in it; its mesh is inside."""
+    """Write a capture in format ``form`` that names its photograph ``image``; its mesh is inside."""
     root.mkdir(exist_ok=True)
     for name, text in capture_texts(form).items():
         (root / name).write_text(re.sub(r'(images/)?a\.png|images/a(?=")', lambda _: image, text))
@@ -107,7 +107,7 @@ def test_meshes_outside_are_refused_unless_allowed(tmp_path: Path, outside: Path
 
 
 def test_folders_named_in_a_document_are_not_searched(tmp_path: Path, outside: Path) -> None:
-    """OpenMVG's root_path is another computer's; only its last name counts, beside the file."""
+    """OpenMVG's root_path refers to another computer; only its last name counts, relative to the file."""
     root = _write_form(tmp_path / "capture", "openmvg", "a.png")
     path = root / "sfm_data.json"
     for name in (str(outside), "..", "../outside", "/"):
@@ -141,7 +141,7 @@ def test_scene_includes_outside_are_refused(tmp_path: Path, outside: Path) -> No
             read_capture(root / "scene.xml", OPTIONS)
 
 
-# ---------------------------------------------------------------------- claims and bombs
+# ---------------------------------------------------------------------- false claims and bombs
 
 
 def _gltf(**changes: Any) -> dict[str, Any]:
@@ -225,7 +225,7 @@ def _with_picture(root: Path) -> Path:
 
 
 class _Runs:
-    """Makes a file when it is unpickled."""
+    """Creates a file when unpickled."""
 
     def __init__(self, marker: Path):
         self.marker = marker
@@ -250,7 +250,7 @@ def _calls(tree: ast.AST) -> list[tuple[str, ast.Call]]:
 
 
 def test_no_source_loads_pickles_or_unpacks_archives() -> None:
-    """There is one restricted unpickler, for a file of pinned hash: ``model.training.weights``."""
+    """The only unpickler is restricted and for a file of pinned hash: ``model.training.weights``."""
     forbidden = {
         "pickle.load", "pickle.loads", "pickle.Unpickler", "marshal.loads", "marshal.load", "shelve.open",
         "yaml.load", "yaml.unsafe_load", "yaml.full_load", "eval", "exec", "joblib.load", "dill.load",

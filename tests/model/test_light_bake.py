@@ -37,14 +37,14 @@ ABOVE = 0.25
 
 
 def background(radiance: NDArray) -> Background:
-    """One radiance from everywhere."""
+    """Background of uniform radiance."""
     every = np.ones(NEAR.size, dtype=bool)
     low, high = np.full(3, -5.0), np.full(3, 5.0)
     return Background(low, high, np.tile(radiance, (NEAR.size, 1)).astype(np.float32), every, every)
 
 
 def dark_surfel() -> Surfels:
-    """One that no ray meets."""
+    """A surfel that no ray hits."""
     surfel = np.array([0, -1, -1, -1, -1, -1], np.int32)
     grid = CellGrid(np.full(3, -5.0), 10.0, np.array([1, 1, 1]), surfel)
     row, one = np.zeros((1, 3), np.float32), np.zeros(1, np.int32)
@@ -75,7 +75,7 @@ def baker(*, has_sky: bool) -> Baker:
 
 
 def hemisphere(num: int = 1200) -> tuple[NDArray, NDArray]:
-    """Directions (K, 3) of a grid equal in cosine and azimuth, and their solid angle."""
+    """Directions (K, 3) of a grid uniform in cosine and azimuth, and their solid angle."""
     z = (np.arange(num) + 0.5) / num
     azimuth = (np.arange(num) + 0.5) / num * 2 * np.pi
     z, azimuth = (part.ravel() for part in np.meshgrid(z, azimuth, indexing="ij"))
@@ -85,7 +85,7 @@ def hemisphere(num: int = 1200) -> tuple[NDArray, NDArray]:
 
 
 def incoming(point: NDArray, direction: NDArray, *, has_sky: bool) -> NDArray[np.float64]:
-    """1 where a ray meets the panel, else the sky's half; in units of RADIANCE."""
+    """Incident radiance in units of RADIANCE: 1 from the panel, else 0.5 with ``has_sky``, else 0."""
     t = (ABOVE - point[2]) / np.maximum(direction[:, 2], 1e-12)
     place = point[None, :2] + t[:, None] * direction[:, :2]
     hits = (np.abs(place) < 0.3).all(axis=1)
@@ -97,7 +97,7 @@ POINTS = np.array([[0.0, 0.0, 0.0], [0.25, -0.1, 0.0], [0.6, 0.4, 0.0]])
 
 @pytest.mark.parametrize("has_sky", [False, True])
 def test_diffuse_shading(has_sky: bool) -> None:
-    """Within 1 % of the integral of L cos / pi."""
+    """Ld is within 1 % of the integral of L cos / pi."""
     normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
     found = baker(has_sky=has_sky).irradiance(POINTS, normal, 4096)
     directions, solid = hemisphere()
@@ -108,7 +108,7 @@ def test_diffuse_shading(has_sky: bool) -> None:
 
 
 def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
-    """D G / (4 cos_i) times 1 - f and f, in float64: the integrand's BRDF parts times cos_o."""
+    """The integrand's BRDF parts times cos_o in float64: D G / (4 cos_i) times 1 - f and f."""
     from scipy.special import erf
 
     half = wi + wo
@@ -129,7 +129,7 @@ def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
 @pytest.mark.parametrize("roughness", [0.25, 0.55, 1.0])
 @pytest.mark.parametrize("has_sky", [False, True])
 def test_specular_shading(roughness: float, has_sky: bool) -> None:
-    """Within 2 % of the integrals of the BRDF's two parts, and 0.003 of what the brightest light gives."""
+    """Within 2 % of the integrals of the BRDF's two parts, plus 0.003."""
     view = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.9, 0.1, np.sqrt(1 - 0.82)]])
     normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
     found = baker(has_sky=has_sky).specular(POINTS, normal, view, np.full(len(POINTS), roughness), 8192)
@@ -143,8 +143,8 @@ def test_specular_shading(roughness: float, has_sky: bool) -> None:
 
 @pytest.mark.parametrize(("albedo", "roughness"), [(0.8, 0.25), (0.3, 0.7)])
 def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
-    """A point above a metal floor under a uniform sky gets what the lobe reflects of it, within 1 %, and not
-    the floor's radiance in the cameras' directions."""
+    """A point above a metal floor under a uniform sky receives its lobe's reflection within 1 %, not the
+    radiance that the floor shows to the cameras."""
     corners = np.array([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], np.float32)
     floor = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, None)
     one = dark_surfel()
@@ -178,7 +178,7 @@ def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
 
 
 def observations(num: int, metal: bool, seed: int) -> tuple[NDArray, ...]:
-    """Random shading of points, and what a material would look like in it: S 0.06 or coloured, R 0.4."""
+    """Random shading of points, and their appearance with a material: S 0.06 or coloured, R 0.4."""
     random = np.random.default_rng(seed)
     levels = len(ROUGHNESS_LEVELS)
     ls0 = random.gamma(0.6, 1.0, (num, 8, levels, 3)).astype(np.float32)
@@ -236,8 +236,8 @@ def test_metal_spreads_to_dark_segments_of_its_region(albedo: float, becomes_met
 
 
 def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, views: int = 4) -> SolvedSegments:
-    """Of one segment whose hypotheses cost ``dielectric`` (levels, speculars), and metal of S 0.9 ``metal``;
-    a network that says S 0.04, R 0.6."""
+    """Decision for one segment whose hypotheses cost ``dielectric`` (levels, speculars) and ``metal`` (S
+    0.9), with a network's S of 0.04 and R of 0.6."""
     num_levels = len(ROUGHNESS_LEVELS)
     costs = Costs(
         dielectric[None].astype(np.float32),
@@ -250,8 +250,8 @@ def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, view
 
 
 def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) -> NDArray:
-    """Costs (levels, speculars): ``noise`` of the best hypothesis, ``noise + matte`` without S, twice the
-    noise of all others."""
+    """Costs (levels, speculars): ``noise`` for the best hypothesis, ``noise + matte`` without S, and twice
+    the noise for all others."""
     costs = np.full((len(ROUGHNESS_LEVELS), len(SPECULAR_LEVELS)), 2 * noise)
     costs[:, 0] = noise + matte
     costs[best] = noise
@@ -260,7 +260,7 @@ def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) 
 
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_surfaces_without_evidence_of_gloss_are_matte(noise: float) -> None:
-    """Matte where S explains no more than a share of the noise; glossy where it explains a fifth more."""
+    """Matte where S reduces the cost by no more than a share of the noise; glossy where by a fifth more."""
     matte, glossy = decided(costs_of_levels(noise, 0.0)), decided(costs_of_levels(noise, 0.2 * noise))
     assert matte.specular_albedo.max() < 0.03 and matte.roughness[0] > 0.75
     np.testing.assert_allclose(glossy.specular_albedo, 0.06, atol=0.005)
@@ -271,7 +271,7 @@ def test_surfaces_without_evidence_of_gloss_are_matte(noise: float) -> None:
 
 
 def test_equally_likely_hypotheses_are_averaged() -> None:
-    """R of two that cost the same lies between, not at the one that rounding prefers."""
+    """R of two hypotheses of equal cost is in between, not decided by rounding."""
     costs = costs_of_levels(0.01, 0.01, (1, 2))
     costs[4, 2] = 0.01
     found = decided(costs, evidence=0.999)
@@ -280,7 +280,7 @@ def test_equally_likely_hypotheses_are_averaged() -> None:
 
 
 def test_unexplained_segments_have_no_confidence() -> None:
-    """None from a residual of 0.06 on, and half at 0.045; metals, which mirror every fault, at twice that."""
+    """Confidence is 0 from a residual of 0.06 on, 0.5 at 0.045; for metals at twice these residuals."""
     for residual, expected in ((0.03, 1.0), (0.045, 0.5), (0.06, 0.0)):
         found = decided(costs_of_levels(residual, 0.05))
         np.testing.assert_allclose(found.confidence[:, :2], expected, atol=1e-3)
@@ -291,7 +291,7 @@ def test_unexplained_segments_have_no_confidence() -> None:
 
 
 def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
-    """By the variance over the hypotheses, as the mean of two estimates with independent errors has it."""
+    """Confidence falls with the variance over hypotheses, as for means of two independent estimates."""
     clear = decided(costs_of_levels(0.01, 0.01))
     assert clear.confidence[0, 2] > 0.95
     costs = costs_of_levels(0.01, 0.01, (1, 2))
@@ -305,7 +305,7 @@ def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
 
 
 def test_cost_equals_that_of_a_dense_solve() -> None:
-    """Of every hypothesis for dielectrics, against float64 NumPy."""
+    """Costs of all dielectric hypotheses against float64 NumPy."""
     radiance, weight, diffuse, ls0, ls1 = observations(12, False, 9)
     weight = np.random.default_rng(2).uniform(0.2, 2.0, weight.shape).astype(np.float32)
     costs = segment_costs(np.array([0, 12], np.int64), radiance, weight, diffuse, ls0, ls1, 0.4)

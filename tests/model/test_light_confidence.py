@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence in the light, and the network's maps where it is low."""
+"""Confidence in the light, and the use of the network's maps where it is low."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_confidence_grows_with_the_evidence() -> None:
 
 
 def wall(radiance: NDArray) -> Surfels:
-    """A row of surfels along x, one a cell, all facing up, with :data:`OBSERVATIONS` of each."""
+    """A row of surfels along x, one per cell, all facing up, each with :data:`OBSERVATIONS` observations."""
     num = len(radiance)
     grid = CellGrid(np.zeros(3), 0.1, np.array([num, 1, 1]), np.full(6 * num, -1, np.int32))
     position = np.stack([0.1 * np.arange(num) + 0.05, np.zeros(num), np.zeros(num)], axis=1)
@@ -47,7 +47,7 @@ def wall(radiance: NDArray) -> Surfels:
 def shares_of(
     radiance: NDArray, is_metal: NDArray[np.bool_] | None = None, region: NDArray | None = None
 ) -> ImpossibleShares:
-    """Of a wall on whose surfels a white surface would have a radiance of 1."""
+    """Impossible shares of a wall where a white surface would have a radiance of 1."""
     num = len(radiance)
     is_metal = np.zeros(num, dtype=bool) if is_metal is None else is_metal
     region = np.zeros(num, np.int32) if region is None else region
@@ -55,7 +55,7 @@ def shares_of(
 
 
 def test_confidence_falls_where_surfaces_reflect_more_than_arrives() -> None:
-    """A lamp that no photograph shows lights one end of a wall: that end is handed over, smoothly."""
+    """An unphotographed lamp lights one end of a wall, where confidence falls smoothly."""
     num = 10 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
     radiance[: 2 * BLOCK_CELLS] = 1.5
@@ -76,7 +76,7 @@ def test_surfels_with_mixed_radiance_do_not_lower_confidence() -> None:
 
 
 def test_few_bright_surfels_do_not_lower_confidence() -> None:
-    """Three blocks of thirty, as frames of windows are, leave their own neighbourhood trusted; six do not."""
+    """Three bright blocks of thirty, such as window frames, do not affect their neighbourhood; six do."""
     num = 30 * BLOCK_CELLS
     for blocks, trusted in ((3, 1.0), (6, 0.0)):
         radiance = np.full((num, 3), 0.5)
@@ -85,8 +85,8 @@ def test_few_bright_surfels_do_not_lower_confidence() -> None:
 
 
 def test_confidence_is_low_everywhere_in_an_unlit_room() -> None:
-    """If four tenths of the surface reflect more than arrives, no photograph shows the lamps: no block is
-    sure."""
+    """If four tenths of the surface reflect more than arrives, the lamps are unphotographed and no block is
+    trusted."""
     num = 10 * BLOCK_CELLS
     for blocks, trusted in ((2, 1.0), (3, 0.5), (4, 0.0)):
         radiance = np.full((num, 3), 0.5)
@@ -97,7 +97,7 @@ def test_confidence_is_low_everywhere_in_an_unlit_room() -> None:
 
 @pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5)])
 def test_confidence_follows_the_share_around(share: float, trusted: float) -> None:
-    """Noise alone, up to a tenth, takes nothing away; a white surface may shine by a tenth more."""
+    """A share of up to a tenth is noise; a white surface may be a tenth brighter than 1."""
     num = 4 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
     radiance[np.arange(num) % 25 < round(25 * share)] = 1.5
@@ -106,7 +106,7 @@ def test_confidence_follows_the_share_around(share: float, trusted: float) -> No
 
 
 def test_a_bright_surface_does_not_affect_the_wall_around_it() -> None:
-    """Every fourth surfel is the frame of a window: the frame's light is no evidence, the wall's is."""
+    """Every fourth surfel is a window frame: only the frame's light has no confidence."""
     num = 40 * BLOCK_CELLS
     is_frame = (np.arange(num) % 4 == 0) & (np.arange(num) < 8 * BLOCK_CELLS)
     radiance = np.where(is_frame[:, None], 1.5, 0.5) * np.ones(3)
@@ -116,7 +116,7 @@ def test_a_bright_surface_does_not_affect_the_wall_around_it() -> None:
 
 
 def test_few_observations_count_less_than_the_room() -> None:
-    """A bright surfel of a small thing counts little against the share of the room."""
+    """A bright surfel of a small object counts little against the share of the room."""
     num = 20 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
     radiance[0] = 1.5
@@ -125,7 +125,7 @@ def test_few_observations_count_less_than_the_room() -> None:
 
 
 def test_only_bumpy_surfaces_have_a_spread_of_normals() -> None:
-    """The planes of an edge count apart; normals that are off by 0.2 rad spread by 0.2 to 0.3."""
+    """Planes of an edge count separately; normals with errors of 0.2 rad have a spread of 0.2 to 0.3."""
     flat = wall(np.ones((100, 3)))
     np.testing.assert_allclose(normal_spread(flat), 0, atol=1e-6)
     edge = replace(flat, normal=np.where(np.arange(100)[:, None] < 50, [0.0, 0, 1], [0.0, 1, 0]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The correction of the shading where the incident light is not photographed."""
+"""Correction of the shading where the incident light is not photographed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIDE, CELL_M = 60, 0.025
 
 @pytest.fixture(scope="module")
 def wall() -> Surfels:
-    """A wall of 60 x 60 surfels, without observations."""
+    """A wall of 60 x 60 surfels without observations."""
     y, z = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
     position = (np.stack([np.zeros_like(y), y, z], axis=-1).reshape(-1, 3) + 0.5) * CELL_M
     num = len(position)
@@ -31,13 +31,13 @@ def wall() -> Surfels:
 
 
 def _checks(high: float, low: float) -> np.ndarray:
-    """Albedo (N, 3) of checks of four surfels."""
+    """Albedo (N, 3) of a checkerboard with fields of four surfels."""
     y, z = np.divmod(np.arange(SIDE * SIDE), SIDE)
     return np.where(((y // 4 + z // 4) % 2 == 0)[:, None], high, low) * np.array([1.0, 0.9, 0.7])
 
 
 def _fading() -> np.ndarray:
-    """Confidence 1 on a third of the wall, and a factor of the light that grows from there to 4."""
+    """Fade (N,): 0 on a third of the wall, then rising to 1."""
     y = np.arange(SIDE * SIDE) // SIDE
     return np.clip((y - 20) / 40, 0, 1)
 
@@ -54,7 +54,7 @@ def test_albedo_is_kept_where_light_is_misestimated(wall: Surfels) -> None:
     assert np.abs(np.log(albedo / true)).mean() > 0.4
     assert error.mean() < 0.08 and error.max() < 0.25
     step = np.abs(np.diff(found.reshape(SIDE, SIDE, 3), axis=1)).max()
-    assert step < 0.02  # the checks are not smoothed away
+    assert step < 0.02  # the checkerboard is not smoothed
 
 
 def test_unlit_albedo_has_the_networks_level_and_the_photographs_pattern(
@@ -71,7 +71,7 @@ def test_unlit_albedo_has_the_networks_level_and_the_photographs_pattern(
 
 
 def test_known_light_is_kept_and_a_deviating_network_counts_little(wall: Surfels) -> None:
-    """Half of the wall is known; the network is three times too dark there, so it says nothing beside it."""
+    """Half of the wall is known; the network is three times too dark there, so it is ignored beside it."""
     true = _checks(0.6, 0.5)
     known = (np.arange(len(true)) % SIDE < SIDE // 2).astype(np.float32)
     network = true / 3 * np.where(np.arange(len(true)) % 2, 2.0, 0.5)[:, None]

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def untrained(folder: Path, seed: int) -> CheckpointMaps:
-    """Networks that say one grey or another."""
+    """Maps of an untrained network, which are nearly constant grey."""
     torch.manual_seed(seed)
     network = NetworkConfig(base_channels=4, global_channels=8)
     card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
@@ -41,7 +41,7 @@ def inferred(
     white: float = np.inf,
     tell: Progress = lambda stage, done, total: None,
 ) -> tuple[InferReport, NDArray[np.float64]]:
-    """The report, and D of the atlas where it was seen, (K, 3)."""
+    """The report, and D (K, 3) of the atlas's seen texels."""
     options = InferOptions(atlas=128, materials=materials, is_checked=False, has_exr=False)
     out = folder / f"{materials}-{seed}-{white}"
     report = infer(box_capture(white), out, untrained(folder, seed), options, tell)
@@ -51,22 +51,22 @@ def inferred(
 
 
 def walls_found(found: NDArray) -> NDArray[np.float64]:
-    """Share of the texels within 20 % of the albedo of one of the walls. An untrained network predicts
-    a specular albedo that the light cannot quite refute, at the cost of D."""
+    """Share of the texels within 20 % of the albedo of a wall. An untrained network predicts a specular
+    albedo that light cannot exclude, at the cost of D."""
     apart = np.abs(np.log(np.maximum(found, 1e-3)[:, None] / ALBEDOS[None])).max(axis=2).min(axis=1)
     return np.mean(apart < 0.2)
 
 
 def test_atlas_has_the_walls_albedos_for_any_prediction(tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
-    report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: told.append(progress))
+    steps: list[tuple[str, int, int]] = []
+    report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: steps.append(progress))
     assert walls_found(found) > 0.7
-    told_of_the_end = {stage for stage, done, total in told if done == total}
-    assert set(report.seconds) - told_of_the_end == {"statistics", "write maps"}  # within predict
-    assert {("light", 1, 11), ("lights", 0, 1), ("export", 1, 4), ("trace", 0, 1)} <= set(told)
+    finished = {stage for stage, done, total in steps if done == total}
+    assert set(report.seconds) - finished == {"statistics", "write maps"}  # within predict
+    assert {("light", 1, 11), ("lights", 0, 1), ("export", 1, 4), ("trace", 0, 1)} <= set(steps)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95
-    # Roughness is less certain: the untrained network predicts gloss where matte explains as much.
+    # Roughness is less certain: the untrained network predicts gloss that fits no worse than matte.
     assert 0.4 < written["confidence"][2] < 0.95
     assert written["num_surfels"] > 1000 and len(written["lights"]) == 1
     assert "light" in report.seconds and set(written["seconds"]) >= {"surfels", "irradiance", "solve", "maps"}
@@ -81,14 +81,14 @@ def test_light_alone_needs_no_level(tmp_path: Path) -> None:
 
 
 def test_network_alone_ignores_light(tmp_path: Path) -> None:
-    """The twin: untrained networks do not know the walls."""
+    """Counterpart: untrained networks do not predict the walls."""
     report, found = inferred(tmp_path, 3, "network")
     assert report.light == {} and "light" not in report.seconds
     assert walls_found(found) < 0.5
 
 
 def test_clipped_lamp_is_recovered_from_lit_surfaces(tmp_path: Path) -> None:
-    """The lamp is 17 to 23 times as bright as the sensor takes, and a part of the ceiling is beyond it."""
+    """The lamp is 17 to 23 times as bright as the clipping limit, and part of the ceiling is clipped."""
     report, found = inferred(tmp_path, 3, "both", white=0.6)
     (source,) = report.radiometry["sources"][:1]
     np.testing.assert_allclose(source["radiance"], LAMP_RADIANCE, rtol=0.1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The network's diffuse albedo at the scale of the surfels whose light is known."""
+"""Scaling of the network's diffuse albedo to surfels of known light."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.model.test_light_room import of_quad, predicted, room, solved
 
 
 def test_scale_comes_from_confident_surfels() -> None:
-    """Half of them are not confident and ask for a tenth."""
+    """Half of the surfels have no confidence and a ratio of 0.1."""
     predicted_albedo = np.full((1000, 3), 0.3)
     known = np.arange(1000) % 2 == 0
     albedo = predicted_albedo * np.where(known[:, None], [1.2, 1.5, 2.0], 0.1)
@@ -38,7 +38,7 @@ def test_little_evidence_scales_little() -> None:
 
 
 def too_dark() -> list[dict[str, NDArray]]:
-    """A prediction whose diffuse albedo is half of what the light tells."""
+    """A prediction whose diffuse albedo is half of that from light."""
     maps = predicted(photographed_room())
     for prediction, found in zip(maps, room().maps, strict=True):
         prediction["diffuse_albedo"] = 0.5 * found["diffuse_albedo"]
@@ -46,12 +46,12 @@ def too_dark() -> list[dict[str, NDArray]]:
 
 
 def of_face(view: TracedView, name: str) -> NDArray[np.bool_]:
-    """Pixels (H, W) of a quad."""
+    """Mask (H, W) of the pixels of a quad."""
     return view.geometry.face[..., 0] // 2 == [quad.name for quad in quads()].index(name)
 
 
 def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
-    """Diffuse albedo of the south wall, which no hypothesis explains, over that of the light."""
+    """Diffuse albedo of the south wall, made unexplained by any hypothesis, relative to that from light."""
     explained, south = stage.solve_points, of_quad(room(), "south")
 
     def unexplained(lit, points, shading, segmentation, *rest):  # type: ignore[no-untyped-def]
@@ -84,7 +84,7 @@ def test_light_without_weight_has_no_scale(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.usefixtures("mitsuba_variant")
 @pytest.mark.parametrize(("diffuse", "expected"), [(0.3, 0.6), (0.6, WHITE_PAINT), (0.9, 0.9)])
 def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, expected: float) -> None:
-    """Unless the network says so itself."""
+    """The limit does not apply to brighter predictions of the network."""
     view, surfels = photographed_room()[0], room().lit.surfels
     nothing = np.zeros_like(room().solved.replaced)
     twice = np.full((len(surfels), 3), 2, np.float32)

@@ -29,7 +29,7 @@ WALLS = ("west", "south", "north", "ceiling", "east-low")
 def predicted(
     views: tuple[TracedView, ...], diffuse: float = 0.35, specular: float = 0.03, roughness: float = 0.7
 ) -> list[dict[str, NDArray]]:
-    """Prediction of a network that has not understood the room: one grey, faintly glossy material."""
+    """Constant prediction of an uninformed network: one grey, faintly glossy material."""
     height, width = views[0].color.shape[:2]
     maps = {
         "diffuse_albedo": np.full((height, width, 3), diffuse, np.float16),
@@ -55,7 +55,7 @@ def room() -> LightMaterials:
 
 
 def of_quad(found: LightMaterials, name: str) -> NDArray[np.bool_]:
-    """Surfels of a quad."""
+    """Mask (N,) of the surfels of a quad."""
     number = [quad.name for quad in quads()].index(name)
     return found.lit.surfels.face // 2 == number
 
@@ -71,7 +71,7 @@ def wall_error(found: LightMaterials) -> float:
 
 
 def test_light_of_lamp_and_sky_is_found() -> None:
-    """Within 5 %: no photograph was told what they are."""
+    """Radiance is within 5 %, although neither is given."""
     field = room().lit.baker.field
     np.testing.assert_allclose(field.emitters.radiance, [LAMP], rtol=0.05)
     sky = field.background.radiance[field.background.is_photographed]
@@ -79,7 +79,7 @@ def test_light_of_lamp_and_sky_is_found() -> None:
 
 
 def test_diffuse_albedo_of_coloured_walls_is_found() -> None:
-    """Within 3 %: what is left is specular albedo that noise allows, 0.01."""
+    """Within 3 %: the rest is specular albedo within the noise, 0.01."""
     assert wall_error(room()) < 0.03
 
 
@@ -100,7 +100,7 @@ def test_glossy_panel_is_found() -> None:
 
 @pytest.mark.parametrize(("name", "tolerance"), [("metal", 0.03), ("mirror", 0.03)])
 def test_metal_has_its_colour_and_no_diffuse_part(name: str, tolerance: float) -> None:
-    """It is told from dark paint by how its radiance follows the view; nothing predicted it."""
+    """It differs from dark paint by its view-dependent radiance, without a prediction."""
     (quad,) = (quad for quad in quads() if quad.name == name)
     panel = of_quad(room(), name)
     assert room().solved.is_metal[panel].mean() > 0.6
@@ -111,7 +111,7 @@ def test_metal_has_its_colour_and_no_diffuse_part(name: str, tolerance: float) -
 
 
 def test_exposure_changes_nothing() -> None:
-    """All photographs at a quarter of the exposure: the same materials."""
+    """Photographs at a quarter of the exposure give the same materials."""
     views = tuple(replace(view, color=view.color * np.float32(0.25)) for view in photographed_room())
     darker = solved(views, predicted(views), exposure=4 * EXPOSURE)
     np.testing.assert_allclose(darker.albedo, room().albedo, atol=2e-3)
@@ -134,7 +134,7 @@ def test_predicted_diffuse_albedo_is_ignored_where_light_is_known() -> None:
 
 
 def test_a_ten_per_cent_irradiance_error_is_detected() -> None:
-    """The twin of the walls' test."""
+    """Injected fault in the walls' test."""
     found = room()
     wrong = surfel_albedo(
         found.lit.surfels,
@@ -148,7 +148,7 @@ def test_a_ten_per_cent_irradiance_error_is_detected() -> None:
 
 @pytest.mark.parametrize("name", ["west", "south", "north", "east-low", "glossy"])
 def test_energy_is_conserved(name: str) -> None:
-    """No more leaves than arrives, but for noise, where all light is photographed."""
+    """Where all light is photographed no surface reflects more than arrives, up to noise."""
     found = room()
     seen = (found.lit.irradiance.photographed > 0.98) & of_quad(found, name)
     reflected = found.lit.surfels.radiance[seen] / found.lit.diffuse[seen]
@@ -161,7 +161,7 @@ SEEN_FROM_M = 1.3
 
 
 def without(axis: int, low_m: float, high_m: float) -> tuple[TracedView, ...]:
-    """The photographs without what they show between two planes."""
+    """The photographs without pixels whose surface is between two axis-aligned planes."""
     views = []
     for view in photographed_room():
         depth = view.geometry.depth_z_m[..., 0]
@@ -192,8 +192,8 @@ def test_surface_in_uncertain_light_is_no_whiter_than_paint() -> None:
 
 
 def test_light_of_an_unseen_lamp_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the ceiling and word of its lamp, the surface there is more than three times too bright for
-    what it reflects; without the west wall, nothing is."""
+    """With the ceiling and its lamp unknown, surfaces are more than three times too bright for their light;
+    without the west wall, none is."""
     monkeypatch.setattr(estimated_light, "HIDDEN_GAIN", 3.0)
     geometry = room_geometry()
     traced = TracedGeometry(geometry)
@@ -212,7 +212,7 @@ def test_confidence_falls_with_the_share_of_hidden_light() -> None:
 
 
 def test_unseen_surface_reflects_light() -> None:
-    """The west wall is outside of the box of all that is seen; its light is estimated nevertheless."""
+    """The west wall is outside of the bounding box of all photographed points, but its light is estimated."""
     found = cropped_room()
     assert found.lit.surfels.grid.low[0] > 0.5
     assert not of_quad(found, "west").any()

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Windows and skies: where rays leave, how near what they show is, and that images of it point the right
-way."""
+"""Windows and skies: where rays leave, distance of the outside, and orientation of sky images."""
 
 from __future__ import annotations
 
@@ -59,14 +58,14 @@ LOW, HIGH = np.zeros(3), np.array([4.0, 3.0, 2.5])
 
 
 def background() -> Background:
-    """A box of which only the corners are asked for."""
+    """A background of which only the box's corners are used."""
     return Background(LOW, HIGH, np.zeros((0, 3), np.float32), np.zeros(0, bool), np.zeros(0, bool))
 
 
 def bundle(
     num: int, corner: tuple[float, float, float], size: tuple[float, float], seed: int = 0
 ) -> LeavingRays:
-    """Rays from all over the room through a window in a plane of x, which go on to the box."""
+    """Rays from random points of the room through a window in a plane of constant x to the box."""
     random = np.random.default_rng(seed)
     origin = random.uniform(0, 1, (num, 3)) * [corner[0] - 0.3, *HIGH[1:]]
     through = np.array(corner) + random.uniform(0, 1, (num, 3)) * [0, *size]
@@ -78,7 +77,7 @@ def bundle(
 
 
 def test_window_is_where_rays_are_closest() -> None:
-    """0.4 m inside of the box: its footprint on the box is 1.5 times as large, and has parts on all faces."""
+    """The window, 0.4 m inside of the box, has a footprint 1.5 times as large, on all faces of the box."""
     rays = bundle(60_000, (3.6, 0.8, 0.9), (1.2, 1.0))
     (window,) = found_windows(rays, background(), 1.0)
     assert window.area_m2 == pytest.approx(1.2, rel=0.06)
@@ -87,7 +86,7 @@ def test_window_is_where_rays_are_closest() -> None:
     sent = sum(r.area_m2 * np.array(r.radiance) for r in window.rectangles)
     np.testing.assert_allclose(sent, window.area_m2 * np.array(window.radiance), rtol=1e-6)
     left, right = (f(window.rectangles, key=lambda r: r.origin_m[1]).radiance[0] for f in (min, max))
-    assert left < 1.4 < 1.8 < right  # a gradient stays
+    assert left < 1.4 < 1.8 < right  # the gradient is kept
     for rectangle in window.rectangles:
         assert np.cross(rectangle.edge_u_m, rectangle.edge_v_m)[0] < 0  # into the room
 
@@ -107,7 +106,7 @@ def test_adjacent_windows_are_separate_and_dark_ones_dropped() -> None:
 
 
 def test_rectangles_of_a_mask() -> None:
-    """Against all rectangles of small random masks."""
+    """Equal to an exhaustive search in small random masks."""
     random = np.random.default_rng(2)
     for _ in range(30):
         mask = random.random((7, 9)) < 0.7
@@ -155,14 +154,14 @@ def test_far_and_near_light_are_distinguished() -> None:
 
 
 def glow(direction: NDArray) -> NDArray[np.float64]:
-    """A sky that is 50 times as bright at the sun as elsewhere."""
+    """Radiance of a sky that is 50 times as bright at the sun as elsewhere."""
     to_sun = direction @ np.array([0.8, 0.0, 0.6])
     return np.asarray(1 + 50 * np.exp(20 * (to_sun - 1)))
 
 
 def test_sky_with_a_glow_is_stored_by_direction() -> None:
-    """Where photographs look, and elsewhere as an estimate; bins of places, which few pixels each fall into,
-    hardly know it."""
+    """It is exact in photographed directions and estimated elsewhere; bins of positions, with few pixels
+    each, hardly contain it."""
     random = np.random.default_rng(5)
     views = []
     for number in range(12):
@@ -212,7 +211,7 @@ def test_image_of_the_sky_has_the_directions_of_rays() -> None:
 
 
 def test_unnamed_lamp_is_found() -> None:
-    """The box with its lamp as any other surface: a panel before it, with its power."""
+    """In a box whose lamp is unnamed, a panel with its power is found in front of it."""
     named = room_geometry()
     parts = tuple(replace(part, emission=None) for part in named.parts)
     options = LightOptions(irradiance_rays=24, estimate_rays=16)
@@ -237,8 +236,8 @@ def test_unnamed_lamp_is_found() -> None:
     hardly_seen = replace(lit.irradiance, photographed=0.4 * lit.irradiance.photographed)
     assert shining_patches(replace(lit, irradiance=hardly_seen)) == ()
     dark = lit_by(named)
-    assert shining_patches(dark) == ()  # the twin: the lamp is named, and nothing else shines
-    # on the floor a panel that is brighter than white, and the light of a hidden lamp as bright
+    assert shining_patches(dark) == ()  # counterpart: the lamp is named, and nothing else emits
+    # a panel on the floor brighter than white, and equally bright light of a hidden lamp
     distance = np.linalg.norm(dark.surfels.position_m - [1.2, 1.5, 0.0], axis=1)
     assert len(shining_patches(_brightened(dark, np.where(distance < 0.4, 9.0, 1.0)))) == 1
     assert shining_patches(_brightened(dark, 1 + 8 * np.exp(-np.square(distance / 0.5)))) == ()
@@ -266,7 +265,7 @@ WINDOW = FoundPatch("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
 
 
 def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) -> None:
-    """In Mitsuba's scene, and in the package as the project's renderer takes it."""
+    """In the Mitsuba scene and in the package as rendered by the project."""
     import mitsuba as mi
 
     from datagen.formats.standalone import configuration_of
@@ -286,7 +285,7 @@ def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) ->
     scene = mi.load_file(str(tmp_path / "mitsuba" / "scene.xml"))
     with open_package(tmp_path / "asset") as package:
         assert isinstance(package.asset, EnvironmentAsset)
-        (light,) = package.asset.lights  # no panels beside the sky
+        (light,) = package.asset.lights  # no panels in addition to the sky
         assert isinstance(light, EnvironmentLight)
         configuration = configuration_of(package.path, package.sha256)
     with Library([tmp_path / "asset"]) as library:
@@ -307,7 +306,7 @@ def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) ->
 
 
 def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
-    """A triangle that no part names, on the side that was photographed; and lamps by the names of parts."""
+    """An unnamed triangle emits on its photographed side; lamps are named by their parts."""
     capture = room_capture(2, (32, 24))
     mesh = Mesh(capture.geometry.mesh.positions, capture.geometry.mesh.faces)
     of_face = np.full(len(mesh.faces), -1, np.int32)
@@ -326,7 +325,7 @@ def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
     assert (lamp.slot, lamp.is_named) == ("lamp-0", True)
     area = mesh.areas()
     assert area[2] != pytest.approx(area[4])
-    mean = (area[2] * radiance[0] + area[4] * radiance[3]) / (area[2] + area[4])  # no photograph shows 3
+    mean = (area[2] * radiance[0] + area[4] * radiance[3]) / (area[2] + area[4])  # 3 is not photographed
     np.testing.assert_allclose(lamp.radiance, mean, rtol=1e-6)
     assert (found.slot, found.side, found.is_named, list(found.faces)) == ("found-0", -1, False, [5])
     assert lamp.area_m2 == pytest.approx(float(mesh.areas()[2:5].sum()))
@@ -346,7 +345,7 @@ def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
 
 
 def test_small_lamps_are_exported_as_points_on_demand(tmp_path: Path) -> None:
-    """A bulb of 20 cm: by its shadow's quarter of the area, in candela."""
+    """A bulb of 20 cm has the intensity, in candela, of its projected area: a quarter of its surface."""
     capture = room_capture(2, (32, 24))
     faces = np.array([0], np.int32)
     area = float(capture.geometry.mesh.areas()[0])
@@ -373,7 +372,7 @@ def test_small_lamps_are_exported_as_points_on_demand(tmp_path: Path) -> None:
 
 
 def small_lights(folder: Path) -> Path:
-    """A GLB of a tiny room with a small lamp, a surface that shines and a window."""
+    """A GLB of a tiny room with a small lamp, an emissive surface and a window."""
     capture = room_capture(2, (32, 24))
     mesh = capture.geometry.mesh
     lamps = tuple(
@@ -395,7 +394,7 @@ def test_khronos_validator_finds_nothing_in_lights(tmp_path: Path) -> None:
         pytest.skip("needs node and npm packages: cd .ci/gltf && npm ci")
     glb = small_lights(tmp_path)
     command = ["node", "validate.mjs", str(glb)]
-    for word, has_errors in ((b'"light":1', False), (b'"light":7', True)):  # the twin: there is no such light
+    for word, has_errors in ((b'"light":1', False), (b'"light":7', True)):  # injected fault: no such light
         glb.write_bytes(glb.read_bytes().replace(b'"light":1', word))
         done = subprocess.run(command, cwd=VALIDATOR, capture_output=True, text=True)
         issues = json.loads(done.stdout)["issues"]
@@ -405,7 +404,7 @@ def test_khronos_validator_finds_nothing_in_lights(tmp_path: Path) -> None:
 @pytest.mark.bpy
 @needs_bpy
 def test_blender_reads_the_lights(tmp_path: Path) -> None:
-    """Emission as radiance, and points in W: pi times area and radiance of a convex lamp."""
+    """Emission is radiance; points have a power in W, pi times area times radiance of a convex lamp."""
     glb = small_lights(tmp_path)
     command = [sys.executable, "-m", "tests.model.glb_in_blender", str(glb)]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)

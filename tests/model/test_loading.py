@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Datasets as streams of tensors: each view once for any ranks and processes, crops with their cameras."""
+"""Datasets as streams of tensors: each view once for any ranks and processes; crops with their cameras."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_epochs_differ_and_persistent_processes_follow(shards) -> None:
 
 
 def test_crops_are_windows_with_their_cameras(shards) -> None:
-    """The centre of projection moves with the window: position in the view follows from the intrinsics."""
+    """The principal point moves with the window: a position in the view follows from the intrinsics."""
     views = {
         (v.record.configuration, v.record.name): v for path in shards for v in ShardReader(path, ["beauty"])
     }
@@ -86,7 +86,7 @@ def test_crops_are_windows_with_their_cameras(shards) -> None:
         window = view.buffers["beauty"][top : top + 16, left : left + 16]
         np.testing.assert_array_equal(sample["beauty"].numpy().transpose(1, 2, 0), window)
     assert len(corners) > 20
-    assert len(set(_keys(samples)[:8])) > 3  # crops of one view do not come in one run
+    assert len(set(_keys(samples)[:8])) > 3  # crops of one view are not consecutive
 
 
 def test_crops_do_not_depend_on_the_number_of_processes(shards) -> None:

@@ -98,7 +98,7 @@ def test_the_loss_has_the_name_of_its_distance():
 
 
 def test_squared_errors_lead_to_the_mean(scene):
-    """Rare metal: under L1 the best constant is the median, under squared errors the mean."""
+    """For rare metal the best constant under L1 is the median, under squared errors the mean."""
     truth, geometry = scene
     metal = torch.rand(truth["roughness"].shape, generator=torch.Generator().manual_seed(3)) < 0.1
     specular = torch.where(metal, 0.9, 0.04).expand(-1, 3, -1, -1)

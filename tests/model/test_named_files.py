@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names of files in other people's files, through every reader: none may lead out of the file's folder."""
+"""File names in untrusted files, through every reader: none may lead outside of the file's folder."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _TEXTURED = (
 
 @dataclass(frozen=True)
 class Reader:
-    """``write`` puts a file that names another into a folder and gives what is to be read; ``read`` reads it.
+    """``write`` puts a file that names another into a folder and returns the path to read; ``read`` reads it.
 
-    ``suffix`` is of what is named.
+    ``suffix`` is that of the named file.
     """
 
     suffix: str
@@ -81,7 +81,7 @@ def _gltf_image(folder: Path, name: str) -> Path:
 
 
 def _texture_folder(folder: Path, name: str) -> Path:
-    """Maps are found, not named: what is named becomes a link to it, as it is in the folder."""
+    """Maps are found, not named: the name becomes the target of a link in the folder."""
     (folder / "Oak_Roughness.png").write_bytes(_picture())
     target = folder / name if not name.startswith(("/", "file:")) else Path(name.removeprefix("file://"))
     if target.parent == folder and target.is_symlink():
@@ -96,7 +96,7 @@ def _catalogue(folder: Path, name: str) -> Path:
 
 
 def _catalogue_image(folder: Path, name: str) -> Path:
-    """An MTL in the archive; only its base name counts, and only in the archive."""
+    """An MTL in the archive; only the base name counts, and only within the archive."""
     model = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
     members = {"a/a.obj": model, "a/a.mtl": f"newmtl m\nKd 1 1 1\nmap_Kd {name}\n".encode()}
     return furniture(folder / "a.sh3f", ["a/a.obj"], members)
@@ -182,7 +182,7 @@ def _names(way: str, outside: Path, root: Path, suffix: str) -> str:
 
 @pytest.fixture
 def opened() -> list[str]:
-    """Every path that the interpreter opens while the test runs."""
+    """Paths that the interpreter opens while the test runs."""
     paths: list[str] = []
     is_over = False
 
@@ -218,7 +218,7 @@ def test_no_reader_leaves_its_folder(name: str, way: str, tmp_path: Path, opened
 
 @pytest.mark.parametrize("kind", ["map", "licence", "info", "folder"])
 def test_links_in_a_texture_folder_are_not_followed_out_of_it(kind: str, tmp_path: Path) -> None:
-    """They were: what they lead to came into the library."""
+    """Formerly their targets were copied into the library."""
     outside, textures = tmp_path / "outside", tmp_path / "all" / "oak"
     textures.mkdir(parents=True)
     outside.mkdir()

@@ -46,7 +46,7 @@ def test_any_size_gives_maps_of_that_size_in_range(size, wide):
 
 
 def test_padding_changes_nothing():
-    """An image in a larger canvas gives the same maps, exactly; without the precaution it does not."""
+    """An image in a larger canvas gives exactly the same maps; without masking it does not."""
     for ignores, changed in ((True, False), (False, True)):
         torch.manual_seed(5)
         track = Track(9, 3, TINY.model_copy(update={"ignores_padding": ignores})).double().eval()
@@ -155,7 +155,7 @@ def test_a_black_view_and_an_empty_view_encode_to_the_floor():
 @pytest.mark.parametrize("size", [(96, 64), (101, 77), (50, 130)])
 @pytest.mark.parametrize("elements", [2**8, 2**13])
 def test_strips_of_large_images_change_nothing(monkeypatch, size, elements):
-    """Strips of one row and of several; the same image without its norms' sight of the whole differs."""
+    """Strips of one or several rows give the same maps, but not without global statistics of the norms."""
     torch.manual_seed(1)
     track = Track(9, 3, NetworkConfig(base_channels=8, global_channels=16)).eval()
     x = torch.randn(2, 9, *size)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Networks of one's own: trained, resumed, loaded from their checkpoints, and refused where they break the
+"""User-defined networks: trained, resumed, loaded from checkpoints, and refused if they break the
 contract."""
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def test_the_command_trains_it_and_the_checkpoint_restores_it(dataset: Path, tmp
     assert checkpoint.network.module.first.out_channels == 6
     assert checkpoint.card.phase == "confidence" and checkpoint.confidence is not None
     assert checkpoint.card.metrics["diffuse_albedo_mse"] < 0.2
-    assert checkpoint.network.module.norm.running_mean.abs().sum() > 0  # buffers are kept as weights are
+    assert checkpoint.network.module.norm.running_mean.abs().sum() > 0  # buffers are saved like weights
     batch = synthetic_batch(1, 21, CPU)
     maps = checkpoint.network(batch, batch["exposure"], batch["depth_max_m"])
     assert {name: tuple(value.shape) for name, value in maps.items()} == {
@@ -129,7 +129,7 @@ def test_classes_that_are_no_networks_are_refused(factory: str, message: str) ->
 
 
 def test_a_checkpoint_cannot_call_other_classes(tmp_path: Path) -> None:
-    """Weights come from elsewhere: what their card names is not called unless it is a class of networks."""
+    """Checkpoints are untrusted: a name in the card is only called if it is a network class."""
     card = CheckpointCard(network=NetworkConfig(factory=TOY), loss="none", phase="joint", step=0)
     path = tmp_path / "weights.safetensors"
     config = NetworkConfig(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Photographs of every form: read, or refused by what they are and with what to do, once a form."""
+"""Photographs of every format are read, or refused once per format with name and remedy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HAS_HEIC = importlib.util.find_spec("pillow_heif") is not None
 
 
 def picture() -> Image.Image:
-    """Smooth colours, which lossy forms keep, brighter to the right and greener downwards."""
+    """Smooth colours, which lossy formats keep, brighter to the right and greener downwards."""
     x, y = np.meshgrid(np.linspace(40, 220, SIZE[0]), np.linspace(30, 200, SIZE[1]))
     return Image.fromarray(np.stack([x, y, 0.5 * x], axis=-1).astype(np.uint8))
 
@@ -57,7 +57,7 @@ def without_heic(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def colmap_of(folder: Path, suffix: str, num: int = 3) -> Path:
-    """A model of ``num`` photographs whose names end in ``suffix``; the photographs are for the caller."""
+    """A COLMAP model of ``num`` photographs with names ending in ``suffix``, without the files."""
     write_colmap(folder / "sparse", make_cameras(num), "text", "PINHOLE", [55, 57, 32, 20])
     images = folder / "sparse" / "images.txt"
     images.write_text(images.read_text().replace(".png", suffix))
@@ -103,7 +103,7 @@ def test_webp_is_read(tmp_path: Path) -> None:
 
 
 def test_heic_without_its_reader_names_the_package_to_install(tmp_path: Path, without_heic: None) -> None:
-    """It had been "not found", once a photograph."""
+    """Formerly the message was "not found" for each photograph."""
     folder = colmap_of(tmp_path / "room", ".HEIC")
     for k in range(3):
         (folder / "images" / f"img{k}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
@@ -132,8 +132,8 @@ XYZ_TO_SRGB = (
 
 
 def write_dng(path: Path, linear: NDArray[np.float64], orientation: int = 1) -> Path:
-    """A mosaic R G / G B of a sensor whose colours are linear Rec.709 ``linear`` (H, W, 3), white being
-    ``NEUTRAL`` to it; 1/100 s, f/2, ISO 100."""
+    """Write a DNG with an R G / G B mosaic of linear Rec.709 ``linear`` (H, W, 3) and white at ``NEUTRAL``;
+    1/100 s, f/2, ISO 100."""
     height, width = linear.shape[:2]
     colors = np.tile([[0, 1], [1, 2]], (height // 2, width // 2))
     rows, columns = np.mgrid[:height, :width]
@@ -144,7 +144,7 @@ def write_dng(path: Path, linear: NDArray[np.float64], orientation: int = 1) -> 
         return [n for v in np.ravel(values) for n in (round(float(v) * denominator), denominator)]
 
     def directory(tags: dict[int, tuple[int, int, bytes]], at: int) -> bytes:
-        """An IFD at ``at`` with what does not fit into its entries behind it."""
+        """An IFD at offset ``at``, followed by values that do not fit into its entries."""
         entries, more = b"", b""
         behind = at + 2 + 12 * len(tags) + 4
         for tag, (kind, count, value) in sorted(tags.items()):
@@ -183,7 +183,7 @@ def write_dng(path: Path, linear: NDArray[np.float64], orientation: int = 1) -> 
 
 @pytest.mark.skipif(not HAS_RAW, reason="needs rawpy")
 def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> None:
-    """Black level, white balance as shot, exposure; clipped where a sensor value is, in all channels."""
+    """Black level, white balance and exposure are applied; a clipped sensor value clips all channels."""
     height, width = 80, 120
     linear = np.empty((height, width, 3))
     linear[:] = np.linspace(0.02, 0.45, width)[None, :, None] * [1.0, 0.8, 0.6]
@@ -192,7 +192,7 @@ def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> Non
     assert photograph_size(path) == (width, height) and exif_orientation(path) == 1
     assert relative_exposure(path) == pytest.approx(0.01 * 100 / 4, rel=1e-3)
     camera = Camera(width, height, 100.0, 100.0, width / 2, height / 2, np.eye(4))
-    image = PhotographSource(path, camera, None, "srgb").read(camera)  # sRGB is for developed ones
+    image = PhotographSource(path, camera, None, "srgb").read(camera)  # sRGB applies to developed ones
     inner = (slice(30, -8), slice(8, -8))
     np.testing.assert_allclose(image.color[inner], linear[inner], rtol=0.02, atol=2e-3)
     assert image.clipped_mask is not None and image.clipped_mask[4:16, 4:26].all()
@@ -208,7 +208,7 @@ def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> Non
 
 
 def test_raw_photographs_need_cameras(tmp_path: Path) -> None:
-    """COLMAP does not read them, but captures may bring their cameras."""
+    """COLMAP cannot read them, but captures may contain their cameras."""
     (tmp_path / "a.dng").write_bytes(b"anything")
     with pytest.raises(InputError, match=r"a\.dng = a raw photograph; .*COLMAP reads.*capture with cameras"):
         photographs_in(tmp_path)
@@ -216,7 +216,7 @@ def test_raw_photographs_need_cameras(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
 def test_16_bits_are_kept(tmp_path: Path, suffix: str) -> None:
-    """sRGB like 8 bits, in steps that these do not have."""
+    """They are sRGB like 8 bits, but in finer steps."""
     stored = np.arange(64 * 40 * 3, dtype=np.uint16).reshape(40, 64, 3) * 8
     cv2.imwrite(str(tmp_path / f"a{suffix}"), stored[..., ::-1])
     np.testing.assert_array_equal(read_photograph(tmp_path / f"a{suffix}"), stored)
@@ -248,7 +248,7 @@ def test_unsupported_photographs_are_distinguished_from_missing_ones(
 
 
 def test_every_reader_names_unsupported_formats(tmp_path: Path, without_heic: None) -> None:
-    """transforms.json and Bundler here; RealityCapture takes the same way."""
+    """Covers transforms.json and Bundler; RealityCapture uses the same code."""
     (tmp_path / "a.heic").write_bytes(b"anything")
     write_mesh(tmp_path)
     frames = [{"file_path": "a.heic", "transform_matrix": np.eye(4).tolist()}]
@@ -275,7 +275,7 @@ def test_a_raw_beside_its_jpeg_is_ignored(tmp_path: Path) -> None:
 
 
 def test_a_mesh_of_an_unsupported_format_is_named(tmp_path: Path) -> None:
-    """It had been "no mesh beside the cameras"."""
+    """Formerly the message was "no mesh beside the cameras"."""
     folder = colmap_of(tmp_path / "room", ".webp", 1)
     picture().save(folder / "images" / "img0.webp", lossless=True)
     (folder / "room.ply").rename(folder / "room.fbx")

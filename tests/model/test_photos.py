@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`materials photos`: a folder of photographs to an asset, with a stand-in for COLMAP's program."""
+"""`materials photos`: from a folder of photographs to an asset, with a substitute for COLMAP."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def points_of(capture: Capture) -> bytes:
 
 
 def photographed(folder: Path) -> tuple[Path, Path, Path]:
-    """Photographs of the lit box, a program that knows its cameras and points, and what the program keeps."""
+    """Photographs of the lit box, a stub program that outputs their cameras and points, and its folder."""
     images, truth = folder / "kitchen", folder / "truth"
     images.mkdir()
     (truth / "model").mkdir(parents=True)
@@ -94,8 +94,8 @@ def photographed(folder: Path) -> tuple[Path, Path, Path]:
 
 
 def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
-    """A step that fails is named, with what the program said; the same command goes on from there, and once
-    all is done it does nothing more."""
+    """A failed step is named with the program's output; the same command continues there, and repeats no
+    finished step."""
     images, program, truth = photographed(tmp_path)
     out = tmp_path / "asset"
     checkpoint = tmp_path / "random-3.safetensors"
@@ -104,8 +104,8 @@ def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
     words += ["--checkpoint", str(checkpoint), "--frames", "2", "--samples", "4", "--no-check", "--quiet"]
     (truth / "fail-mapper").touch()
     failed = CliRunner().invoke(app, words)
-    said = str(failed.exception) + failed.output
-    assert failed.exit_code != 0 and "no luck with mapper" in said and "photographs that overlap" in said
+    text = str(failed.exception) + failed.output
+    assert failed.exit_code != 0 and "no luck with mapper" in text and "photographs that overlap" in text
     (truth / "fail-mapper").unlink()
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
@@ -151,18 +151,17 @@ def test_without_the_program_the_commands_are_printed(tmp_path: Path) -> None:
 
 
 def test_given_cameras_need_no_program(tmp_path: Path) -> None:
-    """After the printed commands ran elsewhere, the model is used as it is; points without a surface are an
-    error that says so."""
+    """A model from the printed commands is used unchanged; points without a surface are an error."""
     images, _, truth = photographed(tmp_path)
-    told: list[str] = []
-    run = ColmapRun("no-such-colmap", images, tmp_path / "work", told.append)
+    steps: list[str] = []
+    run = ColmapRun("no-such-colmap", images, tmp_path / "work", steps.append)
     assert not run.has_cameras
     shutil.copytree(truth / "model", run.model)
-    assert run.cameras() == run.model and told == []
+    assert run.cameras() == run.model and steps == []
     made = run.mesh()
     np.testing.assert_allclose(np.ptp(read_ply(made).positions, axis=0), SIDES, rtol=0.1)
     made.unlink()
-    assert run.mesh() == made and told == ["mesh"] and not made.exists()  # done once
+    assert run.mesh() == made and steps == ["mesh"] and not made.exists()  # done once
     (run.work / "mesh.done").unlink()
     (run.model / "points3D.bin").write_bytes(struct.pack("<Q", 0))
     with pytest.raises(InputError, match="no surface"):

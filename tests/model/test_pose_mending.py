@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small errors of poses are found from what other views show."""
+"""Correction of small pose errors from other views."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHIFT_M, TURN_DEG = 0.006, 0.25
 
 
 def off(camera: Camera, seed: int) -> Camera:
-    """The camera, said to stand elsewhere."""
+    """The camera with a random error of position and rotation."""
     random = np.random.default_rng(seed)
     pose = camera.world_from_camera.copy()
     pose[:3, 3] += random.normal(0, SHIFT_M, 3)
@@ -33,7 +33,7 @@ def off(camera: Camera, seed: int) -> Camera:
 
 
 def traced(cameras: list[Camera]) -> list[TracedView]:
-    """The photographs, seen from where the cameras are said to stand."""
+    """The photographs, traced from the given cameras."""
     geometry = TracedGeometry(geometry_of(room_mesh()))
     views = []
     for camera, view in zip(cameras, photographed_room().views, strict=True):
@@ -45,7 +45,7 @@ def traced(cameras: list[Camera]) -> list[TracedView]:
 
 
 def pixels_off(cameras: list[Camera], views: list[TracedView]) -> NDArray[np.float64]:
-    """By how many pixels each camera shows points of its view elsewhere than the true one (median)."""
+    """Median distance (px) between projections of each view's points by the given and the true camera."""
     found = []
     for camera, true, view in zip(cameras, (v.camera for v in photographed_room().views), views, strict=True):
         depth = view.geometry.depth_z_m[::9, ::9, 0]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Results of `materials infer` in other programs: Blender's Cycles through the add-on, a GLB through
-Blender's own importer, Khronos' validator."""
+"""Results of `materials infer` in other programs: Cycles through the add-on, GLB through Blender's importer,
+Khronos' validator."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ VALIDATOR = REPOSITORY / ".ci" / "gltf"
 
 @pytest.fixture(scope="module")
 def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Path:
-    """The textured room, merged from its own maps, with a lamp: F0 from 0.05 to 0.3 and coloured."""
+    """The textured room, merged from its true maps, with a lamp: F0 from 0.05 to 0.3 and coloured."""
     out = tmp_path_factory.mktemp("asset") / "out"
     lamp = PointLight(name="lamp", position_m=(2.1, 1.4, 2.2), intensity=(5.0, 5.0, 4.0))
     capture = replace(room_capture(8, (96, 64), has_equal_views=True), lights=(lamp,))
@@ -56,7 +56,7 @@ def mitsuba_image(asset: Path) -> NDArray[np.float32]:
 
 @pytest.fixture(scope="module")
 def cycles(asset: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], NDArray[np.float32]]:
-    """Renders a source (tests/model/cycles_of_asset.py) in a process of its own."""
+    """Function that renders a source with tests/model/cycles_of_asset.py in a separate process."""
 
     def render(source: str) -> NDArray[np.float32]:
         out = tmp_path_factory.mktemp("cycles")
@@ -70,7 +70,7 @@ def cycles(asset: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
 
 
 def blurred_ratio(a: NDArray, b: NDArray) -> NDArray:
-    """a : b where noise is averaged over some 50 pixels."""
+    """Ratio a / b of images averaged over about 50 pixels."""
     x, y = (cv2.GaussianBlur(image, (0, 0), 2.0) for image in (a, b))
     return x / y
 
@@ -80,8 +80,8 @@ def blurred_ratio(a: NDArray, b: NDArray) -> NDArray:
 def test_blender_renders_the_package_like_mitsuba(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """Means within 0.1 % at 256 samples of two views; at 128 noise leaves 0.3 %. Blurred pixels were within
-    8 % at the 1st and 99th percentile, which is their noise. One per cent of albedo shows in the mean."""
+    """Means of two views agree within 0.1 % at 256 samples (noise at 128: 0.3 %), and blurred pixels within 8
+    % at the 1st and 99th percentile, which is noise. One per cent of albedo is detected in the mean."""
     image = cycles(str(asset / "asset"))
     assert image.shape == mitsuba_image.shape
     np.testing.assert_allclose(image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1)), 1, atol=0.01)
@@ -96,15 +96,15 @@ def test_blender_renders_the_package_like_mitsuba(
 def test_blender_opens_the_glb(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """Principled takes from the diffuse part what the gloss reflects, also at grazing angles, so it is darker
-    in a closed room: 15 % where F0 goes up to 0.3. Place, colours, textures must be those of the package."""
+    """Principled reduces the diffuse part by the specular reflection, also at grazing angles, so a closed
+    room is darker: 15 % for F0 up to 0.3. Geometry, colours and textures must equal the package's."""
     image = cycles(f"{asset / 'asset'}+{asset / 'room.glb'}")
     ratio = image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1))
     assert (ratio > 0.78).all() and (ratio < 0.98).all(), ratio
     x, y = (cv2.GaussianBlur(i, (0, 0), 2.0).ravel() for i in (image, mitsuba_image))
     assert np.corrcoef(x, y)[0, 1] > 0.98
     turned = cv2.GaussianBlur(np.ascontiguousarray(image[:, ::-1]), (0, 0), 2.0).ravel()
-    assert np.corrcoef(turned, y)[0, 1] < 0.8  # the twin: mirrored, it does not pass
+    assert np.corrcoef(turned, y)[0, 1] < 0.8  # injected fault: a mirrored image fails
 
 
 @pytest.mark.bpy
@@ -113,7 +113,7 @@ def test_blender_opens_the_glb(
 def test_blender_opens_the_usdz(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """As the GLB, with one index for all that is no metal."""
+    """As for the GLB, with one refractive index for all dielectrics."""
     image = cycles(f"{asset / 'asset'}+{asset / 'room.usdz'}")
     ratio = image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1))
     assert (ratio > 0.78).all() and (ratio < 1.02).all(), ratio
@@ -122,9 +122,8 @@ def test_blender_opens_the_usdz(
 
 
 def test_the_glb_contains_the_written_maps(asset: Path) -> None:
-    """D, S and R from its textures and factors by the equations of glTF 2.0 and KHR_materials_specular,
-    against the EXR files, where F0 is a dielectric's; the packed texture as engines take it, with an
-    occlusion of 1."""
+    """D, S and R from its textures and factors by glTF 2.0 and KHR_materials_specular equal the EXR files
+    where F0 is dielectric; the packed texture has an occlusion of 1, as engines expect."""
     data = (asset / "room.glb").read_bytes()
     length = int.from_bytes(data[12:16], "little")
     document = json.loads(data[20 : 20 + length])
@@ -157,15 +156,15 @@ def test_the_glb_contains_the_written_maps(asset: Path) -> None:
         difference = np.abs(values - read_image(asset / "atlas" / f"{name}.exr"))[is_surface]
         assert difference.mean() < 0.003 and np.percentile(difference, 99) < 0.02, name
     without = {**got, "specular_albedo": 0.04 * (1 - metallic) + base * metallic}["specular_albedo"]
-    assert np.abs(without - specular_map)[is_surface].mean() > 0.01  # the twin: without the extension
+    assert np.abs(without - specular_map)[is_surface].mean() > 0.01  # injected fault: without the extension
 
 
 def test_khronos_validator_finds_nothing(asset: Path) -> None:
-    """Errors, warnings and hints of gltf-validator, which `make setup-dev` installs from npm."""
+    """No errors, warnings or hints from gltf-validator, which `make setup-dev` installs from npm."""
     if shutil.which("node") is None or not (VALIDATOR / "node_modules").is_dir():
         pytest.skip("needs node and npm packages: cd .ci/gltf && npm ci")
     for glb, has_errors in ((asset / "room.glb", False), (asset / "broken.glb", True)):
-        if has_errors:  # the twin: an index that is out of range is found
+        if has_errors:  # injected fault: an index out of range is found
             data = (asset / "room.glb").read_bytes()
             glb.write_bytes(data.replace(b'"material":0', b'"material":7'))
         done = subprocess.run(

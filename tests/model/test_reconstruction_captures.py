@@ -38,13 +38,13 @@ SIZE = (64, 40)
 
 
 def make_cameras(num: int = 3) -> list[Camera]:
-    """Cameras around the origin, with intrinsics that no default would give."""
+    """Cameras around the origin with unusual intrinsics."""
     poses = [look_at([2.0 * np.cos(a), 2.0 * np.sin(a), 1.0 + 0.1 * a], [0, 0, 0.3]) for a in range(num)]
     return [Camera(*SIZE, 55.0, 57.0, 31.0, 21.5, pose) for pose in poses]
 
 
 def quaternion_of(rotation: np.ndarray) -> np.ndarray:
-    """(w, x, y, z) by the eigenvector of Bar-Itzhack's matrix: independent of the reader's formula."""
+    """Quaternion (w, x, y, z) from the eigenvector of Bar-Itzhack's matrix, unlike the reader's formula."""
     m = rotation
     k = np.array(
         [
@@ -71,7 +71,7 @@ def write_mesh(folder: Path) -> Path:
 
 
 def write_colmap(folder: Path, cameras: list[Camera], form: str, model: str, parameters: list[float]) -> None:
-    """A COLMAP model of one lens, as text or binary, written from the format's description."""
+    """Write a COLMAP model of one lens, text or binary, following the format's description."""
     folder.mkdir(parents=True)
     rows = []
     for index, camera in enumerate(cameras):
@@ -144,7 +144,7 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["text", "binary"])
 def test_an_unsupported_lens_is_reported_once(tmp_path: Path, form: str) -> None:
-    """It had been blamed on ``images``, once a photograph."""
+    """Formerly the message named ``images``, once per photograph."""
     write_colmap(tmp_path / "m", make_cameras(5), form, "FOV", [50, 50, 32, 20, 0.5])
     with pytest.raises(InputError) as caught:
         read_colmap(tmp_path / "m", Budget("x"))
@@ -196,7 +196,7 @@ def test_colmap_capture_is_opened_and_round_trips(tmp_path: Path) -> None:
 
 
 def test_frames_up_and_unit_apply_to_cameras_and_mesh(tmp_path: Path) -> None:
-    """Y up in centimetres: a mesh point keeps its pixel, and its world position is in metres with Z up."""
+    """With Y up and centimetres mesh points keep their pixels; world positions are in metres with Z up."""
     write_colmap(tmp_path / "sparse", make_cameras(), "text", "PINHOLE", [55, 57, 31, 21.5])
     write_images(tmp_path / "images", 3)
     write_mesh(tmp_path)
@@ -265,7 +265,7 @@ def _pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     ],
 )
 def test_distortion_is_undone(distortion: Distortion | None) -> None:
-    """A smooth pattern on the plane z = 1 through the lens comes back as the pinhole sees it."""
+    """A smooth pattern on the plane z = 1, distorted by the lens, is restored to the pinhole's image."""
     lens = Camera(160, 100, 140.0, 143.0, 79.0, 52.0, np.eye(4))
     pinhole = Camera(160, 100, 150.0, 150.0, 80.0, 50.0, np.eye(4))
     matrix = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1]])
@@ -288,7 +288,7 @@ def test_distortion_is_undone(distortion: Distortion | None) -> None:
     limit = 3.9 / 8 / 140**2 + 2 * 0.9 / 140 / 64
     assert image.valid_mask.mean() > 0.8
     assert np.quantile(error, 0.99) < limit
-    shifted = Camera(160, 100, 150.0, 150.0, 80.5, 50.0, np.eye(4))  # half a pixel off must show
+    shifted = Camera(160, 100, 150.0, 150.0, 80.5, 50.0, np.eye(4))  # an error of half a pixel is detected
     wrong = undistorted(seen, lens, distortion, shifted)
     assert np.quantile(np.abs(wrong.color - _pattern(x, y))[wrong.valid_mask], 0.5) > 0.1 * limit
     assert np.quantile(np.abs(wrong.color - _pattern(x, y))[wrong.valid_mask], 0.99) > 2 * limit
@@ -335,7 +335,7 @@ def test_encodings(tmp_path: Path) -> None:
 
 
 def test_exr_and_wide_views(tmp_path: Path) -> None:
-    """A wide linear EXR is shrunk by averaging; the camera follows."""
+    """A wide linear EXR is reduced by averaging, with its camera."""
     write_mesh(tmp_path)
     pixels = np.random.default_rng(0).random((40, 64, 3)).astype(np.float32)
     with OpenEXR.File({}, {"RGB": pixels}) as file:
@@ -357,7 +357,7 @@ def test_exif_exposures_are_equalised(tmp_path: Path) -> None:
         exif.get_ifd(0x8769).update({0x829A: time_s, 0x829D: 4.0, 0x8827: 200})
         Image.new("RGB", SIZE, (100, 100, 100)).save(tmp_path / f"{index}.jpg", exif=exif)
         pose = np.eye(4)
-        pose[0, 3] = 0.01 * index  # places of their own: no bracket
+        pose[0, 3] = 0.01 * index  # different positions: no bracket
         frames.append({"file_path": f"{index}.jpg", "transform_matrix": pose.tolist(), "fl_x": 50.0})
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
 
@@ -377,7 +377,7 @@ def test_exif_exposures_are_equalised(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("exposure_scale", [1.0, 0.5])
 def test_clipped_pixels_are_marked(tmp_path: Path, exposure_scale: float) -> None:
-    """A pixel of 255 in one channel, a quarter of one of the smaller image's; 245 is 0.91 of the limit."""
+    """255 in one channel clips the pixel, a quarter of one of the reduced image; 245 is 0.91 of the limit."""
     pixels = np.full((6, 8, 3), 128, np.uint8)
     pixels[2, 4, 1] = 255
     pixels[0, 0, 0] = 245
@@ -394,7 +394,7 @@ def test_clipped_pixels_are_marked(tmp_path: Path, exposure_scale: float) -> Non
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 @pytest.mark.parametrize("encoding", ["auto", "gamma22"])
 def test_sixteen_bits_from_files(tmp_path: Path, suffix: str, encoding: Literal["auto", "gamma22"]) -> None:
-    """A ramp finer than 8 bits comes back linear to a 16-bit step."""
+    """A ramp finer than 8 bits is read as linear within a 16-bit step."""
     write_mesh(tmp_path)
     linear = np.linspace(0.05, 0.9, SIZE[0] * SIZE[1] * 3).reshape(SIZE[1], SIZE[0], 3)
     stored = srgb_from_linear(linear) if encoding == "auto" else linear ** (1 / 2.2)
@@ -408,11 +408,11 @@ def test_sixteen_bits_from_files(tmp_path: Path, suffix: str, encoding: Literal[
 
 
 def test_photographs_of_several_shapes_may_be_rotated(tmp_path: Path) -> None:
-    """A JPEG that its EXIF turns by 90 degrees, calibrated upright; a wide one beside it."""
+    """A JPEG with an EXIF rotation of 90 degrees, calibrated upright, and a landscape one."""
     write_mesh(tmp_path)
     ramp = np.tile(np.linspace(40, 220, 60).astype(np.uint8)[:, None, None], (1, 90, 3))  # dark at the top
     exif = Image.Exif()
-    exif[0x0112] = 6  # stored lying: turn it clockwise to see it
+    exif[0x0112] = 6  # stored rotated: displayed after a clockwise rotation
     lying = np.ascontiguousarray(np.rot90(ramp.transpose(1, 0, 2)[:, ::-1], 0))
     upright_ramp = np.rot90(lying, -1)
     Image.fromarray(lying).save(tmp_path / "a.jpg", exif=exif, quality=100, subsampling=0)
@@ -433,14 +433,14 @@ def test_photographs_of_several_shapes_may_be_rotated(tmp_path: Path) -> None:
 
 
 def test_polynomial_lens_is_undone() -> None:
-    """k4 of r^8 as RealityCapture and Metashape have it, undone to the pinhole's picture."""
+    """k4 of r^8, as in RealityCapture and Metashape, is undone to the pinhole's image."""
     lens = Camera(160, 100, 140.0, 143.0, 79.0, 52.0, np.eye(4))
     pinhole = Camera(160, 100, 150.0, 150.0, 80.0, 50.0, np.eye(4))
     distortion = Distortion(model="polynomial", coefficients=(-0.1, 0.05, 0.003, -0.004, -0.02, 0.3))
     rays = pinhole.unproject(pinhole.pixel_centers(), np.ones((100, 160)))[..., :2]
     where = lens_pixels(lens, distortion, rays)
     x, y = np.meshgrid(np.arange(160) + 0.5, np.arange(100) + 0.5)
-    stored = np.stack([x / 160, y / 100, x * y / 16000], axis=-1).astype(np.float32)  # its pixels' places
+    stored = np.stack([x / 160, y / 100, x * y / 16000], axis=-1).astype(np.float32)  # pixel positions
     image = undistorted(stored, lens, distortion, pinhole)
     found = image.color[..., :2] * [160, 100]
     error = np.abs(found - where)[image.valid_mask]

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Conventions of other software: points go to the pixels that its own documented model gives, within 0.01
-px.
+"""Conventions of other software: points project to the pixels of its documented model, within 0.01 px.
 
-Each oracle is written from the software's formulas in float64 and knows nothing of the readers.
+Each oracle follows the software's formulas in float64, independent of the readers.
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ Oracle = Callable[[np.ndarray], np.ndarray]
 
 
 def points() -> np.ndarray:
-    """World points that all cameras of this file see."""
+    """World points that are visible to all cameras of this file."""
     return np.random.default_rng(5).uniform([-0.8, -0.8, 0], [0.8, 0.8, 1.2], (60, 3))
 
 
 def poses() -> list[tuple[np.ndarray, np.ndarray]]:
-    """Three (camera_from_world rotation, centre): y down, z forward, rolled."""
+    """Three poses (camera_from_world rotation, centre): y down, z forward, rolled."""
     found = []
     for k in range(3):
         center = np.array([3 * np.cos(1.9 * k), 3 * np.sin(1.9 * k), 1 + 0.4 * k])
@@ -63,7 +62,7 @@ def write_mesh(folder: Path) -> None:
 
 
 def pixels_of(view: CaptureView, world: np.ndarray) -> np.ndarray:
-    """Pixels at which the capture's photograph shows world points, distortion included."""
+    """Pixels of world points in the capture's photograph, distortion included."""
     source = view.source
     assert isinstance(source, PhotographSource)
     lens = source.calibrated
@@ -82,7 +81,7 @@ def check(views: tuple[CaptureView, ...], oracles: Mapping[str, Oracle]) -> None
 
 
 def wiki_brown(xy: np.ndarray, k: tuple[float, ...], t1: float, t2: float) -> np.ndarray:
-    """Brown's model as RealityCapture and Metashape write it: t1 (p1) goes with r^2 + 2 x^2."""
+    """Brown's model as in RealityCapture and Metashape: t1 (p1) multiplies r^2 + 2 x^2."""
     x, y = xy.T
     r = np.sqrt(x**2 + y**2)
     radial = 1 + sum(value * r ** (2 * power) for power, value in enumerate(k, start=1))
@@ -99,8 +98,8 @@ K, T = (-0.11, 0.05, -0.02, 0.01), (0.004, -0.007)
 
 
 def csv_oracle(center: np.ndarray, angles: tuple[float, float, float]) -> Oracle:
-    """Heading clockwise from north, then pitch up from straight down about the camera's right, then roll
-    about its top."""
+    """Projection with heading clockwise from north, then pitch up from straight down about the camera's right
+    axis, then roll about its top axis."""
     axes = np.eye(3)  # rows: right = east, top = north, back = up
     for axis, angle in ((2, -angles[0]), (0, angles[1]), (1, angles[2])):
         axes = Rotation.from_rotvec(np.radians(angle) * axes[axis]).apply(axes)
@@ -115,7 +114,7 @@ def csv_oracle(center: np.ndarray, angles: tuple[float, float, float]) -> Oracle
 
 
 def angles_of(rotation: np.ndarray) -> tuple[float, float, float]:
-    """(heading, pitch, roll) whose oracle looks along a rotation's third row."""
+    """Angles (heading, pitch, roll) whose oracle looks along the third row of ``rotation``."""
     axes = rotation * np.array([[1.0], [-1.0], [-1.0]])  # rows: right, top, back
     a, b, c = Rotation.from_matrix(axes.T).as_euler("ZXY", degrees=True)
     return -a, b, c
@@ -151,7 +150,7 @@ def test_realitycapture_compass_angles(angles: tuple, forward: tuple, top: tuple
 
 @pytest.mark.parametrize("as_attributes", [False, True])
 def test_realitycapture_xmp(tmp_path: Path, as_attributes: bool) -> None:
-    """Written as either version of the software does; x = R (X - position), offsets times the longer side."""
+    """Written like either version of the software; x = R (X - position), offsets times the longer side."""
     write_images(tmp_path, [f"a{k}.png" for k in range(3)])
     write_mesh(tmp_path)
     oracles: dict[str, Oracle] = {}
@@ -203,10 +202,10 @@ LOCAL = 'LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["met
 def write_metashape(
     folder: Path, kind: str, lens: str, reference: str = LOCAL
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The file and, per camera, chunk_from_camera's rotation and centre."""
+    """Write the file; returns chunk_from_camera's rotation and centre per camera."""
     turn = Rotation.from_euler("xyz", [0.3, -0.4, 1.1]).as_matrix()
     cameras, stored = "", []
-    for k, (rotation, center) in enumerate(poses()):  # the chunk's own frame differs from the world
+    for k, (rotation, center) in enumerate(poses()):  # the chunk's frame differs from the world
         matrix = np.eye(4)
         matrix[:3, :3] = turn.T @ rotation.T
         matrix[:3, 3] = turn.T @ (center - [0.5, -0.25, 2]) / 1.75
@@ -214,8 +213,8 @@ def write_metashape(
         numbers = " ".join(repr(float(v)) for v in matrix.ravel())
         label = f"b{k}" + (".PNG" if k == 1 else "")
         cameras += f'<camera id="{k}" sensor_id="4" label="{label}"><transform>{numbers}</transform></camera>'
-    said = " ".join(repr(float(v)) for v in turn.ravel())
-    text = METASHAPE.format(kind=kind, lens=lens, cameras=cameras, rotation=said, reference=reference)
+    note = " ".join(repr(float(v)) for v in turn.ravel())
+    text = METASHAPE.format(kind=kind, lens=lens, cameras=cameras, rotation=note, reference=reference)
     (folder / "cameras.xml").write_text(text)
     write_images(folder / "images", [f"b{k}.png" for k in range(3)])
     write_mesh(folder)
@@ -267,7 +266,7 @@ def test_metashape_faults(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lens", ["pinhole", "pinhole_radial_k3", "pinhole_brown_t2", "fisheye"])
 def test_openmvg(tmp_path: Path, lens: str) -> None:
-    """x = R (X - C); OpenMVG's headers: k1 k2 k3, then t2 goes with r^2 + 2 x^2."""
+    """x = R (X - C); by OpenMVG's headers: k1 k2 k3, then t2 multiplies r^2 + 2 x^2."""
     data = {"width": 600, "height": 400, "focal_length": 430.0, "principal_point": [290.0, 210.0]}
     extra = {"pinhole": {}, "pinhole_radial_k3": {"disto_k3": K[:3]}, "fisheye": {"fisheye": K},
              "pinhole_brown_t2": {"value0": data, "disto_t2": [*K[:3], *T]}}[lens]  # fmt: skip
@@ -347,7 +346,7 @@ def test_bundler(tmp_path: Path) -> None:
 
 
 def test_environment_package_with_photographs(tmp_path: Path) -> None:
-    """Exports of the Blender add-on: cameras and meshes from the package, photographs by name."""
+    """Exports of the Blender add-on provide cameras and meshes; photographs are matched by name."""
     mesh = with_uv(box([-1, -1, 0], [1, 1, 1]))
     cameras, oracles = [], {}
     for k, (rotation, center) in enumerate(poses()):
@@ -398,14 +397,14 @@ def test_up_is_estimated_from_the_cameras() -> None:
 
     for up in AXES:
         assert np.linalg.det(z_up_from(up)) == pytest.approx(1)
-        turned = z_up_from(up).T  # takes z to this axis
+        turned = z_up_from(up).T  # rotates z to this axis
         cameras = []
         for rotation, center in poses():
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = turned @ rotation.T, turned @ center
             cameras.append(Camera(*SIZE, 500, 500, 300, 200, matrix))
-        found, said = judged_up(cameras)
-        assert found == up and f"up: {up}" in said
+        found, note = judged_up(cameras)
+        assert found == up and f"up: {up}" in note
     tilted = Rotation.from_euler("x", 45, degrees=True).as_matrix()
     oblique = [
         Camera(*SIZE, 500, 500, 300, 200, np.block([[tilted @ r.T, np.zeros((3, 1))], [0, 0, 0, 1]]))
@@ -415,8 +414,8 @@ def test_up_is_estimated_from_the_cameras() -> None:
 
 
 def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
-    """Cameras that look down by 10 to 35 degrees, in a world turned at random: the mean up is off for those
-    that look into one half of the room; of cameras with one heading, nothing better is known."""
+    """Cameras that look down by 10 to 35 degrees in a randomly rotated world: for cameras facing one half of
+    the room the mean up axis is wrong; for a single heading it is the best estimate."""
     from datagen.foundation.cameras import Camera, look_at
 
     def camera(heading_deg: float, down_deg: float) -> Camera:
@@ -441,15 +440,15 @@ def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
     ("size", "unit"), [(7.0, 1.0), (95.0, 1.0), (650.0, 0.01), (6500.0, 0.001), (0.2, 1.0)]
 )
 def test_unit_is_estimated_from_the_mesh(size: float, unit: float) -> None:
-    found, said = judged_unit(size)
-    assert found == unit and "--unit" in said
-    assert ("small for a room" in said) == (size < 1)
+    found, note = judged_unit(size)
+    assert found == unit and "--unit" in note
+    assert ("small for a room" in note) == (size < 1)
 
 
 @pytest.mark.parametrize("has_uv", [True, False])
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb", ".gltf"])
 def test_meshes(tmp_path: Path, suffix: str, has_uv: bool) -> None:
-    """Every kind of file gives the same triangles and, where it has them, the same UVs, v upwards."""
+    """Every file format gives the same triangles and, where present, the same UVs, v upwards."""
     import trimesh
 
     mesh = with_uv(box([-1, -2, 0], [1, 1, 1]))

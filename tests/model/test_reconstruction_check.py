@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The check before inference: what fits is left in peace, what is off is named with its amount."""
+"""The check before inference passes consistent captures, and names errors with their amount."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_consistent_capture_passes_and_pictures_are_written(tmp_path: Path) ->
     assert [view["name"] for view in stored["views"]] == [view.name for view in capture.views]
     sheet = read_image(tmp_path / "sheet-01.png")
     green = (sheet[..., 1] > 200) & (sheet[..., 0] < 150) & (sheet[..., 2] < 150)
-    assert green.sum() > 10 * 300  # ten views, and the lines of each
+    assert green.sum() > 10 * 300  # ten views, and their edge images
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0, 0), (0, 1.0, 0)])
@@ -56,35 +56,34 @@ def test_a_camera_off_by_a_degree_is_named(axis: tuple[float, float, float]) -> 
     assert warning.startswith("view_03: its edges are") and "correct its pose" in warning
     off = report.views[3].off_deg
     assert off is not None and 0.6 < off < 1.4
-    # the twin: a fifth of a degree is nothing to speak of
+    # counterpart: a fifth of a degree is negligible
     assert check_capture(turned(photographed_room(), 3, 0.2, axis)).all_warnings == []
 
 
 @pytest.mark.parametrize("degrees", [2.0, -2.0])
 def test_a_rolled_camera_is_named(degrees: float) -> None:
-    """A camera claimed to be rolled clockwise shows the mesh turned the other way: the photograph's edges are
-    clockwise of the mesh's."""
+    """With a pose rolled clockwise the photograph's edges are rotated clockwise relative to the mesh's."""
     report = check_capture(turned(photographed_room(), 5, degrees, (0, 0, 1.0)))
     (warning,) = report.all_warnings
     way = "clockwise" if degrees > 0 else "anticlockwise"
     assert warning.startswith("view_05: its edges are turned by") and f"degrees {way} against" in warning
     warp = report.views[5].warp
     assert warp is not None and np.degrees(warp.roll_rad) == pytest.approx(degrees, abs=0.5)
-    # the twin: a third of a degree is nothing to speak of
+    # counterpart: a third of a degree is negligible
     assert check_capture(turned(photographed_room(), 5, degrees / 6, (0, 0, 1.0))).all_warnings == []
 
 
 @pytest.mark.parametrize(
-    ("metres", "said"), [(0.12, "large in it; the camera is about"), (-0.12, "small in")]
+    ("metres", "expected"), [(0.12, "large in it; the camera is about"), (-0.12, "small in")]
 )
-def test_a_camera_moved_along_its_axis_is_named(metres: float, said: str) -> None:
+def test_a_camera_moved_along_its_axis_is_named(metres: float, expected: str) -> None:
     capture = photographed_room()
     camera = capture.views[1].camera
     pose = camera.world_from_camera.copy()
     pose[:3, 3] += metres * camera.forward
     report = check_capture(with_view(capture, 1, camera=replace(camera, world_from_camera=pose)))
     (warning,) = report.all_warnings
-    assert warning.startswith("view_01: the mesh looks") and said in warning
+    assert warning.startswith("view_01: the mesh looks") and expected in warning
     warp = report.views[1].warp
     assert warp is not None
     assert (1 - warp.zoom) * report.views[1].zoom_depth_m == pytest.approx(metres, abs=0.05)
@@ -94,8 +93,8 @@ def test_a_camera_moved_along_its_axis_is_named(metres: float, said: str) -> Non
     ("offset", "scale"), [((0.02, -0.01, 0.015), 1.02), ((0, 0, 0), 0.98), ((0.02, 0, 0), 1)]
 )
 def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, float], scale: float) -> None:
-    """A point 3 m ahead of each camera, projected before and after the mistake, exactly; two views are off by
-    themselves."""
+    """Exact shifts of a point 3 m in front of each camera, before and after the error; two views have errors
+    of their own."""
     rng = np.random.default_rng(0)
     cameras = []
     for _ in range(14):
@@ -114,8 +113,8 @@ def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, fl
     found = common_mistake(views)
     assert found is not None
     assert found.scale == pytest.approx(scale, abs=0.002)
-    told = np.zeros(3) if found.offset_m is None else found.offset_m
-    np.testing.assert_allclose(told, offset, atol=0.003)
+    measured = np.zeros(3) if found.offset_m is None else found.offset_m
+    np.testing.assert_allclose(measured, offset, atol=0.003)
     assert (found.offset_m is None) == (not any(offset))
     left = np.linalg.norm(found.left_px, axis=1)
     assert left[[3, 8]].min() > 15 and np.delete(left, [3, 8]).max() < 1
@@ -144,7 +143,7 @@ def test_a_mesh_off_by_two_centimetres_is_measured() -> None:
 
 
 def test_a_photograph_of_another_room_is_named() -> None:
-    """A picture with edges of its own; the capture around it fits."""
+    """One photograph has unrelated edges; the rest of the capture fits."""
     capture = photographed_room()
     source = capture.views[6].source
     assert isinstance(source, Photograph)
@@ -169,9 +168,9 @@ def test_useless_views_are_named() -> None:
     camera = capture.views[4].camera
     outside = look_at([12, 1.5, 1.2], [20, 1.5, 1.2])
     capture = with_view(capture, 4, camera=replace(camera, world_from_camera=outside))
-    behind = look_at([6.0, 1.5, 1.2], [2, 1.5, 1.2])  # through the wall, into the room from behind
+    behind = look_at([6.0, 1.5, 1.2], [2, 1.5, 1.2])  # from behind a wall into the room
     capture = with_view(capture, 6, camera=replace(camera, world_from_camera=behind))
-    near = look_at([3.98, 1.5, 1.2], [5, 1.5, 1.2])  # 2 cm before a wall
+    near = look_at([3.98, 1.5, 1.2], [5, 1.5, 1.2])  # 2 cm in front of a wall
     capture = with_view(capture, 8, camera=replace(camera, world_from_camera=near))
     warnings = check_capture(capture).all_warnings
     expected = {
@@ -187,7 +186,7 @@ def test_useless_views_are_named() -> None:
 
 
 def test_a_better_up_axis_is_found_and_inference_refuses(tmp_path: Path) -> None:
-    """The mesh as a Y-up file, read as Z-up."""
+    """A Y-up mesh is read as Z-up."""
     capture = photographed_room()
     mesh = capture.geometry.mesh
     x, y, z = mesh.positions.T
@@ -202,7 +201,7 @@ def test_a_better_up_axis_is_found_and_inference_refuses(tmp_path: Path) -> None
 
 
 def test_a_better_unit_is_found() -> None:
-    """A mesh in centimetres among cameras in metres, away from the origin, where both would agree."""
+    """A mesh in centimetres and cameras in metres, away from the origin, where both units would agree."""
     capture = photographed_room()
     shift = np.array([1.3, -0.7, 0.4])
     for index, view in enumerate(capture.views):
@@ -216,7 +215,7 @@ def test_a_better_unit_is_found() -> None:
 
 
 def test_shifts_are_measured_exactly() -> None:
-    """The mesh's edges against themselves, moved: the peak lies where they were moved to."""
+    """For the mesh's edges against a shifted copy the peak is at the shift."""
     capture = photographed_room()
     view = capture.views[1]
     geometry = TracedGeometry(capture.geometry).trace_view(view.camera)
@@ -234,7 +233,7 @@ def test_shifts_are_measured_exactly() -> None:
 
 
 def test_edges_are_creases_and_jumps_only() -> None:
-    """A view of a bare wall and its corner: one line, where the planes meet."""
+    """A view of a bare wall with a corner has one line, where the planes meet."""
     capture = photographed_room()
     camera = Camera(200, 150, 160.0, 160.0, 100.0, 75.0, look_at([2, 1.5, 1.5], [0, 3, 1.5]))
     geometry = TracedGeometry(capture.geometry).trace_view(camera)
@@ -245,7 +244,7 @@ def test_edges_are_creases_and_jumps_only() -> None:
 
 
 def test_command_returns_codes(tmp_path: Path) -> None:
-    """Photographs on disk with transforms.json: exit code 0, then 1 with a camera that is off."""
+    """Photographs on disk with transforms.json: exit code 0, then 1 with a wrong camera."""
     from model.cli import app
 
     capture = photographed_room()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Filling of unseen texels, the atlas's size, images of atlases, and the command."""
+"""Filling of unseen texels, size and images of an atlas, and the command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SIZE = 96
 
 
 def seen_atlas(seen_faces: list[int], half_seen: list[int]) -> tuple[Mesh, Atlas]:
-    """Each quad of one value, its number over 100; ``half_seen`` triangles only left of their middle."""
+    """Mesh and atlas whose quads have the value number / 100; ``half_seen`` triangles: left half only."""
     mesh = room_mesh()
     atlas = empty_atlas(SIZE)
     atlas.face[...] = TexelSurface(mesh, face_normals(mesh), SIZE).faces(0, 0, SIZE, SIZE)
@@ -46,7 +46,7 @@ def nearest_index(source: np.ndarray) -> np.ndarray:
 
 
 def test_every_texel_gets_a_value_from_its_surroundings() -> None:
-    """Half-seen charts fill themselves; the unseen top of the block takes a side of the block, not a far
+    """Half-seen charts are filled from themselves; the unseen top of the block from its sides, not from a far
     wall."""
     seen = [f for f in range(24) if f // 2 not in (3, 11)]  # quad 3: a wall; quad 11: the block's top
     mesh, atlas = seen_atlas(seen, [6, 7])
@@ -71,7 +71,7 @@ def test_every_texel_gets_a_value_from_its_surroundings() -> None:
 
 
 def test_an_atlas_in_files_is_filled_identically(tmp_path: Path) -> None:
-    """Also band by band, with what was touched let go of."""
+    """Also in bands whose memory is released."""
     mesh, atlas = seen_atlas([f for f in range(24) if f // 2 not in (3, 11)], [6, 7])
     filed = empty_atlas(SIZE, tmp_path)
     for name, array in atlas.maps.items():
@@ -109,8 +109,7 @@ def test_charts_are_the_quads() -> None:
 
 
 def test_size_follows_the_density_of_pixels() -> None:
-    """A wall seen head on from 2 m by a camera of f = 200 px has pixels of 1 cm: 4 m of it need 400
-    texels."""
+    """A wall seen frontally from 2 m with f = 200 px has pixels of 1 cm: 4 m of it need 400 texels."""
     quad = np.array([[-2, 2, -2], [2, 2, -2], [2, 2, 2], [-2, 2, 2]], np.float32)
     mesh = Mesh(quad, np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, np.zeros((4, 2), np.float32))
     pose = look_at([0, 0, 0], [0, 1, 0])
@@ -125,7 +124,7 @@ def test_size_follows_the_density_of_pixels() -> None:
         512,
         1024,
         1792,
-    ]  # 400, 800, 1600 up to the next multiple of 256; corners are a hair coarser
+    ]  # 400, 800, 1600 up to the next multiple of 256; corners are slightly coarser
 
 
 def test_images_of_an_atlas_are_written(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The whole way on a rendered room: shard to atlas, asset, glTF, Mitsuba scene; and the asset rendered
+"""The full pipeline on a rendered room: shard to atlas, asset, glTF and Mitsuba scene; and the asset rendered
 again."""
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SAMPLES = 64
 
 @dataclass(frozen=True)
 class Rendered:
-    """A shard, what it was made of, and a checkpoint of random weights."""
+    """A shard, its configuration and library, and a checkpoint of random weights."""
 
     root: Path
     shard: Path
@@ -73,7 +73,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> 
 
 @pytest.fixture(scope="module")
 def truth(rendered: Rendered) -> tuple[Path, InferReport]:
-    """The room merged from its ground truth."""
+    """Reconstruction of the room from ground-truth maps."""
     out = rendered.root / "truth"
     report = infer(rendered.capture(), out, TRUTH, InferOptions(atlas=512))
     return out, report
@@ -87,19 +87,19 @@ def test_geometry_of_a_shard_equals_the_rendered_one(rendered: Rendered) -> None
         seen = traced.trace_view(view.camera)
         np.testing.assert_allclose(seen.depth_z_m, stored["depth_z_m"], rtol=1e-4, atol=1e-4)
         cosine = (seen.normal_world * stored["normal_world"].astype(np.float32)).sum(axis=-1)
-        assert np.mean(cosine[seen.face >= 0] > 0.99) > 0.9  # the rest: pixels across edges
+        assert np.mean(cosine[seen.face >= 0] > 0.99) > 0.9  # the rest: pixels at edges
 
 
 def psnr(a: np.ndarray, b: np.ndarray, exposure: float) -> float:
-    """Of clipped, sRGB-encoded images."""
+    """PSNR (dB) of exposed, clipped, sRGB-encoded images."""
     x, y = (np.clip(srgb_from_linear(image.astype(np.float64) * exposure), 0, 1) for image in (a, b))
     return float(-10 * np.log10(np.mean((x - y) ** 2)))
 
 
 def test_asset_renders_like_the_room(rendered: Rendered, truth: tuple[Path, InferReport]) -> None:
-    """Both at 64 samples, denoised: noise leaves about 40 dB. What else may differ: a texel's rounding (8
-    bits), texture finer than the views' pixels (the floor's noise), and edges, where a pixel's map is a
-    mixture: with a tenth of the pixels off by 6 % that is 34 dB. Radiance 5 % too bright must show."""
+    """Both are denoised at 64 samples; noise limits them to about 40 dB. Other differences are rounding of
+    texels (8 bits), texture finer than the views' pixels, and mixed pixels at edges: a tenth of the pixels
+    off by 6 % gives 34 dB. Radiance 5 % too bright is detected."""
     out, _ = truth
     recipe = RenderRecipe(
         variant="llvm_ad_rgb", path_samples=SAMPLES, auxiliary_samples=SAMPLES, denoise=True
@@ -126,7 +126,7 @@ def test_asset_renders_like_the_room(rendered: Rendered, truth: tuple[Path, Infe
 
 
 def test_atlas_contains_the_rooms_materials(rendered: Rendered, truth: tuple[Path, InferReport]) -> None:
-    """Parts of one material have its values: medians over each part's seen texels."""
+    """The median over each part's seen texels has the values of its material."""
     out, report = truth
     assert report.atlas_size == 512 and 0.3 < report.seen_share <= 1
     asset = open_package(out / "asset").asset
@@ -187,7 +187,7 @@ def test_glb_round_trips_to_the_same_materials(truth: tuple[Path, InferReport], 
 
 
 def test_normals_break_at_creases_only() -> None:
-    """A welded mesh without normals: a cube gets flat sides, a sphere stays smooth; UVs, faces are kept."""
+    """Of a welded mesh without normals a cube gets flat sides, a sphere stays smooth; UVs, faces are kept."""
     import trimesh
 
     from datagen.foundation.meshes.mesh import Mesh
@@ -202,7 +202,7 @@ def test_normals_break_at_creases_only() -> None:
         np.testing.assert_array_equal(made.uv[made.faces], uv[plain.faces])
         along = (made.normals[made.faces] * shape.face_normals[:, None]).sum(axis=-1)
         assert along.min() > (0.9999 if num == 24 else 0.98)
-    # a floor with a narrow bevel up to a wall: the floor's corners lean by next to nothing
+    # a floor with a narrow bevel to a wall: the floor's corner normals hardly tilt
     xs, zs = [0, 3, 3.02, 3.02], [0, 0, 0.012, 2.5]
     points = np.array([[x, y, z] for x, z in zip(xs, zs, strict=True) for y in (0.0, 4.0)], np.float32)
     faces = np.array([f for k in (0, 2, 4) for f in ([k, k + 2, k + 1], [k + 1, k + 2, k + 3])], np.int32)
@@ -212,7 +212,7 @@ def test_normals_break_at_creases_only() -> None:
 
 
 def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferReport], tmp_path: Path) -> None:
-    """The report says how large the textures are; what is averaged is counted as the conversion's error."""
+    """The report contains the texture size and counts averaging as an error of the conversion."""
     from PIL import Image
 
     from model.reconstruction.atlas.atlas import empty_atlas
@@ -244,7 +244,7 @@ def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferRepo
 def test_a_shard_finds_its_library(
     rendered: Rendered, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By --library; else as its dataset folder says; else in the bundled one, if the hashes are right."""
+    """By --library, else by its dataset folder, else in the bundled library if the hashes match."""
     from model.reconstruction.captures import rendered as reader
 
     alone = tmp_path / "alone.tar"
@@ -261,7 +261,7 @@ def test_a_shard_finds_its_library(
 
 
 def test_metallic_conversion_keeps_dielectrics_and_metals() -> None:
-    """Dielectrics and metals survive; in between the remainder is taken up as far as channels allow."""
+    """Dielectrics and metals are kept; in between the remainder is compensated as far as channels allow."""
     rng = np.random.default_rng(0)
     diffuse = rng.random((50, 3)).astype(np.float32)
     specular = rng.uniform(0, 0.16, (50, 3)).astype(np.float32)
@@ -311,7 +311,7 @@ def test_assets_can_be_relit_and_get_inserted_objects(
 
 
 def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed after three views it predicts only the rest, to the same bytes; other work is refused."""
+    """Killed after three views it predicts only the rest, to the same bytes; another task is refused."""
     options = InferOptions(atlas=128, precision="float32", batch=2, has_exr=False)
     whole = infer(rendered.capture(), rendered.root / "whole", CheckpointMaps(rendered.checkpoint), options)
     assert whole.is_filtered and whole.precision == "float32" and whole.exposure > 0
@@ -346,8 +346,8 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
 
 
 def test_inference_with_confidence_continues(rendered: Rendered) -> None:
-    """Confidence is kept beside the maps: where it is missing the view is predicted again, to the same
-    maps; given maps have none."""
+    """Confidence is stored beside the maps; a view without it is predicted again, to the same maps; given
+    maps have no confidence."""
     out = rendered.root / "weighted"
     options = InferOptions(atlas=128, precision="float32", batch=2, weights="all", has_exr=False)
     infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)

@@ -30,7 +30,7 @@ PREDICTED = 0.35
 
 
 def predicted(views: Sequence[TracedView], level: float = PREDICTED) -> list[dict[str, NDArray]]:
-    """One grey everywhere, nothing specular: all of the level is wrong."""
+    """Constant grey diffuse maps without specular part, of a wrong level."""
     shape = views[0].color.shape
     maps = {
         "diffuse_albedo": np.full(shape, level, np.float16),
@@ -45,20 +45,20 @@ def level_of(views: Sequence[TracedView], maps: list[dict[str, NDArray]] | None 
 
 
 def found_albedos(level: AlbedoLevel, maps_level: float = PREDICTED) -> NDArray:
-    """(6, 3) of the walls."""
+    """Albedos (6, 3) of the walls after the correction."""
     region = smooth_regions(TracedGeometry(box_geometry()).mesh)
     return maps_level * level.gains[region[: 2 * len(ALBEDOS) : 2]]
 
 
 @pytest.fixture(scope="module")
 def level(mitsuba_variant: str) -> AlbedoLevel:
-    """Of the box as it is."""
+    """Albedo level of the unchanged box."""
     return level_of(photographed_box())
 
 
 def test_albedo_of_a_closed_room_is_found(level: AlbedoLevel) -> None:
-    """Interreflection with a lamp in sight says all: within 4 % on every wall and channel, whatever was
-    predicted and however the photographs were exposed."""
+    """Interreflection with a visible lamp determines every wall and channel within 4 %, for any prediction
+    and exposure."""
     views = photographed_box()
     assert level.report.is_applied and level.report.reason == ""
     np.testing.assert_allclose(found_albedos(level), ALBEDOS, rtol=0.04)
@@ -69,14 +69,14 @@ def test_albedo_of_a_closed_room_is_found(level: AlbedoLevel) -> None:
 
 
 def test_unseen_sun_does_not_brighten_the_floor() -> None:
-    """A patch of floor is lit several times brighter by what no photograph shows. A mean over the floor would
-    make it 1.5 times as pale at least; the mode stays within 10 %."""
+    """An unphotographed light makes a patch of floor several times brighter. A mean over the floor would be
+    at least 1.5 times too bright; the mode is within 10 %."""
     views = photographed_box(has_sun=True)
     level = level_of(views)
     assert level.report.is_applied
     np.testing.assert_allclose(found_albedos(level), ALBEDOS, rtol=0.1)
     shown = np.concatenate([v.color[(v.geometry.face == 8) | (v.geometry.face == 9)] for v in views])
-    assert shown.mean() > 1.5 * np.median(shown)  # the sun is there, and strong
+    assert shown.mean() > 1.5 * np.median(shown)  # the sun is present and strong
 
 
 def test_corrected_maps_are_clipped_and_leave_the_rest(level: AlbedoLevel) -> None:
@@ -109,9 +109,8 @@ def test_too_little_evidence_changes_nothing(kept: slice, reason: str) -> None:
 
 
 def test_unknown_light_is_estimated_from_known_light() -> None:
-    """Every third square over all surfaces, lamp included, is missing from the photographs: walls do not seem
-    to reflect more for it, though less light is seen to arrive. Undivided by the known share, all would be a
-    fifth too pale."""
+    """Every third square of all surfaces, lamp included, is missing from the photographs. Without division by
+    the known share of light, albedos would be a fifth too bright."""
     views = []
     for view in photographed_box():
         depth = view.geometry.depth_z_m
@@ -124,8 +123,7 @@ def test_unknown_light_is_estimated_from_known_light() -> None:
 
 
 def test_a_hidden_lamp_changes_nothing() -> None:
-    """The lamp is masked out of all photographs, as where nobody looks up: the room seems to reflect more
-    than arrives."""
+    """The lamp is masked in all photographs, so the room seems to reflect more than arrives."""
     views = []
     for view in photographed_box():
         is_lamp = view.geometry.face >= 12
@@ -137,7 +135,7 @@ def test_a_hidden_lamp_changes_nothing() -> None:
 
 
 def test_contradictory_evidence_changes_nothing() -> None:
-    """Predictions that have nothing to do with what reflects, within one wall: no gain makes them right."""
+    """Predictions unrelated to the reflectance, within one wall: no gain corrects them."""
     views = photographed_box()
     random, maps = np.random.default_rng(0), predicted(views)
     for view_maps in maps:
@@ -150,13 +148,13 @@ def test_contradictory_evidence_changes_nothing() -> None:
 
 @pytest.mark.parametrize(("part", "is_applied"), [(0.05, True), (0.7, False)])
 def test_uncertain_light_does_not_count(part: float, is_applied: bool) -> None:
-    """``part`` of what arrives anywhere, about."""
+    """About ``part`` of the incident light is uncertain everywhere."""
     views = photographed_box()
     traced = TracedGeometry(box_geometry())
     brightness = float(np.median(np.concatenate([view.color.mean(axis=2).ravel() for view in views])))
 
     def doubt_at(position_m: NDArray, normal: NDArray) -> NDArray[np.float64]:
-        return np.full(len(position_m), part * brightness / 0.5)  # of radiance = albedo times shading
+        return np.full(len(position_m), part * brightness / 0.5)  # from radiance = albedo times shading
 
     regions = smooth_regions(traced.mesh)
     found = find_level(views, predicted(views), traced, regions, doubt_at=doubt_at)
@@ -164,7 +162,7 @@ def test_uncertain_light_does_not_count(part: float, is_applied: bool) -> None:
 
 
 def test_background_depends_on_position_and_direction() -> None:
-    """A window that shows two colours: a ray meets the one that was photographed where it goes."""
+    """In a window with two colours a ray gets the colour photographed in its direction."""
     views = [
         TracedView(
             v.camera,
@@ -187,12 +185,12 @@ def test_background_depends_on_position_and_direction() -> None:
     radiance, is_known = cache.beyond(origin, direction)
     assert is_known.all()
     np.testing.assert_array_equal(radiance, [[0, 0, 9], [0, 3, 0]])
-    assert not cache.at(np.array([[2.0, 1.5, 1.2]]), np.array([[0.0, 0.0, 1.0]]))[1].any()  # in mid-air
+    assert not cache.at(np.array([[2.0, 1.5, 1.2]]), np.array([[0.0, 0.0, 1.0]]))[1].any()  # in free space
 
 
 def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> None:
-    """Untrained networks say one grey or another: the atlas takes the gains, the views stay as predicted.
-    A lamp at the sensor's limit changes little."""
+    """With constant predictions of untrained networks the atlas gets the gains, and views stay as predicted.
+    A lamp at the clipping limit changes little."""
     torch.manual_seed(3)
     network = NetworkConfig(base_channels=4, global_channels=8)
     card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
@@ -225,7 +223,7 @@ def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("white", [np.inf, 0.6])
 def test_share_of_clipped_pixels_is_exact(white: float) -> None:
-    """Of photographs with a limit."""
+    """The share counts pixels at the clipping limit."""
     traced = trace_capture(box_capture(white))
     colors = np.stack([view.color for view in photographed_box()])
     assert clipped_share(traced.views) == np.mean(colors.max(axis=-1) >= white)

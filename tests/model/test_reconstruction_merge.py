@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The merge: against brute force on noise, and the atlas of a known textured room back from its own views."""
+"""The merge against brute force on noise, and the atlas of a known textured room from its views."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SMALL = (33, 26)
 
 
 def noise_views(mesh: Mesh, num: int) -> list[MapView]:
-    """White noise as maps: a fetch from any wrong place shows."""
+    """Views with white noise as maps, which reveals wrong lookups."""
     rng = np.random.default_rng(1)
     views = []
     for camera in room_cameras(num, SMALL):
@@ -39,7 +39,7 @@ def noise_views(mesh: Mesh, num: int) -> list[MapView]:
 
 
 def surface_under(mesh: Mesh, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Face (N, N), point and normal (N, N, 3) under each texel's centre, by float64 over all triangles."""
+    """Face (N, N), point and normal (N, N, 3) at each texel's centre, in float64 over all triangles."""
     assert mesh.uv is not None
     column, row = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
     uv = np.stack([column / size, 1 - row / size], axis=-1)
@@ -94,7 +94,7 @@ def pixel_weights(view: MapView, options: MergeOptions) -> np.ndarray:
 
 
 def mean_of_middle(values: np.ndarray, weights: np.ndarray) -> float:
-    """The mean over the middle half of a ruler on which every value, in order, takes up its weight."""
+    """Weighted mean over the middle half of the sorted values, each as long as its weight."""
     order = np.argsort(values)
     ends = np.cumsum(weights[order]) / weights.sum()
     inside = np.diff(np.clip(np.concatenate([[0.0], ends]), 0.25, 0.75))
@@ -102,8 +102,8 @@ def mean_of_middle(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def distance_to_border(view: MapView) -> np.ndarray:
-    """Weights (H, W) of a view by brute force: the distance to the nearest pixel outside of the image,
-    without surface, or beside a jump of the depth."""
+    """Weights (H, W) of a view by brute force: distance to the nearest pixel outside of the image, without
+    surface, or at a depth discontinuity."""
     depth = view.depth_z_m[..., 0]
     is_border = np.pad(depth <= 0, 1, constant_values=True)
     for row in range(depth.shape[0]):
@@ -121,7 +121,7 @@ def distance_to_border(view: MapView) -> np.ndarray:
 def brute_force(
     mesh: Mesh, views: list[MapView], size: int, options: MergeOptions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Medians (N, N, 7), counts, faces and a mask of texels where a hair decides, by loops over float64."""
+    """Medians (N, N, 7), counts, faces and a mask of ambiguous texels, by loops over float64."""
     face_of, points, normals = surface_under(mesh, size)
     regions = smooth_regions(mesh)
     views = [replace(view, confidence=pixel_weights(view, options)) for view in views]
@@ -193,7 +193,7 @@ def test_equals_brute_force(num_views: int) -> None:
 
 @pytest.mark.parametrize("weights", ["none", "borders", "angle", "distance", "confidence", "all"])
 def test_between_pixels_and_with_weights_equals_brute_force(weights: Weights) -> None:
-    """Noise on the views' real geometry: depths, regions and weights decide at every texel."""
+    """Noise maps on the views' real geometry: depths, regions and weights matter at every texel."""
     mesh, size = room_mesh(), 40
     rng = np.random.default_rng(3)
     views = [
@@ -238,8 +238,8 @@ def test_lists_are_sorted_with_their_weights(num: int) -> None:
 
 
 def test_no_texel_falls_between_triangles() -> None:
-    """A square cut into 800 triangles at random: every texel is one's, the same by rectangles and at once,
-    and one's only but on shared edges. Moving a vertex of one triangle leaves a gap."""
+    """A square is divided randomly into 800 triangles: every texel belongs to the same triangle by rectangles
+    and at once, unambiguous except on shared edges. Moving a vertex of one triangle leaves a gap."""
     rng = np.random.default_rng(5)
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21)), axis=-1)
     grid[1:-1, 1:-1] += rng.uniform(-0.012, 0.012, (19, 19, 2))
@@ -290,8 +290,8 @@ def traced_views(mesh: Mesh, num: int = 10, size: tuple[int, int] = (96, 72)) ->
 
 
 def test_no_seam_where_a_view_ends() -> None:
-    """Views that disagree: with weights that fade at borders the merged D changes gradually where the set of
-    views changes, which medians and equal weights do not. It stays between the views' values."""
+    """Inconsistent views: with weights that fade at borders the merged D changes gradually where the set of
+    views changes, unlike medians and equal weights. It stays between the views' values."""
     mesh, size = room_mesh(), 128
     views = [
         replace(view, maps={name: np.full_like(m, 0.2 + 0.05 * number) for name, m in view.maps.items()})
@@ -320,10 +320,10 @@ def texel_uv(size: int) -> np.ndarray:
 
 @pytest.mark.parametrize("mode", ["depth", "trace"])
 def test_ground_truth_maps_reproduce_the_atlas(mode: str) -> None:
-    """A median over views, each between pixels h apart of a wave of period p = 3.6 m or less:
-    interpolation errs by at most h^2/8 (2 pi/p)^2 A, A = 0.3; where a view grazes, h grows, and the median
-    passes over it. h is 0.05 m for pixels 3 m away at 60 degrees; that is 0.3 * 0.0009 / p^2 * 5 = 1e-3 on
-    the large walls and up to 1/0.7 m of the block's sides 0.008."""
+    """The median over views, each interpolated between pixels h apart, of a wave of period p = 3.6 m or less
+    errs by at most h^2/8 (2 pi/p)^2 A, A = 0.3; the median excludes grazing views, where h grows. h is 0.05 m
+    for pixels 3 m away at 60 degrees; that is 0.3 * 0.0009 / p^2 * 5 = 1e-3 on the large walls and up to
+    0.008 on the block's sides (p = 0.7 m)."""
     mesh, size = room_mesh(), 128
     views = traced_views(mesh)
     options = MergeOptions(visibility=VisibilityOptions(mode=mode))  # type: ignore[arg-type]
@@ -339,7 +339,7 @@ def test_ground_truth_maps_reproduce_the_atlas(mode: str) -> None:
         assert np.quantile(error, 0.99) < 0.02, name
         worse = np.abs(array.astype(np.float64) * 1.05 - truth[name])[enough]
         assert np.median(worse) > 1e-3, name
-    bottom = np.isin(atlas.face, [20, 21])  # the block stands on it
+    bottom = np.isin(atlas.face, [20, 21])  # covered by the block
     assert not atlas.count[bottom].any()
     assert atlas.unseen_mask[bottom].all()
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Captures as they should not be: a result with warnings that name the views, or a clear refusal; nothing is
-lost, and a second run continues."""
+"""Faulty captures: a result with warnings that name the views, or a clear refusal; no loss, and a second run
+continues."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def errors(out: Path) -> np.ndarray:
-    """Absolute errors of the diffuse albedo at texels that were seen, against the room's."""
+    """Absolute errors of the diffuse albedo at seen texels, against the room's."""
     found = read_image(out / "atlas" / "diffuse_albedo.exr")
     seen = read_image(out / "atlas" / "mask.png")[..., 0] == 255
     center = (np.arange(ATLAS) + 0.5) / ATLAS
@@ -57,7 +57,7 @@ def errors(out: Path) -> np.ndarray:
 
 
 def fine_room() -> Mesh:
-    """The room with 384 triangles."""
+    """The room, subdivided to 384 triangles."""
     mesh = room_mesh()
     for _ in range(2):
         mesh = subdivided(mesh)
@@ -65,7 +65,7 @@ def fine_room() -> Mesh:
 
 
 def subdivided(mesh: Mesh) -> Mesh:
-    """Four triangles of each; vertices are not shared."""
+    """The mesh with each triangle split into four; vertices are not shared."""
 
     def split(values: np.ndarray) -> np.ndarray:
         a, b, c = np.moveaxis(values[mesh.faces], 1, 0)
@@ -80,13 +80,13 @@ def subdivided(mesh: Mesh) -> Mesh:
 
 
 def holed(mesh: Mesh) -> Mesh:
-    """A tenth of the triangles gone."""
+    """The mesh without a tenth of its triangles."""
     keep = np.random.default_rng(0).random(len(mesh.faces)) > 0.1
     return replace(mesh, faces=mesh.faces[keep])
 
 
 def flipped(mesh: Mesh) -> Mesh:
-    """A third of the triangles wound the other way, normals turned."""
+    """The mesh with a third of its triangles wound in reverse, normals flipped."""
     turn = np.random.default_rng(1).random(len(mesh.faces)) < 1 / 3
     faces = np.where(turn[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces).astype(np.int32)
     assert mesh.normals is not None
@@ -96,14 +96,14 @@ def flipped(mesh: Mesh) -> Mesh:
 
 
 def doubled(mesh: Mesh) -> Mesh:
-    """A quarter of the triangles twice, half of those wound the other way."""
+    """The mesh with a quarter of its triangles duplicated, half of the copies wound in reverse."""
     again = mesh.faces[: len(mesh.faces) // 4].copy()
     again[::2] = again[::2, [0, 2, 1]]
     return replace(mesh, faces=np.concatenate([mesh.faces, again]))
 
 
 def collapsed(mesh: Mesh) -> Mesh:
-    """With triangles of two or one distinct corners."""
+    """The mesh with additional triangles of two or one distinct corners."""
     extra = mesh.faces[:40].copy()
     extra[:, 2] = extra[:, 1]
     extra[::2, 1] = extra[::2, 0]
@@ -112,7 +112,7 @@ def collapsed(mesh: Mesh) -> Mesh:
 
 @pytest.mark.parametrize("fault", [holed, flipped, doubled, collapsed])
 def test_faults_of_the_mesh(tmp_path: Path, fault: Callable[[Mesh], Mesh]) -> None:
-    """The atlas is as good as the whole mesh's; what is missing is missing."""
+    """The atlas is as accurate as the intact mesh's, except where triangles are missing."""
     path = tmp_path / "room.ply"
     path.write_bytes(encode_ply(fault(fine_room())))
     mesh, notes = sound_mesh(load_mesh(path), np.eye(4), path)
@@ -120,15 +120,15 @@ def test_faults_of_the_mesh(tmp_path: Path, fault: Callable[[Mesh], Mesh]) -> No
     assert report.unwrap["source"] == "mesh"
     found = errors(tmp_path / "out")
     assert np.median(found) < 0.01 and np.quantile(found, 0.95) < 0.06
-    said = {"doubled": "96 repeated triangles", "collapsed": "40 triangles of zero area",
+    expected = {"doubled": "96 repeated triangles", "collapsed": "40 triangles of zero area",
             "flipped": "edges join triangles of opposite winding"}  # fmt: skip
-    if fault.__name__ in said:
-        assert any(said[fault.__name__] in note for note in notes), notes
+    if fault.__name__ in expected:
+        assert any(expected[fault.__name__] in note for note in notes), notes
     assert len(mesh.faces) == (384 if fault is not holed else len(holed(fine_room()).faces))
 
 
 def test_wrong_views_are_named_in_the_result(tmp_path: Path) -> None:
-    """Black, clipped, of another room, turned by 1.2 degrees: a result all the same."""
+    """Views that are black, clipped, of another room, or rotated by 1.2 degrees still give a result."""
     capture = photographed_room()
     shape = capture.views[0].source.color.shape  # type: ignore[attr-defined]
     capture = with_color(capture, 0, np.zeros(shape))
@@ -144,9 +144,9 @@ def test_wrong_views_are_named_in_the_result(tmp_path: Path) -> None:
     assert (tmp_path / "asset" / "asset.json").is_file()
 
 
-@pytest.mark.parametrize(("level", "said"), [(0.0, "is black"), (1.0, "at the sensor's limit")])
-def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: float, said: str) -> None:
-    """Every view is named, and the maps are numbers all the same."""
+@pytest.mark.parametrize(("level", "expected"), [(0.0, "is black"), (1.0, "at the sensor's limit")])
+def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: float, expected: str) -> None:
+    """Every view is named, and the maps are finite."""
     capture = room_capture(3, (64, 48))
     for index, view in enumerate(capture.views):
         shape = (view.camera.height_px, view.camera.width_px, 3)
@@ -160,7 +160,7 @@ def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: floa
         capture, tmp_path / "out", CheckpointMaps(tmp_path / "random.safetensors"), InferOptions(atlas=64)
     )
     for view in capture.views:
-        assert any(w.startswith(f"{view.name}: ") and said in w for w in report.warnings), report.warnings
+        assert any(w.startswith(f"{view.name}: ") and expected in w for w in report.warnings), report.warnings
     assert np.isfinite(read_image(tmp_path / "out" / "atlas" / "diffuse_albedo.exr")).all()
 
 
@@ -182,7 +182,7 @@ def test_few_and_many_views(tmp_path: Path, num: int) -> None:
 
 
 def errors_of_seen(out: Path) -> np.ndarray:
-    """As :func:`errors`, however little was seen."""
+    """As :func:`errors`, with any number of seen texels."""
     found = read_image(out / "atlas" / "diffuse_albedo.exr")
     seen = read_image(out / "atlas" / "mask.png")[..., 0] == 255
     center = (np.arange(ATLAS) + 0.5) / ATLAS
@@ -192,7 +192,7 @@ def errors_of_seen(out: Path) -> np.ndarray:
 
 @contextmanager
 def small_files(limit: int) -> Iterator[None]:
-    """No file may grow beyond ``limit`` bytes: writing fails as on a full disk."""
+    """Limit files to ``limit`` bytes: writing fails as on a full disk."""
     old_signal = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
@@ -204,7 +204,7 @@ def small_files(limit: int) -> Iterator[None]:
 
 
 def files_of(out: Path) -> dict[str, bytes]:
-    """Everything that a run leaves but the seconds it took."""
+    """Files of a run, without measured seconds."""
     return {
         path.relative_to(out).as_posix(): path.read_bytes()
         for path in sorted(out.rglob("*"))
@@ -213,12 +213,12 @@ def files_of(out: Path) -> dict[str, bytes]:
 
 
 def test_full_disk(tmp_path: Path) -> None:
-    """The run stops with the system's word for it, leaves no half files, and the next one ends as if nothing
-    had been."""
+    """The run stops with the system's message and leaves no partial files; the next one gives the full
+    result."""
     capture = room_capture(4, (48, 36))
     infer(capture, tmp_path / "whole", TRUTH, OPTIONS)
     out = tmp_path / "full"
-    for limit in (6000, 16000):  # the PNGs do not fit; the EXRs do not
+    for limit in (6000, 16000):  # neither the PNGs nor the EXRs fit
         with small_files(limit), pytest.raises(OSError, match="File too large") as caught:
             infer(capture, out, TRUTH, replace(OPTIONS, is_checked=False))
         assert str(out) in str(caught.value.filename)
@@ -249,12 +249,12 @@ infer(small_capture(), Path(sys.argv[1]), source, InferOptions(atlas=64, batch=1
 
 
 def small_capture() -> Capture:
-    """Four views that a small network can take."""
+    """Capture of four small views."""
     return room_capture(4, (64, 48))
 
 
 def test_killed_process(tmp_path: Path) -> None:
-    """Killed after two views: they stay, the next run does the rest, and the result is the same."""
+    """Killed after two views: they are kept, the next run makes the rest, and the result is the same."""
     torch.manual_seed(3)
     network = NetworkConfig(base_channels=4, global_channels=8)
     card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
@@ -297,7 +297,7 @@ print(json.dumps({"triangles": len(mesh.faces), "cpu_s": time.process_time() - s
 
 
 def large_room(num_triangles: int) -> Mesh:
-    """The room's quads as grids, with the UVs of the quads."""
+    """The room with its quads as grids, with the quads' UVs."""
     mesh = room_mesh()
     assert mesh.normals is not None and mesh.uv is not None
     side = int(np.sqrt(num_triangles / 24))
@@ -318,7 +318,7 @@ def large_room(num_triangles: int) -> Mesh:
 
 @pytest.mark.slow
 def test_five_million_triangles(tmp_path: Path) -> None:
-    """In a process of its own, for the memory's sake."""
+    """Runs in a separate process to measure its memory."""
     command = [sys.executable, "-c", LARGE, str(tmp_path / "out"), "5000000"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={**os.environ})
     assert done.returncode == 0, done.stderr[-2000:]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stages of ``materials infer``: what they hand on, what they leave alone, and when memory is freed."""
+"""Stages of ``materials infer``: their results, unchanged inputs, and the release of memory."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_only_predictions_are_corrected() -> None:
 
 
 def test_a_stage_runs_between_prediction_and_merge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is given the traced capture and the maps; what it returns is merged, and what it was given stays."""
+    """It gets the traced capture and the maps; its result is merged, and its inputs are unchanged."""
     capture = room_capture(2, (32, 24))
     given: list[Maps] = []
 
@@ -58,7 +58,7 @@ def test_a_stage_runs_between_prediction_and_merge(tmp_path: Path, monkeypatch: 
 
 
 def test_traced_views_and_maps_are_freed_before_the_merge(tmp_path: Path) -> None:
-    """Nobody empties another's lists: what a stage held goes when it returns."""
+    """Objects of a stage are released when it returns, without clearing lists of others."""
     held: dict[str, list[weakref.ref]] = {"traced": [], "maps": []}
     alive: list[str] = []
     told: set[tuple[str, int]] = set()

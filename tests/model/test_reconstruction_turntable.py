@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An asset in motion, under lamps, under a sky that does not reach it."""
+"""Turntable animations of an asset, with lamps, and under a sky that does not reach it."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Pat
 
 
 def angles_about(cameras: list[Camera], center: NDArray) -> NDArray:
-    """Azimuths of the positions, unwrapped, in turns."""
+    """Unwrapped azimuths of the camera positions, in turns."""
     away = np.array([c.position_m for c in cameras])[:, :2] - center
     return np.unwrap(np.arctan2(away[:, 1], away[:, 0])) / (2 * np.pi)
 
 
 def test_orbit_is_one_turn_within_the_cameras() -> None:
-    """Even steps, a step short of a whole turn, looking across as the cameras do; outwards where they do."""
+    """Uniform steps, one short of a whole turn, facing inwards if the cameras do, else outwards."""
     cameras = room_cameras(8)
     made = way_cameras(cameras, TurntableOptions(frames=24))
     eyes = np.array([c.position_m for c in cameras])
@@ -75,18 +75,18 @@ def test_path_visits_the_cameras_and_is_closed() -> None:
         np.testing.assert_allclose(made[4 * k].position_m, camera.position_m, atol=1e-9)
         np.testing.assert_allclose(made[4 * k].forward, camera.forward, atol=1e-9)
     steps = np.linalg.norm(np.diff([c.position_m for c in [*made, made[0]]], axis=0), axis=1)
-    assert steps.max() < 3 * np.median(steps)  # no jump, at the seam neither
+    assert steps.max() < 3 * np.median(steps)  # no jump, not even at the seam
     assert {(c.width_px, c.height_px) for c in made} == {(40, 30)}
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
 def test_files_contain_the_frames(asset: Path, tmp_path: Path, suffix: str) -> None:
-    """Every frame is there, in order, like the rendering from its camera."""
+    """All frames exist, in order, and match renderings from their cameras."""
     out = tmp_path / "new" / f"room{suffix}"
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     options = TurntableOptions(frames=4, frames_per_second=10, max_width_px=48, render=QUICK)
-    cameras = write_turntable(asset, out, options, lambda stage, done, total: told.append((done, total)))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    cameras = write_turntable(asset, out, options, lambda stage, done, total: steps.append((done, total)))
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert [path.name for path in out.parent.iterdir()] == [out.name]
     frames = read_frames(out)
     assert len(frames) == 4 and frames[0].shape == (36, 48, 3)
@@ -114,13 +114,13 @@ def read_frames(path: Path) -> list[NDArray]:
 
 
 def correlation(a: NDArray, b: NDArray) -> float:
-    """Blurred a little: a GIF's colours are dithered."""
+    """Correlation of slightly blurred images, because a GIF's colours are dithered."""
     x, y = (cv2.GaussianBlur(np.ascontiguousarray(i, np.float32), (0, 0), 1.0).ravel() for i in (a, b))
     return float(np.corrcoef(x, y)[0, 1])
 
 
 def test_lamps_replace_the_lights(asset: Path) -> None:
-    """Twice the intensity is twice the light; two lamps are the sum."""
+    """Twice the intensity gives twice the light; two lamps give the sum."""
 
     def mean(*lamps: Lamp) -> float:
         options = RelightOptions(samples=64, views=("view_00",), denoise=False, lamps=lamps)
@@ -139,8 +139,8 @@ def test_a_closed_room_under_a_sky_keeps_its_lights(asset: Path, tmp_path: Path)
     warnings: list[str] = []
     sky = RelightOptions(samples=4, views=("view_00",), sky=(1.0, 1.0, 1.0))
     write_renders(asset, tmp_path / "sky", sky, warnings.append)
-    (said,) = warnings
-    assert said == "no light of the sky reaches view_00: the room is closed; its own lights are used"
+    (warning,) = warnings
+    assert warning == "no light of the sky reaches view_00: the room is closed; its own lights are used"
     write_renders(asset, tmp_path / "own", replace(sky, sky=None), warnings.append)
     write_renders(asset, tmp_path / "lamp", replace(sky, lamps=(Lamp((2.0, 1.5, 2.0)),)), warnings.append)
     assert len(warnings) == 1
@@ -164,7 +164,7 @@ def test_a_room_without_light_gets_a_lamp(
 
 
 def test_lamp_colour_and_exposure_compensation_are_applied(asset: Path, tmp_path: Path) -> None:
-    """A stop less is half the light of the PNG, and the same EXR; the intensity's colour tints both."""
+    """One stop less halves the light in the PNG but not in the EXR; the intensity's colour tints both."""
     from model.cli import app
 
     words = [

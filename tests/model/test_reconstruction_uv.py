@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unwraps: which of a mesh's own are taken, and what new ones are worth."""
+"""Unwraps: valid ones of a mesh are kept, and the quality of new ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def tiled_room() -> Mesh:
-    """A furnished room whose UVs repeat: no unwrap."""
+    """A furnished room with repeating UVs, so without an unwrap."""
     return with_uv(trimesh.util.concatenate(list(room_shapes(5, 4, 2.7).values())))
 
 
@@ -47,7 +47,7 @@ def test_invalid_unwraps_are_named() -> None:
     outside = Mesh(mesh.positions, mesh.faces, mesh.normals, mesh.uv * 1.2)
     assert "outside [0, 1]" in own_uv_fault(outside)
     moved = mesh.uv.copy()
-    moved[:4] = moved[4:8]  # two walls on one place
+    moved[:4] = moved[4:8]  # two walls overlap
     assert "9.1% of the layout overlaps itself" in own_uv_fault(Mesh(mesh.positions, mesh.faces, None, moved))
     flat = mesh.uv.copy()
     flat[:4] = 0.5
@@ -71,8 +71,8 @@ def test_xatlas_gives_a_valid_unwrap_that_keeps_triangles_and_density() -> None:
 
 @pytest.mark.parametrize("has_room", [True, False])
 def test_triangles_too_small_for_xatlas_are_unwrapped(has_room: bool) -> None:
-    """A knob of 2 mm with 5,120 triangles, by itself and in a room: xatlas leaves such edges out, and where
-    it leaves out all of a piece, its size is no number."""
+    """A knob of 2 mm with 5,120 triangles, alone and in a room: xatlas omits such short edges; where it omits
+    a whole piece, the piece's size is NaN."""
     knob = trimesh.creation.icosphere(subdivisions=4, radius=1e-3)
     shape = trimesh.util.concatenate([knob, trimesh.creation.box((4, 3, 2.5))]) if has_room else knob
     mesh = Mesh(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32))
@@ -95,7 +95,7 @@ def test_an_unplaced_piece_is_laid_out_by_triangles(
 
 
 def test_pieces_share_one_density_also_after_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small pieces share one density; pieces on which xatlas dies are laid out triangle by triangle."""
+    """Small pieces share one density; pieces where xatlas crashes are laid out triangle by triangle."""
     mesh = tiled_room()
     monkeypatch.setattr(uv_module, "PIECE_FACES", 70)
     made, report = unwrapped(mesh)
@@ -110,7 +110,7 @@ def test_pieces_share_one_density_also_after_a_crash(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.bpy
 def test_blender_replaces_a_failed_xatlas(monkeypatch: pytest.MonkeyPatch) -> None:
-    """xatlas' process fails; Blender's layout is valid and of one density, and the report says so."""
+    """If xatlas fails, Blender's layout is valid and of one density, and the report names it."""
     pytest.importorskip("bpy", reason="Blender's Python module is not installed")
     mesh = tiled_room()
     monkeypatch.setattr(uv_module, "XATLAS_PROCESS", "model.reconstruction.no_such_process")
@@ -124,7 +124,7 @@ def test_blender_replaces_a_failed_xatlas(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_padding_is_measured() -> None:
-    """Two squares on the atlas, 4 texels apart, then touching."""
+    """Two squares in the atlas, 4 texels apart, then touching."""
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     for gap in (4, 0):
         uv = np.concatenate([square * 0.25, square * 0.25 + [0.25 + gap / 1024, 0]]).astype(np.float32)

@@ -16,8 +16,7 @@ from oracles import spherical_gaussians as oracle
 
 
 def _directions(count: int, seed: int, min_cos: float = 0.02) -> np.ndarray:
-    """(count, 3) float32 unit vectors of the upper hemisphere, none closer to the horizon than
-    ``min_cos``."""
+    """Unit vectors (count, 3), float32, of the upper hemisphere with a cosine of at least ``min_cos``."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(min_cos, 1.0, count)
     phi = rng.uniform(0, 2 * np.pi, count)
@@ -86,7 +85,7 @@ def _angle_grid(dtype: torch.dtype) -> list[torch.Tensor]:
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-9), (torch.float32, 1e-4)])
 def test_brdf_against_the_oracle(dtype, tolerance):
-    """Relative to the oracle on the same rounded directions; a roughness 5 % off is detected."""
+    """Error relative to the oracle for the same rounded directions; a roughness 5 % off is detected."""
     d, s, r, n, o, i = _angle_grid(dtype)
     wi, wo, diffuse, specular, rough = (t.double().numpy() for t in (o, i, d, s, r[:, 0]))
     expected = brdf.eval_cos(wi, wo, diffuse, specular, rough)
@@ -235,7 +234,7 @@ def test_inner_product_is_stable_in_float32():
 
 @pytest.mark.parametrize("sharpness", [0.5, 2.0, 10.0, 50.0, 200.0])
 def test_irradiance_against_quadrature(sharpness):
-    """Within 1.2 % of the greatest irradiance that the lobe can give; an error of 5 % fails."""
+    """Within 1.2 % of the lobe's maximum irradiance; an error of 5 % is detected."""
     peak = oracle.irradiance(sharpness, 1.0)
     for cos_beta in (-1.0, -0.5, -0.1, 0.0, 0.3, 0.7, 1.0):
         got = float(shading.sg_irradiance(torch.tensor(sharpness), torch.tensor(cos_beta)))
@@ -257,7 +256,7 @@ def test_the_gaussian_lobe_departs_from_beckmann_as_documented(alpha, expected):
 
 
 def test_area_light_approaches_a_point_light_of_the_same_irradiance():
-    """A sharp lobe on a rough-free diffuse surface reflects D/pi times its irradiance."""
+    """A sharp lobe on a diffuse surface reflects D/pi times its irradiance."""
     d = torch.full((1, 3), 0.6, dtype=torch.float64)
     s = torch.zeros(1, 3, dtype=torch.float64)
     n = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
@@ -276,7 +275,7 @@ def test_area_light_approaches_a_point_light_of_the_same_irradiance():
 
 
 def _geometry(batch: int = 3, size: int = 24) -> conditions.Geometry:
-    """A tilted plane 2 m in front of the camera, half of whose last image is empty."""
+    """A tilted plane 2 m in front of the camera; half of the last image is empty."""
     y, x = torch.meshgrid(torch.linspace(-0.6, 0.6, size), torch.linspace(-0.6, 0.6, size), indexing="ij")
     normal = torch.nn.functional.normalize(torch.tensor([0.2, -0.3, -1.0]), dim=0)
     z = 2.0 / (1.0 - 0.2 * x + 0.3 * y)
@@ -328,9 +327,9 @@ def test_point_light_is_in_the_mirror_direction_of_one_pixel():
     light_dir = shading.normalize(condition.light_position - geometry.position)
     half = shading.normalize(light_dir + condition.view_dir)
     best = (shading.dot(half, geometry.normal) * geometry.mask).flatten(1).max(dim=1).values
-    assert (best > 0.99999).all()  # somewhere the highlight is exactly centred
+    assert (best > 0.99999).all()  # the highlight is exactly centred at some pixel
     aligned = (shading.dot(half, geometry.normal) > 0.9999) & geometry.mask
-    assert aligned.float().mean() < 0.5  # and not everywhere: the lobe's shape shows
+    assert aligned.float().mean() < 0.5  # and not everywhere, so the lobe's shape is visible
 
 
 def test_area_lights_have_unit_mean_energy_and_the_documented_range():

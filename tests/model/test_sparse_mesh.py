@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A surface through sparse points: a room with a block in it, and the points of a binary COLMAP model."""
+"""A surface from sparse points: a room with a block, and the points of a binary COLMAP model."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def points_on(low: NDArray, high: NDArray, num: int, rng: np.random.Generator) -
 
 
 def is_hidden(origin: NDArray, target: NDArray) -> bool:
-    """Whether the block lies between two points."""
+    """Whether the block is between two points."""
     way = np.where(np.abs(target - origin) < 1e-9, 1e-9, target - origin)
     ends = np.sort((BLOCK - origin) / way, axis=0)
     return bool(max(ends[0].max(), 0) < min(ends[1].min(), 1 - 1e-3))
 
 
 def room_sights(num_false: int = 0) -> Sights:
-    """A room with a block as seen by eight cameras; points are off by 3 mm, false ones float in free space
-    and are shown by one camera each."""
+    """Sights of a room with a block from eight cameras; points err by 3 mm, false ones are in free space and
+    seen by one camera each."""
     rng = np.random.default_rng(2)
     points = np.concatenate(
         [points_on(np.zeros(3), ROOM, 900, rng), points_on(*BLOCK, 500, rng)]  # type: ignore[call-arg]
@@ -67,7 +67,7 @@ def distances(points: NDArray) -> NDArray:
 
 
 def test_surface_of_a_room_with_a_block_is_closed() -> None:
-    """Closed, facing the cameras, where walls and block are, in spite of false points in the air."""
+    """The surface is closed, faces the cameras, and follows walls and block despite false points."""
     mesh = sparse_surface(room_sights(num_false=40))
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     assert sorted(map(tuple, edges.tolist())) == sorted(map(tuple, edges[:, ::-1].tolist()))
@@ -83,7 +83,7 @@ def test_no_points_give_no_surface() -> None:
 
 
 def write_model(folder: Path) -> None:
-    """Two images at x = 1 and x = -2, and three points, the second with a large error."""
+    """Write a model of two images at x = 1 and x = -2, and three points, the second with a large error."""
     folder.mkdir()
     images = struct.pack("<Q", 2)
     for image_id, x in ((7, 1.0), (3, -2.0)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence by texel: the surfel's that is there, of its side, and nothing where no view has been."""
+"""Confidence of texels: that of the surfel at the same position and side, or 0 without one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CELL_M = 0.5
 
 
 def random_surfels(seed: int) -> tuple[SurfelConfidence, np.ndarray, np.ndarray]:
-    """A third of all cells and sides, the number of the surfel of each, and their confidence."""
+    """Surfels in a third of all cells and sides, surfel number (-1: none) by cell and side, confidence."""
     random = np.random.default_rng(seed)
     surfel = np.full(int(SHAPE.prod()) * NUM_SIDES, -1, np.int32)
     occupied = np.flatnonzero(random.random(len(surfel)) < 0.3)

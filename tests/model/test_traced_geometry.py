@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def test_faces_outside_of_the_room_are_not_reachable() -> None:
-    """The box, and a roof above it."""
+    """A box with a roof above it."""
     box = box_geometry().mesh
     roof = np.array([[0, 0, 3], [4, 0, 3], [4, 3, 3], [0, 3, 3]], np.float32)
     first = len(box.positions)
@@ -24,7 +24,7 @@ def test_faces_outside_of_the_room_are_not_reachable() -> None:
     traced = TracedGeometry(CaptureGeometry(mesh, (GeometryPart("all", 0, len(faces)),)))
     floor = np.array([[*SIDES[:2] / 2, 0.0]]), np.array([[0.0, 0.0, 1.0]])
     found = reachable_faces(traced, *floor, num_rays=20_000)
-    # the floor does not see itself
+    # the floor is not reachable from itself
     assert found.sum() == 12 and not found[8:10].any() and not found[-2:].any()
     outside = reachable_faces(traced, floor[0] + [0, 0, 2.9], floor[1], num_rays=2000)
     assert outside[-2:].all() and outside.sum() == 2

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The training loop on a small real dataset: every phase, resuming bit for bit, ranks, stops, and
-learning."""
+"""The training loop on a small dataset: every phase, bitwise resuming, ranks, stops, and progress."""
 
 from __future__ import annotations
 
@@ -54,7 +53,7 @@ def _weights(folder: Path) -> dict[str, torch.Tensor]:
 
 @pytest.fixture(scope="module")
 def whole(dataset, tmp_path_factory) -> Path:
-    """Folder of a run of the smoke preset that nothing disturbed."""
+    """Folder of an uninterrupted run of the smoke preset."""
     out = tmp_path_factory.mktemp("run") / "whole"
     Trainer(_config(), [dataset], out, device=CPU).run()
     return out
@@ -82,7 +81,7 @@ def test_smoke_preset_runs_every_phase(dataset, whole):
 
 @pytest.mark.parametrize("limit", [1e-3, None])
 def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, limit):
-    """Gradients as the optimiser sees them; the log keeps the norm from before."""
+    """Gradients passed to the optimiser; the log has their norm before scaling."""
     seen = []
     take = torch.optim.Adam.step
 
@@ -100,7 +99,7 @@ def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, 
 
 
 def test_the_rate_falls_along_half_a_cosine(dataset, tmp_path, monkeypatch):
-    """From the phase's own first rate to the run's final one; constant where there is none."""
+    """From the phase's first rate to the run's final one; constant without a final one."""
     seen = []
     take = torch.optim.Adam.step
 
@@ -134,7 +133,7 @@ def test_phases_train_only_their_part(dataset, tmp_path):
 
 @pytest.mark.parametrize("stop_at", [1, 4, 9])
 def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop_at):
-    """Stopped in any phase, also between checkpoints, it ends with the same bytes and the same log."""
+    """Stopped in any phase, also between checkpoints, the resumed run has the same bytes and log."""
     parts = tmp_path / "parts"
     trainer = Trainer(_config(), [dataset], parts, device=CPU)
     original = trainer.step
@@ -149,7 +148,7 @@ def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop
     with pytest.raises(KeyboardInterrupt):
         trainer.run()
     assert not (parts / "final.safetensors").exists()
-    torch.manual_seed(12345)  # what the process drew before does not matter
+    torch.manual_seed(12345)  # earlier random draws of the process do not matter
     Trainer(_config(), [dataset], parts, device=CPU).run()
     assert (whole / "final.safetensors").read_bytes() == (parts / "final.safetensors").read_bytes()
     logs = [read_log(folder, "train", "total") for folder in (whole, parts)]
@@ -157,7 +156,7 @@ def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop
 
 
 def test_checkpoints_have_averaged_weights(dataset, tmp_path):
-    """Exponential averages of the weights after each step; training itself, and resuming, do not change."""
+    """They contain exponential averages of the weights; training and resuming are unchanged."""
     settings = ("phases=[{name: diffuse, steps: 6}]", "learning_rate=0.01", "checkpoint_every_steps=2")
     Trainer(_config(*settings), [dataset], tmp_path / "plain", device=CPU).run()
     expected, steps = [], []
@@ -198,8 +197,7 @@ def test_checkpoints_have_averaged_weights(dataset, tmp_path):
 
 
 def test_a_killed_run_resumes_from_its_last_state(dataset, whole, tmp_path):
-    """Killed without warning between two saved states: the steps in between are done again, with the same
-    result."""
+    """Killed between two saved states, the run repeats the steps in between with the same result."""
     parts = tmp_path / "parts"
     trainer = Trainer(_config(), [dataset], parts, device=CPU)
     original = trainer.step
@@ -382,7 +380,7 @@ def test_overfitting_one_view_reaches_near_zero_error(tmp_path):
 
 @pytest.mark.slow
 def test_compiled_training_follows_the_eager_curve(dataset, tmp_path):
-    """torch.compile changes the speed, not the curve, and leaves the checkpoint's names alone."""
+    """torch.compile changes neither the curve nor the checkpoint's names."""
     settings = ("phases=[{name: diffuse, steps: 3}]", "network.dropout=0.0", "validation.num_views=0")
     curves = {}
     for name, compiled in (("eager", "false"), ("compiled", "true")):

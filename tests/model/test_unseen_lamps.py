@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Lamps that the geometry names and no photograph shows."""
+"""Unphotographed lamps that the geometry names."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ def room() -> LightMaterials:
 
 
 def test_radiance_follows_from_the_surrounding_surfaces() -> None:
-    """Within 8 %, with a network that takes all surfaces for the same grey."""
+    """Within 8 %, with a network that predicts the same grey for all surfaces."""
     (found,) = room().lit.baker.field.emitters.radiance
     np.testing.assert_allclose(found, LAMP, rtol=0.08)
 
 
 def test_albedo_in_the_light_of_an_unseen_lamp_is_found() -> None:
-    """Within 8 %, where a photographed lamp gives 3.5 %."""
+    """Within 8 %; with a photographed lamp within 3.5 %."""
     assert wall_error(room()) < 0.08
 
 
 def test_network_replaces_materials_where_estimated_light_prevails() -> None:
-    """It gives four tenths of the room's light: half of D, and all of S and R, are the network's."""
+    """The lamp gives four tenths of the light, so up to half of D and all of S and R are the network's."""
     assert 0 < room().solved.replaced.max() < 0.5
     assert room().solved.confidence[:, 1:].max() == 0
 
 
 def test_a_lamp_treated_as_dark_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The twin of the two tests above."""
+    """Injected fault for the two tests above."""
 
     def dark(lit: Lit, *_: object) -> UnseenLamps:
         return UnseenLamps(lit.baker.field.emitters)
@@ -107,7 +107,7 @@ def test_all_sides_of_a_lamp_have_the_same_radiance() -> None:
 
 
 def test_a_lamp_has_the_radiance_of_similar_lamps() -> None:
-    """Of the mean of both photographed ones; larger ones are of another kind, of unknown radiance."""
+    """It gets the mean of both photographed ones; larger lamps are of another kind, of unknown radiance."""
     kind, radiance = kinds_of([1.0, 2.0, 1.0, 1.0, 2.0, 3.0], {0: 4.0, 2: 6.0})
     np.testing.assert_allclose(radiance, [4, 0, 6, 5, 0, 0])
     np.testing.assert_array_equal(kind, [-1, 0, -1, -1, 0, 1])

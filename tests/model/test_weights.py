@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reading weights from strangers: the restricted unpickler, hashes, shapes, heads, and clear refusals."""
+"""Reading untrusted weights: the restricted unpickler, hashes, shapes, heads, and clear refusals."""
 
 from __future__ import annotations
 

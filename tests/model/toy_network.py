@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Networks of one's own, as tests name them."""
+"""User-defined networks for tests."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 
 class Toy(nn.Module):
-    """A convolution of what is seen and one of where it is; a norm whose buffers are saved, too."""
+    """Two convolutions of colours, normal and depth; a norm whose buffers are saved."""
 
     inputs = ("beauty", "color_median", "normal_camera", "depth")
 
@@ -25,7 +25,7 @@ class Toy(nn.Module):
 
 
 class Echo(nn.Module):
-    """Returns what it is fed with: reflectance over its greatest as D, known share as R."""
+    """Returns its inputs: linear reflectance as D, known share as R."""
 
     inputs = ("reflectance", "known_share")
 
@@ -45,7 +45,7 @@ class Echo(nn.Module):
 
 
 class Unbounded(Toy):
-    """Returns more than 1."""
+    """Returns values above 1."""
 
     def forward(self, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
         return {name: 3 * value for name, value in super().forward(inputs).items()}
@@ -59,7 +59,7 @@ class Halved(Toy):
 
 
 class Curious(Toy):
-    """Asks for what is not there."""
+    """Names an input that does not exist."""
 
     inputs = ("beauty", "truth")  # type: ignore[assignment]
 
@@ -69,4 +69,4 @@ class Aimless(nn.Module):
 
 
 def not_a_class(**arguments: object) -> None:
-    """No network."""
+    """A function instead of a network class."""

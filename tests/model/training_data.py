@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small dataset folder on disk, made without a renderer: smooth materials on a plane, in the project's
-shards."""
+"""A small dataset folder without rendering: smooth materials on a plane, in the project's shards."""
 
 from __future__ import annotations
 
@@ -110,7 +109,7 @@ def make_shard(
     has_light: bool = False,
     change: Change | None = None,
 ) -> Path:
-    """Write ``shards/<name>.tar`` and return its path; ``change`` spoils every view of it."""
+    """Write ``shards/<name>.tar`` and return its path; ``change`` damages every view."""
     cameras = []
     names = VIEW_BUFFERS + (LIGHT_BUFFERS if has_light else ())
     for index in range(num_views):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The library's sources: what they build is what is bundled, to the byte, and what tiles has no seams."""
+"""The library's sources rebuild the bundled assets to the byte, and tiled textures have no seams."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_rebuilding_everything_gives_the_same_bytes(tmp_path: Path) -> None:
 @needs_bpy
 @pytest.mark.bpy
 def test_reducing_maps_again_gives_the_same_panoramas(shared_data: Path, tmp_path: Path) -> None:
-    """To the byte from Poly Haven's maps; Blender's own differ between its versions."""
+    """Equal bytes from Poly Haven's maps; Blender's maps differ between its versions."""
     bpy = importlib.util.find_spec("bpy")
     assert bpy is not None and bpy.origin is not None
     (blender,) = Path(bpy.origin).parent.glob("*/datafiles/studiolights/world")
@@ -86,7 +86,7 @@ def test_every_source_is_bundled_and_vice_versa() -> None:
 
 
 def seam(pixels: np.ndarray) -> float:
-    """Excess of the step over the texture's border over the largest step inside, of the worse axis.
+    """Excess of the step across the texture's border over the largest inner step, of the worse axis.
 
     Steps are means of absolute differences over a whole row or column of texels.
     """
@@ -120,7 +120,7 @@ def test_tiled_textures_have_no_seam() -> None:
 
 
 def test_a_seam_is_detected() -> None:
-    """Twin: with a twentieth of each texture cut off, the borders of many no longer meet."""
+    """Injected fault: with 5 % of each texture cut off, many borders no longer match."""
     textures = tiled_textures()
     large = [p for _, p in textures if min(p.shape[:2]) >= 32]
     cut = [seam(p[: int(0.95 * len(p)), : int(0.95 * p.shape[1])]) for p in large]

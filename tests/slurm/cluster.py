@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """A real Slurm on one machine for tests: munged, slurmctld and several slurmd, without systemd or cgroups.
 
-Everything lives in one temporary folder and ends with the context manager. Settings and their reasons were
-found by measurement: nodes are declared down quickly, requeues do not wait two minutes, signals reach
-preempted steps.
+All files are in a temporary folder and processes end with the context manager. Settings were found by
+measurement: nodes are declared down quickly, requeues do not wait two minutes, signals reach preempted
+steps.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def _free_ports(count: int) -> list[int]:
 class Cluster:
     """A running cluster of ``num_nodes`` nodes with ``cpus`` processors each; use as a context manager.
 
-    ``environment`` is what commands need to reach it.
+    ``environment`` contains the variables that commands need to reach it.
     """
 
     def __init__(self, root: Path, num_nodes: int = 3, cpus: int = 2):
@@ -162,7 +162,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
         self._nodes[name] = self._daemon("slurmd", "-D", "-f", str(self.config), "-N", name)
 
     def kill_node(self, name: str, and_jobs: bool) -> None:
-        """Kill a node's slurmd; without ``and_jobs`` its jobs go on as zombies, as on a lost network."""
+        """Kill a node's slurmd; without ``and_jobs`` its jobs continue, as after a network failure."""
         process = self._nodes.pop(name, None)
         if process is None:
             return
@@ -178,7 +178,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
                 _kill_tree(candidate)
 
     def leftovers(self) -> list[str]:
-        """Processes of this cluster, its jobs' included, that still run."""
+        """Remaining processes of this cluster and its jobs."""
         found = []
         for process in psutil.process_iter(["pid", "cmdline"]):
             command = " ".join(process.info["cmdline"] or [])
@@ -198,7 +198,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             return subprocess.Popen(command, env=self.environment, stdout=log, stderr=log)
 
     def run(self, *command: str) -> str:
-        """Output of a Slurm command; raises with its message where it fails."""
+        """Output of a Slurm command; raises RuntimeError with its message if it fails."""
         result = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=60)
         if result.returncode != 0:
             raise RuntimeError(f"{' '.join(command)}: {result.stderr or result.stdout}")
@@ -211,11 +211,11 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             return []  # the controller is still starting
 
     def jobs(self) -> list[str]:
-        """Lines ``id state reason`` of the queue, array tasks one by one."""
+        """Lines ``id state reason`` of the queue, one per array task."""
         return self.run("squeue", "--noheader", "-r", "--format=%i %T %r").splitlines()
 
     def wait_for(self, condition: Callable[[], object], what: str, timeout_s: float = 90.0) -> None:
-        """Poll until ``condition()`` holds; raises with the queue where it does not in time."""
+        """Poll until ``condition()`` is true; raises TimeoutError with the queue after ``timeout_s``."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
@@ -224,24 +224,24 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             signal.sigtimedwait([], 0.2)
 
     def wait_until_stuck_or_idle(self) -> bool:
-        """Wait until nothing runs or starts any more; True where held jobs are left in the queue."""
+        """Wait until no job runs or can start; True if held jobs remain in the queue."""
         self.wait_for(lambda: all(_is_stuck(job) for job in self.jobs()), "an empty or a stuck queue", 240.0)
         return bool(self.jobs())
 
     def resume_nodes(self) -> None:
-        """Give drained nodes back, as an administrator does once their jobs have ended."""
+        """Resume drained nodes, as an administrator does once their jobs have ended."""
         for line in self.run("sinfo", "--noheader", "-N", "-o", "%N %t").splitlines():
             name, state = line.split()
             if state.startswith("dr"):
                 self.run("scontrol", "update", f"NodeName={name}", "State=RESUME")
 
     def wait_until_idle(self, timeout_s: float = 240.0) -> None:
-        """Wait until no job of any state is left in the queue."""
+        """Wait until the queue is empty."""
         self.wait_for(lambda: not self.jobs(), "an empty queue", timeout_s)
 
 
 def _is_stuck(job: str) -> bool:
-    """Whether a line of the queue waits for a person: held, or dependent on something that is."""
+    """Whether a line of the queue needs intervention: held, or dependent on such a job."""
     return job.endswith("held") or " PENDING Dependency" in job
 
 
@@ -249,9 +249,9 @@ def _kill_tree(process: psutil.Process) -> None:
     try:
         family = [*process.children(recursive=True), process]
     except psutil.Error:
-        return  # it is gone
+        return  # it has ended
     for member in family:
         try:
             member.kill()
         except psutil.Error:
-            continue  # it is gone
+            continue  # it has ended

@@ -106,7 +106,7 @@ def test_a_killed_node_costs_only_time(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Killing slurmd alone leaves its job running as a zombie beside the requeued one: no double."""
+    """Killing only slurmd leaves its job running beside the requeued one, without duplicate results."""
     folder = plan_small(tmp_path / "node", library_root, num_units=4)
     _submit(cluster, folder, monkeypatch)
     cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
@@ -129,7 +129,7 @@ def test_a_cancelled_plan_resumes(
 ) -> None:
     folder = plan_small(tmp_path / "cancel", library_root, num_units=4)
     _submit(cluster, folder, monkeypatch, throttle=1)
-    # A unit takes a second, so its views may come and go between two looks; its manifest stays.
+    # A unit takes a second, so its views may exist only between two polls; its manifest stays.
     cluster.wait_for(
         lambda: [*folder.root.glob("work/*/rendered/*.json"), *folder.units_path.glob("*.json")],
         "a finished view",
@@ -151,7 +151,7 @@ def test_a_requeued_task_is_done_once(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As an administrator or a preemption requeues: Slurm ends the running task and starts it again."""
+    """As for an administrator or a preemption, Slurm ends the running task and starts it again."""
     folder = plan_small(tmp_path / "requeue", library_root, num_units=4)
     submission = _submit(cluster, folder, monkeypatch, throttle=1)
     cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
@@ -191,11 +191,11 @@ def test_a_killed_controller_loses_no_finished_units(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Killed after the submission it may lose tasks and use their ids again: nothing hangs on ids.
+    """Killed after the submission it may lose tasks and reuse their ids, on which nothing depends.
 
-    A task that comes to a node under an id that still runs there is held, and the node is drained; then the
-    documented repair is to cancel and to submit again (docs/farm.md). The cluster is the test's own: ids that
-    meet again would trouble the next one.
+    A task with an id that still runs on its node is held, and the node is drained; the documented repair is
+    to cancel and to submit again (docs/farm.md). The test uses a separate cluster because reused ids would
+    disturb others.
     """
     folder = plan_small(tmp_path / "controller", library_root, num_units=4)
     with Cluster(tmp_path / "cluster") as cluster:
@@ -235,7 +235,7 @@ def test_a_unit_that_always_fails_is_recorded(
 def test_jobs_signalled_before_their_time_limit_requeue_until_done(
     cluster: Cluster, tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A unit longer than its limit is told in time, keeps its views, is requeued, and comes to an end."""
+    """A unit longer than its limit is signalled in time, keeps its views, is requeued, and finishes."""
     folder = plan_small(tmp_path / "limit", library_root, num_units=1, num_views=400)
     _submit(cluster, folder, monkeypatch, time_limit="00:01:00", notice_s=45)
     cluster.wait_until_idle(timeout_s=900)
