@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import difflib
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +21,7 @@ from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.package import AnyAsset, Package, is_package, open_package
 from datagen.foundation.bundled import bundled_library
 from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.progress import Advance, no_advance
 
 AssetKind = Literal["environment", "object", "material", "panorama"]
 KIND_FOLDERS: dict[AssetKind, str] = {
@@ -258,9 +259,7 @@ class LibraryCheck:
     warnings: tuple[Problem, ...]
 
 
-def check_library(
-    paths: Iterable[str | Path], progress: Callable[[int, int], None] = lambda done, total: None
-) -> LibraryCheck:
+def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -> LibraryCheck:
     """Read every mesh and texture of all packages and report all faults.
 
     Unlike :class:`Library`, this continues after packages that cannot be opened. ``progress(done, total)``

@@ -69,8 +69,8 @@ MATRIX = {
         "model.reconstruction.check": f"{_GROUND} mitsuba_plugins datagen.geometry "
         "model.reconstruction.captures",
         "model.reconstruction.found_lights": "",
-        "model.reconstruction.stages": "datagen.geometry model.reconstruction.infer_options "
-        "model.reconstruction.found_lights",
+        "model.reconstruction.stages": "datagen.foundation datagen.geometry "
+        "model.reconstruction.infer_options model.reconstruction.found_lights",
         "model.reconstruction.predict": f"{_GROUND} {_TRACED} datagen.light {_NETWORKS} model.checkpoint "
         "model.devices model.reconstruction.infer_options model.reconstruction.stages",
         "model.reconstruction.level": f"datagen.foundation {_TRACED} model.reconstruction.stages",

@@ -14,13 +14,14 @@ from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
 from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.paths import inside
+from datagen.foundation.progress import Advance, no_advance
 
 
 def collect(
     root: Path,
     deep: bool = False,
     on_removed: Callable[[Path], object] = lambda path: None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Advance = no_advance,
 ) -> DatasetIndex:
     """Write ``index.json`` from the manifests of finished units, and return the index.
 

@@ -20,6 +20,7 @@ from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord
 from datagen.foundation.errors import InputError
+from datagen.foundation.progress import Advance, no_advance
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from mitsuba_plugins.variant import check_variant, resolve_variant
@@ -74,7 +75,7 @@ def create_plan(
     library: Library,
     root: Path,
     workers: int = 1,
-    report: Callable[[int, int], None] = lambda done, total: None,
+    report: Advance = no_advance,
     tell: Callable[[str], None] = lambda note: None,
 ) -> Plan:
     """Assemble the missing configurations and write the plan; if there is a plan, read it.

@@ -13,7 +13,14 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 """Function of (stage, finished steps, total steps), such as :meth:`Bars.tell`."""
 
+Advance = Callable[[int, int], None]
+"""Function of (finished steps, total steps) of one stage."""
+
 SILENCE_S = 30.0
+
+
+def no_advance(done: int, total: int) -> None:
+    """An :data:`Advance` that shows nothing."""
 
 
 class Bars:

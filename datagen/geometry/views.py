@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Capture
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
+from datagen.foundation.progress import Advance
 from datagen.geometry.traced import TracedGeometry, ViewGeometry, reachable_faces
 from datagen.multiview.statistics import StatisticsView
 
@@ -56,7 +56,7 @@ class TracedCapture:
         return [view.statistics for view in self.views]
 
 
-def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None = None) -> TracedCapture:
+def trace_capture(capture: Capture, progress: Advance | None = None) -> TracedCapture:
     """Read and trace every view; ``progress(done, total)`` is called after each.
 
     Raises :class:`InputError` if no view shows a reflecting surface.

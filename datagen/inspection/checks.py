@@ -150,10 +150,10 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
     return []
 
 
-def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> list[Fault]:
+def check_statistics(view: View, max_views: int, has_own: bool, where: str) -> list[Fault]:
     """Find statistics out of order, wrong counts, and pixels with count 0 but statistics of another colour.
 
-    Counts must be 0 on background, at most ``most_views``, and, if ``has_own`` (the statistics of a pixel
+    Counts must be 0 on background, at most ``max_views``, and, if ``has_own`` (the statistics of a pixel
     include the pixel itself), above 0 on surfaces.
     """
     low, middle, high = (view[f"color_{n}"].astype(np.float32) for n in ("min", "median", "max"))
@@ -172,7 +172,7 @@ def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> 
             add(is_surface & ~(count > 0), "of surface with count 0", "at least the view itself")
         is_empty = view["depth_z_m"][..., 0] == 0
         add(is_empty & (count > 0), "of background with a count", "count 0")
-        add(count > most_views, f"with a count over {most_views}", f"at most {most_views}")
+        add(count > max_views, f"with a count over {max_views}", f"at most {max_views}")
         own = view["beauty"].astype(np.float32)
         differs = (np.abs(low - own) + np.abs(high - own)).max(axis=-1) > 1e-3 * np.abs(own).max(axis=-1)
         add((count == 0) & differs, "without observations differ from their own colour", "their own colour")

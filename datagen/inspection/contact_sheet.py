@@ -25,6 +25,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
+from datagen.foundation.progress import Advance, no_advance
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw, ImageFont
@@ -55,7 +56,7 @@ class Scales:
 
     exposure: float
     farthest_m: float
-    most_views: int
+    max_views: int
 
 
 def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
@@ -97,7 +98,7 @@ def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDAr
         is_valid &= view["surface_mask"][..., 0] > 0
     if name == "depth_z_m":
         is_valid &= array[..., 0] > 0
-    full_scale = {"roughness": 1.0, "depth_z_m": scales.farthest_m, "observation_count": scales.most_views}
+    full_scale = {"roughness": 1.0, "depth_z_m": scales.farthest_m, "observation_count": scales.max_views}
     if name in full_scale:
         picture = _color_map()(array[..., 0] / full_scale[name])
     elif name == "normal_world":
@@ -196,7 +197,7 @@ def _draw_foot(
     ends = {
         "roughness": ("0", "1"),
         "depth_z_m": ("0", f"{scales.farthest_m:.2f} m"),
-        "observation_count": ("0", f"{scales.most_views} views"),
+        "observation_count": ("0", f"{scales.max_views} views"),
     }
     if name not in ends:
         texts = {"diffuse_albedo": "sRGB", "specular_albedo": "F0, sRGB", "normal_world": "x y z as R G B"}
@@ -239,9 +240,7 @@ def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
     return make_contact_sheet([buffers[r.name] for r in chosen], [r.name for r in chosen], title)
 
 
-def write_dataset_sheets(
-    folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
-) -> list[Path]:
+def write_dataset_sheets(folder: Path, progress: Advance = no_advance) -> list[Path]:
     """Write ``sheets/<configuration>.png`` for each finished configuration without a current one.
 
     ``progress(done, total)`` counts configurations. Returns the paths of the new sheets. Raises

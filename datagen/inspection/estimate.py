@@ -11,7 +11,6 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from datagen.farm.planning import create_plan
 from datagen.farm.space import VIEW_BYTES_WHILE_WORKING
 from datagen.formats.recipe import Recipe, SplitRecipe
 from datagen.foundation.errors import input_error
+from datagen.foundation.progress import Advance, no_advance
 from datagen.library import Library
 
 
@@ -79,9 +79,7 @@ def _line(x1: float, y1: float, x2: float, y2: float, x: float) -> float:
     return y2 + slope * (x - x2) if x >= x2 else y1 + slope * (x - x1)
 
 
-def estimate(
-    recipe: Recipe, library: Library, report: Callable[[int, int], None] = lambda done, total: None
-) -> Estimate:
+def estimate(recipe: Recipe, library: Library, report: Advance = no_advance) -> Estimate:
     """Time two samples of ``recipe`` and predict the whole; ``report(done, total)`` counts samples."""
     begin = time.perf_counter()
     samples = []

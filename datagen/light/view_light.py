@@ -67,20 +67,12 @@ class ViewLight:
         rows = np.flatnonzero(surfels.observations.view == place)
         row_of = np.full(len(surfels), -1, np.int64)
         row_of[surfels.surfel_of_observation()[rows]] = rows
-        shape = view.color.shape[:2]
-        values = _interpolated(
-            view.geometry.depth_z_m.ravel(),
-            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
-            surfels.pixel_surfel[place],
-            camera_row(view),
-            surfels.grid.low,
-            surfels.grid.cell_m,
-            surfels.grid.shape,
-            surfels.grid.surfel,
-            row_of,
-            self._of_surfel,
-            self._of_observation,
-        ).reshape(*shape, -1)
+        grid, depth, own = surfels.grid, view.geometry.depth_z_m.ravel(), surfels.pixel_surfel[place]
+        normal = np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3))
+        cells = grid.low, grid.cell_m, grid.shape, grid.surfel
+        sources = row_of, self._of_surfel, self._of_observation
+        values = _interpolated(depth, normal, own, camera_row(view), *cells, *sources)
+        values = values.reshape(*view.color.shape[:2], -1)
         found = split_channels(values, LIGHT_BUFFERS)
         diffuse = found["reflectance"]  # Ld, by which the colour is divided
         is_lit = (diffuse > self._min_diffuse).all(axis=2, keepdims=True)

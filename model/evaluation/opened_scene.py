@@ -16,6 +16,7 @@ from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.shard import ShardReader
+from datagen.foundation.progress import Advance
 from datagen.rendering.capture_geometry import package_geometry
 from mitsuba_plugins.variant import select_variant
 from model.evaluation.metrics import common_exposure
@@ -130,7 +131,7 @@ def key_of(*parts: Any) -> str:
     return sha256_hex(canonical_json([_REVISION, *parts]))[:12]
 
 
-def told(tell: Tell, stage: str) -> Callable[[int, int], None]:
+def told(tell: Tell, stage: str) -> Advance:
     """Callback (done, total) that reports the progress of ``stage`` to ``tell``."""
     return lambda done, total: tell(stage, done, total)
 

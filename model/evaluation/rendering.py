@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
+from datagen.foundation.progress import Advance, no_advance
 from datagen.library import Library
 from datagen.rendering.denoiser import fast_denoiser
 from datagen.rendering.error import relative_mse
@@ -105,7 +106,7 @@ def render_scenery(
     renderings: Sequence[Rendering],
     render: RenderRecipe,
     enough: EnoughOf | None = None,
-    tell: Callable[[int, int], None] = lambda done, total: None,
+    tell: Advance = no_advance,
 ) -> None:
     """Render the missing views of ``renderings``; ``tell`` is called with the numbers of views done and in
     total. Irradiance cache and sky guide are estimated from all ``cameras``, whichever views are missing.

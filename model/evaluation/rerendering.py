@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from datagen.foundation.progress import Advance
 from model.evaluation.lpips import Lpips
 from model.evaluation.metrics import image_figures
 from model.evaluation.noise import seed_spread
@@ -22,7 +22,7 @@ def renderings_of(
     method: Method,
     light: str,
     scenery: Scenery,
-    tell: Callable[[int, int], None],
+    tell: Advance,
 ) -> tuple[Rendering, Rendering]:
     """Render ``scenery`` from all judged views under ``light``, and from some of them with a second seed.
 

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.progress import Advance
 from datagen.geometry.views import TracedCapture
 from model.reconstruction.found_lights import FoundLights, RadianceSamples
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
@@ -58,7 +59,7 @@ class Run:
     found: Found = field(default_factory=Found)
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
+    def stage(self, name: str) -> Iterator[Advance]:
         """Time a stage and report its start and end; yields a callback for its progress (done, total)."""
         last = (0, 1)
 

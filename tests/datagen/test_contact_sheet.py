@@ -30,7 +30,7 @@ from datagen.inspection.contact_sheet import (
 )
 from tests.datagen.small_dataset import make_buffers, make_configuration, make_view_files
 
-SCALES = Scales(exposure=0.5, farthest_m=4.0, most_views=12)
+SCALES = Scales(exposure=0.5, farthest_m=4.0, max_views=12)
 
 
 def flat_view(**values) -> dict[str, np.ndarray]:
@@ -94,7 +94,7 @@ def test_scales_ignore_background_and_non_finite_values():
     scales = choose_scales([view])
     assert scales.exposure == pytest.approx(0.45)
     assert scales.farthest_m == pytest.approx(3.0)
-    assert scales.most_views == 5
+    assert scales.max_views == 5
 
 
 def test_exposure_clips_few_highlights():

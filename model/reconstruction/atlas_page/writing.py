@@ -12,7 +12,6 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -28,6 +27,7 @@ from datagen.foundation.color_maps import cividis
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, joined, vertex_normals
 from datagen.foundation.meshes.ply import read_ply
+from datagen.foundation.progress import Advance, no_advance
 from model.reconstruction.atlas_page.sources import page_sources
 from model.reconstruction.atlas_page.textures import AtlasState, material_images, read_state
 
@@ -54,7 +54,7 @@ def write_view(
     source: Path,
     out: Path,
     max_side: int = MAX_SIDE,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Advance = no_advance,
 ) -> ViewResult:
     """Write the page of an asset package, or of an output folder of ``materials infer``, into ``out``.
 

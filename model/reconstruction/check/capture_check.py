@@ -9,7 +9,7 @@ whether another up axis or unit fits better. Every warning names its views and a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
 from datagen.foundation.errors import input_error
-from datagen.foundation.progress import Progress
+from datagen.foundation.progress import Advance, Progress, no_advance
 from datagen.geometry.traced import TracedGeometry, seen_sides
 from datagen.geometry.views import TracedCapture
 from mitsuba_plugins.variant import select_variant
@@ -55,7 +55,7 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
 def check_traced(
     traced: TracedCapture,
     out: Path | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Advance = no_advance,
 ) -> CheckReport:
     """As :func:`check_capture`, for a capture that has been read and traced."""
     looks = [
@@ -69,7 +69,7 @@ def check_looks(
     capture: Capture,
     looks: Sequence[Look],
     out: Path | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Advance = no_advance,
 ) -> CheckReport:
     """As :func:`check_capture`, for views that have been read and traced in the selected Mitsuba variant."""
     if not any((look.geometry.face >= 0).any() for look in looks):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.durable import publish
 from datagen.foundation.images import encode_png, quantized_bytes
+from datagen.foundation.progress import Advance, no_advance
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
@@ -74,7 +74,7 @@ def write_atlas_images(
     atlas: Atlas,
     *,
     has_exr: bool = True,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Advance = no_advance,
 ) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; returns the paths.
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.foundation.progress import Advance, no_advance
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.multiview.visibility import vectors_from_rows
@@ -98,7 +99,7 @@ def find_level(
     region_of_face: NDArray[np.int32],
     clipped_share: float = 0.0,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Advance = no_advance,
 ) -> AlbedoLevel:
     """Estimate the albedo scale of the views' ``maps``; gains are 1 if the evidence is too weak.
 
@@ -226,7 +227,7 @@ def _irradiance(
     traced: TracedGeometry,
     position_m: Floats,
     normal: Floats,
-    progress: Callable[[int, int], None],
+    progress: Advance,
 ) -> tuple[Floats, Floats]:
     """Irradiance (N, 3) of points from directions of known radiance, and the cosine-weighted share (N,) of
     these directions in the hemisphere.

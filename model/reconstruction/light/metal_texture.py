@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from datagen.light.bake import SpecularShading
 from datagen.light.surfels import Surfels, weighted_medians
+from model.reconstruction.light.points import UNSEEN_WEIGHT
 
 SHARP, BLURRED = 0.2, 0.3
 """Roughness up to which a surfel keeps its segment's S, since cells do not resolve sharp reflections, and
-from which on it has an S of its own."""
+above which its S depends on its own observations."""
 SEGMENT_VIEWS = 2.0
-"""Number of observations of a surfel whose weight the segment's S has."""
-_UNSEEN_WEIGHT = 0.05  # weight of lobes without photographed light; the maximum is 1.05
+"""Weight of the segment's S, in observations of the surfel."""
 
 
 def textured_specular_albedo(
@@ -35,7 +35,7 @@ def textured_specular_albedo(
     num = np.bincount(owner[rows], minlength=len(surfels))
     start = np.concatenate([[0], np.cumsum(num)]).astype(np.int64)
     ratio = (observations.radiance[rows] - shading.ls1[rows]) / np.maximum(shading.ls0[rows], 1e-9)
-    weight = observations.weight[rows] * (_UNSEEN_WEIGHT + shading.photographed[rows])
+    weight = observations.weight[rows] * (UNSEEN_WEIGHT + shading.photographed[rows])
     medians = weighted_medians(start, ratio.astype(np.float32), weight.astype(np.float32))
     blurred = np.clip((roughness - SHARP) / (BLURRED - SHARP), 0, 1)
     share = (blurred * num / (num + SEGMENT_VIEWS))[:, None]

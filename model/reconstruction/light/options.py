@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from datagen.foundation.peak_memory import peak_mb
+from datagen.foundation.progress import Advance, no_advance
 from datagen.light.lighting import GatherOptions
 from model.reconstruction.light.solve import PriorWeights
 
@@ -62,7 +63,7 @@ class LightReport:
     memory_mb: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.advance: Callable[[int, int], None] = lambda done, total: None
+        self.advance: Advance = no_advance
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:

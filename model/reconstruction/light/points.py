@@ -28,7 +28,8 @@ MIN_VIEWS, MIN_LIGHT = 3, 0.6
 """Preferred minimum of a surfel's number of views and of its share of known light."""
 _MIN_WEIGHT = 0.1  # preferred minimum of an observation
 _QUOTA_STEP = 8
-_UNSEEN_WEIGHT = 0.05  # added to the photographed share of a lobe, which may be 0
+UNSEEN_WEIGHT = 0.05
+"""Weight of observations that is added to the photographed share of their lobe, which may be 0."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ def shade_points(lit: Lit, points: Points, options: LightOptions) -> PointShadin
         known = np.maximum(shading.known, MIN_KNOWN)[:, None]
         ls0[used, level], ls1[used, level] = shading.ls0 / known, shading.ls1 / known
         photographed[used, level] = shading.photographed
-    weight = points.weight * (_UNSEEN_WEIGHT + photographed.mean(axis=2))
+    weight = points.weight * (UNSEEN_WEIGHT + photographed.mean(axis=2))
     return PointShading(ls0, ls1, weight.astype(np.float32))
 
 

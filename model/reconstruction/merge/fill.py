@@ -10,7 +10,7 @@ value of the nearest texel with a surface, which avoids artefacts of filtering a
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.progress import Advance, no_advance
 from datagen.multiview.compiled import compiled, num_threads
 from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces
 
-Progress = Callable[[int, int], None]
 BAND = 1024
 """Number of rows processed at a time."""
 GUTTER = 128
@@ -32,12 +32,10 @@ MAX_CHARTS = 20_000  # more charts are so small that filling by triangle is as g
 _LARGE_WINDOW = 2**22  # number of texels of a chart above which memory is released after it
 
 
-def fill_unseen(
-    atlas: Atlas, mesh: Mesh, progress: Callable[[int, int], None] = lambda done, total: None
-) -> None:
+def fill_unseen(atlas: Atlas, mesh: Mesh, progress: Advance = no_advance) -> None:
     """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh."""
 
-    def part(number: int) -> Progress:
+    def part(number: int) -> Advance:
         """The progress of one of the four parts, in percent of it."""
         return lambda done, total: progress(100 * number + 100 * done // total, 400)
 
@@ -56,7 +54,7 @@ def fill_unseen(
     _fill_gutters(atlas, part(3))
 
 
-def _bands(atlas: Atlas, progress: Progress) -> Iterator[slice]:
+def _bands(atlas: Atlas, progress: Advance) -> Iterator[slice]:
     """Row ranges, band after band; finished bands are released from memory."""
     for top in range(0, atlas.size, BAND):
         bottom = min(top + BAND, atlas.size)
@@ -71,7 +69,7 @@ def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
 
 
 def _face_means(
-    atlas: Atlas, num_faces: int, progress: Progress
+    atlas: Atlas, num_faces: int, progress: Advance
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Mean (M, 7) of each triangle's observed texels, and their number (M,)."""
     sums, num_seen = np.zeros((num_faces, NUM_CHANNELS)), np.zeros(num_faces, np.int64)
@@ -123,7 +121,7 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 
 
 def _fill_charts(
-    atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, progress: Progress
+    atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, progress: Advance
 ) -> NDArray[np.bool_]:
     """Fill partly observed charts; returns a mask (C,) of the charts that need no other filling."""
     assert mesh.uv is not None
@@ -217,7 +215,7 @@ def _copy_labelled(values: Any, labels: Any, places: Any, target: Any) -> None:
                     values[row, column, channel] = values[place // width, place % width, channel]
 
 
-def _fill_gutters(atlas: Atlas, progress: Progress) -> None:
+def _fill_gutters(atlas: Atlas, progress: Advance) -> None:
     def fill(rows: slice) -> None:
         start, stop = max(rows.start - GUTTER, 0), min(rows.stop + GUTTER, atlas.size)
         covered = atlas.face[start:stop] >= 0

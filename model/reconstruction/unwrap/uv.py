@@ -12,7 +12,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh, compacted, welded
+from datagen.foundation.progress import Advance, no_advance
 from datagen.geometry.traced import face_normals, smooth_regions
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.unwrap.charts import chart_of_faces
@@ -78,9 +78,7 @@ class UvReport:
         return notes
 
 
-def unwrapped(
-    mesh: Mesh, jobs: int = 2, progress: Callable[[int, int], None] = lambda done, total: None
-) -> tuple[Mesh, UvReport]:
+def unwrapped(mesh: Mesh, jobs: int = 2, progress: Advance = no_advance) -> tuple[Mesh, UvReport]:
     """The mesh with UVs for an atlas; triangles keep their order and corners, but vertices may be split."""
     fault = "" if mesh.uv is None else own_uv_fault(mesh)
     if mesh.uv is not None and not fault:
@@ -154,7 +152,7 @@ def _report(
     )
 
 
-def _unwrap(mesh: Mesh, jobs: int, progress: Callable[[int, int], None]) -> tuple[Mesh, int, int]:
+def _unwrap(mesh: Mesh, jobs: int, progress: Advance) -> tuple[Mesh, int, int]:
     positions, vertex = welded(mesh)
     faces = vertex[mesh.faces]
     pieces = _pieces(mesh)
