@@ -12,10 +12,10 @@ ENV PIP_NO_CACHE_DIR=1 \
     PIP_DISABLE_PIP_VERSION_CHECK=1 \
     PYTHONUNBUFFERED=1
 
-# From a copy that is left behind: what runs is the installed packages, with the bundled library inside.
+# Built from a copy that the image does not keep; the installed packages contain the bundled library.
 COPY . /source
 WORKDIR /source
-# Plain torch would bring several GB of CUDA: its build for processors, or none.
+# The CPU build of torch; the default one adds several GB of CUDA.
 RUN sed --in-place 's/^torch==.*/&+cpu/' constraints.txt && \
     pip install --constraint constraints.txt --extra-index-url https://download.pytorch.org/whl/cpu \
         '.[train,heic,raw,gltf,usd,export,blender]' && \
