@@ -88,7 +88,7 @@ class FreeSpace:
         return position + np.array([0.0, 0.0, lift])
 
     @cached_property
-    def trusts_winding(self) -> bool:
+    def has_consistent_winding(self) -> bool:
         """Whether over 90 % of hits seen from the room's cameras and supports are on front faces."""
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
         for s in self.environment.support_surfaces:
@@ -98,14 +98,14 @@ class FreeSpace:
             return False
         directions = np.tile(fibonacci_sphere(64), (len(starts), 1))
         hits = self.rays.cast(np.repeat(starts, 64, axis=0), directions)
-        return bool(self.rays.sees_back(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
+        return bool(self.rays.is_back_hit(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
 
     def fault(self, position: Floats, clearance_m: float) -> str:
         """Why a position (3,) is not free: ``inside_solid``, ``too_close`` or ``outside``; '' if it is."""
         directions = fibonacci_sphere(NUM_FEELERS)
         hits = self.rays.cast(position, directions)
-        backs = int(self.rays.sees_back(hits, directions).sum())
-        if self.trusts_winding and backs > _MAX_BACK_SHARE * NUM_FEELERS:
+        backs = int(self.rays.is_back_hit(hits, directions).sum())
+        if self.has_consistent_winding and backs > _MAX_BACK_SHARE * NUM_FEELERS:
             return "inside_solid"
         if float(hits.distance_m.min()) < clearance_m:
             return "too_close"

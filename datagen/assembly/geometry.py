@@ -99,7 +99,7 @@ class RayScene:
         limits = np.ascontiguousarray(np.minimum(limits, 1e30), dtype=np.float32)
         return self._embree.run(origins, directions, dists=limits, query="OCCLUDED") != -1
 
-    def sees_back(self, hits: Hits, directions: Floats) -> NDArray:
+    def is_back_hit(self, hits: Hits, directions: Floats) -> NDArray:
         """Mask (R,) of rays along ``directions`` (R, 3) whose first hit is on the back of a triangle."""
         cosine = np.einsum("ij,ij->i", self.normals[np.maximum(hits.face, 0)], directions)
         return hits.hit_mask & (cosine > 0)

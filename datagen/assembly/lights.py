@@ -284,7 +284,7 @@ def _point_fault(position: Floats, room: RoomToLight) -> str:
     """The reason to reject a point light at a position (3,): ``inside_solid`` or ``blocked``; '' if none."""
     directions = fibonacci_sphere(48)
     hits = room.scene.rays.cast(position, directions)
-    if room.has_solid_backs and room.scene.rays.sees_back(hits, directions).mean() > _MAX_BACKS:
+    if room.has_solid_backs and room.scene.rays.is_back_hit(hits, directions).mean() > _MAX_BACKS:
         return "inside_solid"
     return "blocked" if float(hits.distance_m.min()) < _MIN_LIGHT_CLEARANCE_M else ""
 

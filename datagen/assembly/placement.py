@@ -185,7 +185,7 @@ class Placer:
             fault = self._fault_between(placed, other)
             if fault:
                 return fault
-        if self.room.trusts_winding and _is_inside_solid(used, self.room.rays):
+        if self.room.has_consistent_winding and _is_inside_solid(used, self.room.rays):
             return "inside_solid"
         return placed
 
@@ -219,7 +219,7 @@ def _is_inside_solid(points: Floats, rays: RayScene) -> bool:
     origins = np.repeat(chosen, 6, axis=0)
     directions = np.tile(_AXES, (len(chosen), 1))
     hits = rays.cast(origins, directions)
-    backs = rays.sees_back(hits, directions).reshape(-1, 6).sum(axis=1)
+    backs = rays.is_back_hit(hits, directions).reshape(-1, 6).sum(axis=1)
     return bool((backs >= 4).sum() > 0.5 * len(chosen))
 
 

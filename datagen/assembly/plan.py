@@ -163,7 +163,9 @@ def _assemble_once(
     eyes = space.points(NUM_EYES, 0.1, Draws(*key, "eyes"), rejections)
     assigned = tuple(mean_materials(p, library, caches.means) for p in placed)
     assets = tuple(g.asset for g in geometries)
-    to_light = RoomToLight(room.asset, scene, tuple(placed), assets, assigned, eyes, space.trusts_winding)
+    to_light = RoomToLight(
+        room.asset, scene, tuple(placed), assets, assigned, eyes, space.has_consistent_winding
+    )
     lighting = light_room(to_light, recipe.lights, library, key, rejections)
     lit = [p.model_copy(update={"emission": e}) for p, e in zip(placed, lighting.emission, strict=True)]
 

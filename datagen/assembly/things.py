@@ -183,7 +183,7 @@ class Room:
         self._near_surface: dict[str, Ints] = {}
 
     @cached_property
-    def trusts_winding(self) -> bool:
+    def has_consistent_winding(self) -> bool:
         """Whether at least 90 % of rays from above the support surfaces hit front faces of triangles.
 
         Downloaded scenes often have random winding, so hits on back faces do not indicate solids.
@@ -197,7 +197,7 @@ class Room:
             directions = fibonacci_sphere(64)
             hits = self.rays.cast(start, directions)
             shown += int(hits.hit_mask.sum())
-            backs += int(self.rays.sees_back(hits, directions).sum())
+            backs += int(self.rays.is_back_hit(hits, directions).sum())
         return shown > 0 and backs < 0.1 * shown
 
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:

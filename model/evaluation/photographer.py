@@ -64,7 +64,7 @@ def choose_cameras(
     rejections: Counter[str] = Counter()
     eyes = space.points(NUM_EYES, 0.1, Draws(*key, "eyes"), rejections)
     assigned = mean_materials(placed, library, MeanMaterials())
-    room = RoomToLight(asset, scene, (placed,), (asset,), (assigned,), eyes, space.trusts_winding)
+    room = RoomToLight(asset, scene, (placed,), (asset,), (assigned,), eyes, space.has_consistent_winding)
     lighting = light_room(room, _OWN_LIGHTS, library, key, rejections)
     shell = Shell(scene, surfaces_of(geometry))
     cameras = ViewFinder(scene, shell, space, lighting, recipe, resolution, key, rejections).find(num_views)

@@ -44,9 +44,9 @@ def make(name: str) -> str:
             "object", name, source.title, sm_category=source.category, sm_supports=source.supports,
             sm_scale_range=source.scale, sm_yaw_range_rad=yaw_range(source),
         )  # fmt: skip
-        workshop = modelling.Workshop(source.slots)
-        source.build(workshop)
-        workshop.build(collection)
+        builder = modelling.PartBuilder(source.slots)
+        source.build(builder)
+        builder.build(collection)
     else:
         room = ENVIRONMENTS[name]
         collection = modelling.tagged_collection("environment", name, room.title)

@@ -59,7 +59,7 @@ class Pieces:
 
 
 @dataclass
-class Workshop:
+class PartBuilder:
     """Collects shapes by part and slot and converts them to tagged Blender objects.
 
     A part becomes one object at the origin, or one object per transform in ``places``, with a common mesh.
@@ -72,7 +72,7 @@ class Workshop:
     _count: int = 0
 
     def __getitem__(self, place: tuple[str, str]) -> Pieces:
-        """The shapes of a part's slot, for ``workshop["radio", "knob"] += shape``, or several shapes.
+        """The shapes of a part's slot, for ``builder["radio", "knob"] += shape``, or several shapes.
 
         A slot that does not exist raises ``KeyError``.
         """

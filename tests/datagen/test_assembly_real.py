@@ -110,4 +110,4 @@ def test_assembly_is_fast_and_repeatable(
 
 
 def test_consistent_winding_of_imported_rooms_is_recognised(library: Library) -> None:
-    assert Room(load_geometry(library.package("staircase2"))).trusts_winding
+    assert Room(load_geometry(library.package("staircase2"))).has_consistent_winding

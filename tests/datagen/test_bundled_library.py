@@ -189,7 +189,7 @@ def test_room_is_closed_except_for_its_openings(name: str) -> None:
     )
     directions = directions[: len(origins)]
     hits = rays.cast(origins, directions)
-    assert rays.sees_back(hits, directions).mean() < 2e-4
+    assert rays.is_back_hit(hits, directions).mean() < 2e-4
     escaped = ~hits.hit_mask
     assert 0.001 < escaped.mean() < 0.3
     leaves = np.zeros(len(origins), dtype=bool)

@@ -16,7 +16,7 @@ from scenes.sources.environments import (
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.shapes import Shape, box, lathe, loft, rounded_rectangle, soft_box, tube
 
 TILED = 1.3
@@ -52,7 +52,7 @@ def _slots() -> dict[str, Slot]:
 
 @environment("bathroom", "Bathroom")
 def bathroom(collection: bpy.types.Collection) -> None:
-    w = Workshop(_slots())
+    w = PartBuilder(_slots())
     windows = (Window("north", 0.0, 1.1, 1.35, 0.85, (2, 1)),)
     room = Room(w, collection, 3.0, 2.6, 2.5, windows, (Door("south", 0.85, 0.8),))
     room.build_shell(skirting=0.0)
@@ -81,7 +81,7 @@ def bathroom(collection: bpy.types.Collection) -> None:
 
 
 def _tiling(room: Room) -> None:
-    w, t = room.workshop, 0.012
+    w, t = room.builder, 0.012
     for wall in ("north", "east", "west", "south"):
         for low, high in room.clear_runs(wall, 0.09):
             middle, length = (high + low) / 2, high - low
@@ -92,7 +92,7 @@ def _tiling(room: Room) -> None:
 
 
 def _washing(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     storage.cabinet(
         w,
         "vanity",
@@ -148,7 +148,7 @@ def _washing(room: Room) -> None:
 
 
 def _storage(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     bar = tube([(-0.32, -0.08, 0), (0.32, -0.08, 0)], 0.009, 12)
     ends = [tube([(x, -0.002, 0), (x, -0.08, 0)], 0.008, 10) for x in (-0.3, 0.3)]
     w["towel_rail", "chrome"] += [bar, *ends]

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bathroom furniture, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
+"""Bathroom furniture, added to a builder's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from scenes.sources.environments.kitchen_furniture import faces_up
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -21,7 +21,7 @@ from scenes.sources.shapes import (
 
 
 def bathtub(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     *,
     enamel: str,
@@ -69,7 +69,7 @@ def _apron(length: float, width: float, height: float) -> Shape:
     return join(walls)
 
 
-def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> None:
+def toilet(w: PartBuilder, part: str, *, ceramic: str, seat: str, metal: str) -> None:
     """Add a close-coupled toilet with its lid down."""
 
     def ring(sx: float, sy: float, z: float, y: float) -> np.ndarray:
@@ -105,7 +105,7 @@ def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> No
 
 
 def towel(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     slot: str,
     *,

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps, rugs, pictures, radiators and plants, added to a workshop's part; metres."""
+"""Lamps, rugs, pictures, radiators and plants, added to a builder's part; metres."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -19,7 +19,7 @@ from scenes.sources.shapes import (
 
 
 def rug(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     slot: str,
     size: tuple[float, float],
@@ -41,7 +41,7 @@ def rug(
 
 
 def floor_lamp(
-    w: Workshop, part: str, *, metal: str = "hardware", shade: str = "lamp_shade", height: float = 1.55
+    w: PartBuilder, part: str, *, metal: str = "hardware", shade: str = "lamp_shade", height: float = 1.55
 ) -> float:
     """Add a floor lamp with a round foot and a drum shade; returns the height of its light."""
     w[part, metal] += lathe(
@@ -88,7 +88,7 @@ def spider(radius: float, z: float) -> Shape:
 
 
 def pendant(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     *,
     ceiling: float,
@@ -133,7 +133,7 @@ def pendant(
 
 
 def ceiling_light(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     *,
     ceiling: float,
@@ -158,7 +158,7 @@ def ceiling_light(
 
 
 def picture(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     *,
     size: tuple[float, float],
@@ -175,7 +175,7 @@ def picture(
 
 
 def radiator(
-    w: Workshop, part: str, *, width: float = 0.9, height: float = 0.55, slot: str = "radiator"
+    w: PartBuilder, part: str, *, width: float = 0.9, height: float = 0.55, slot: str = "radiator"
 ) -> None:
     """Add a column radiator with its back at y = 0, 10 cm above the floor."""
     count = int(width / 0.05)
@@ -194,7 +194,7 @@ def radiator(
 
 
 def plant(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     *,
     height: float,

@@ -9,7 +9,7 @@ from scenes.sources.environments import decor, furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.shapes import box, lathe, tube
 
 
@@ -36,7 +36,7 @@ def _slots() -> dict[str, Slot]:
 
 @environment("dining_room", "Dining room")
 def dining_room(collection: bpy.types.Collection) -> None:
-    w = Workshop(_slots())
+    w = PartBuilder(_slots())
     windows = (
         Window("south", 1.05, 1.2, 0.45, 1.85, (2, 3)),
         Window("south", -1.05, 1.2, 0.45, 1.85, (2, 3)),
@@ -105,7 +105,7 @@ def dining_room(collection: bpy.types.Collection) -> None:
 
 def _panelling(room: Room) -> None:
     """Add a dado rail to every wall, except at the door and the windows."""
-    w, z = room.workshop, 0.92
+    w, z = room.builder, 0.92
     for wall in ("north", "east", "west", "south"):
         for low, high in room.clear_runs(wall, 0.09, 0.07):
             rail = box((high - low, 0.024, 0.05), ((high + low) / 2, -0.012, z), 0.008, 2, grain=0)
@@ -113,7 +113,7 @@ def _panelling(room: Room) -> None:
 
 
 def _dresser(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     storage.cabinet(
         w,
         "dresser",
@@ -140,7 +140,7 @@ def _dresser(room: Room) -> None:
 
 def _sconce(room: Room, number: int, s: float) -> None:
     """Add a wall lamp at ``s`` along the wall, next to the mirror."""
-    w = room.workshop
+    w = room.builder
     part = f"sconce_{number}"
     w[part, "brass"] += lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28).turned(
         "x", 90

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Seating and tables, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
+"""Seating and tables, added to a builder's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -20,7 +20,7 @@ from scenes.sources.shapes import (
 
 
 def sofa(
-    w: Workshop, part: str, *, width: float = 2.1, seats: int = 3, depth: float = 0.92, cover: str = "sofa", legs: str = "sofa_legs",
+    w: PartBuilder, part: str, *, width: float = 2.1, seats: int = 3, depth: float = 0.92, cover: str = "sofa", legs: str = "sofa_legs",
     cushions: tuple[str, ...] = (), seat_height: float = 0.43, seed: int = 0,
 ) -> None:  # fmt: skip
     """Add an upholstered sofa or armchair: base, arms, back, loose seat and back cushions, scatter cushions."""
@@ -75,7 +75,7 @@ def sofa(
 
 
 def table(
-    w: Workshop, part: str, *, size: tuple[float, float], height: float, top: str = "table", legs: str = "table",
+    w: PartBuilder, part: str, *, size: tuple[float, float], height: float, top: str = "table", legs: str = "table",
     thick: float = 0.032, leg: float = 0.06, shelf: float = 0.0, taper: bool = True, round_corner: float = 0.0,
 ) -> None:  # fmt: skip
     """Add a table about the z axis: bevelled top, apron, tapered legs, optional lower shelf."""
@@ -116,7 +116,7 @@ def _leg(side: float, height: float, taper: bool) -> Shape:
     return shape.bent(narrow) if taper else shape
 
 
-def chair(w: Workshop, part: str, *, frame: str = "chairs", seat: str = "chair_seats") -> None:
+def chair(w: PartBuilder, part: str, *, frame: str = "chairs", seat: str = "chair_seats") -> None:
     """Add a dining chair about the z axis: turned legs, curved back with three slats, seat pad."""
     d, wd, h = 0.43, 0.44, 0.45
     for side in (-1, 1):

@@ -15,7 +15,7 @@ from scenes.sources.environments import (
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.shapes import box, lathe, tube
 
 TOP, DEEP = 0.9, 0.62
@@ -48,7 +48,7 @@ def _slots() -> dict[str, Slot]:
 
 @environment("kitchen", "Kitchen")
 def kitchen(collection: bpy.types.Collection) -> None:
-    w = Workshop(_slots())
+    w = PartBuilder(_slots())
     windows = (Window("north", 0.1, 1.5, 1.06, 1.1, (2, 1)), Window("west", 0.2, 1.1, 0.9, 1.25, (2, 1)))
     room = Room(w, collection, 4.2, 3.6, 2.55, windows, (Door("south", 1.35),))
     room.build_shell()
@@ -75,7 +75,7 @@ def kitchen(collection: bpy.types.Collection) -> None:
 
 
 def _units(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     # from the left: drawers, sink unit, oven, cupboard; the fridge is free-standing on the right
     layout = (
         ("drawers", -1.75, 0.7, 1, (0.3, 0.33, 0.37)),
@@ -142,7 +142,7 @@ def _units(room: Room) -> None:
 
 
 def _table(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     furniture.table(w, "table", size=(1.3, 0.8), height=0.74, top="table", legs="table", leg=0.07)
     w.place("table", -0.35, -0.55)
     room.surface_at("table", "table", (-0.35, -0.55), (1.2, 0.7), 0.74, 0.9)
@@ -152,7 +152,7 @@ def _table(room: Room) -> None:
 
 
 def _shelves(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     for k, z in enumerate((1.35, 1.7)):
         w[f"shelf_{k}", "shelf"] += box((1.0, 0.22, 0.026), (0, -0.11, -0.026), 0.004, 2, grain=0)
         for x in (-0.38, 0.38):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kitchen furniture, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
+"""Kitchen furniture, added to a builder's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -66,7 +66,7 @@ def faces_up(shape: Shape) -> bool:
 
 
 def worktop(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     slot: str,
     *,
@@ -96,7 +96,7 @@ def worktop(
             )
 
 
-def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float = 0.2) -> None:
+def tap(w: PartBuilder, part: str, slot: str, *, height: float = 0.3, reach: float = 0.2) -> None:
     """Add a swan-neck mixer tap with its spout towards -y."""
     w[part, slot] += lathe(
         [(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24
@@ -119,7 +119,7 @@ def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float 
     )
 
 
-def hob(w: Workshop, part: str, *, glass: str, mark: str, width: float = 0.58, depth: float = 0.5) -> None:
+def hob(w: PartBuilder, part: str, *, glass: str, mark: str, width: float = 0.58, depth: float = 0.5) -> None:
     """Add a glass-ceramic hob about the z axis, with its zones marked by thin rings."""
     w[part, glass] += extrude(rounded_rectangle(width, depth, 0.012, 3), 0.006, 0.0015)
     for x, y, r in ((-0.15, -0.11, 0.09), (-0.15, 0.12, 0.075), (0.14, -0.11, 0.075), (0.14, 0.12, 0.1)):
@@ -136,7 +136,7 @@ def hob(w: Workshop, part: str, *, glass: str, mark: str, width: float = 0.58, d
 
 
 def oven(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     *,
     steel: str,
@@ -181,7 +181,7 @@ def oven(
 
 
 def fridge(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     *,
     body: str,
@@ -206,7 +206,15 @@ def fridge(
 
 
 def wall_cupboard(
-    w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, slot: str, handle: str
+    w: PartBuilder,
+    part: str,
+    *,
+    width: float,
+    height: float,
+    depth: float,
+    columns: int,
+    slot: str,
+    handle: str,
 ) -> None:
     """Add a wall cupboard with its underside at z = 0."""
     w[part, slot] += box((width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0)

@@ -9,7 +9,7 @@ from scenes.sources.environments import decor, furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.shapes import box, extrude, rounded_rectangle
 
 
@@ -38,7 +38,7 @@ def _slots() -> dict[str, Slot]:
 
 @environment("living_room", "Living room")
 def living_room(collection: bpy.types.Collection) -> None:
-    w = Workshop(_slots())
+    w = PartBuilder(_slots())
     windows = (Window("east", 0.95, 1.35, 0.6, 1.65, (2, 2)), Window("east", -0.95, 1.35, 0.6, 1.65, (2, 2)))
     room = Room(w, collection, 5.2, 4.4, 2.6, windows, (Door("west", -1.45),))
     room.build_shell()
@@ -72,7 +72,7 @@ def living_room(collection: bpy.types.Collection) -> None:
 
 
 def _seating(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     furniture.sofa(w, "sofa", cushions=("cushion_a", "cushion_b"), seed=1)
     room.place("south", "sofa", 0.55, gap=0.03)
     room.surface("sofa seat", "seat", "south", 0.55, 0.7, 0.52, 0.86, 0.455, 1.2)
@@ -82,7 +82,7 @@ def _seating(room: Room) -> None:
 
 
 def _tables(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     furniture.table(
         w,
         "coffee_table",
@@ -109,7 +109,7 @@ def _tables(room: Room) -> None:
 
 
 def _storage(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     storage.cabinet(
         w,
         "sideboard",

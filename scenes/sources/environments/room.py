@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from scenes.sources import modelling
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import Point, Shape, box, box_uvs, cylinder, join, sheet, tube
 
 THICKNESS = 0.28
@@ -46,9 +46,9 @@ class Door:
 
 @dataclass
 class Room:
-    """Builds the shell of a room in a workshop, and adds the environment's markers to a collection."""
+    """Builds the shell of a room with a part builder, and adds the environment's markers to a collection."""
 
-    workshop: Workshop
+    builder: PartBuilder
     collection: bpy.types.Collection
     width: float
     depth: float
@@ -78,7 +78,7 @@ class Room:
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         px, py = x + c * s + sine * gap, y + sine * s - c * gap
-        self.workshop.place(part, px, py, z, degrees)
+        self.builder.place(part, px, py, z, degrees)
         return float(px), float(py), degrees
 
     def clear_runs(
@@ -108,15 +108,15 @@ class Room:
     def build_shell(self, skirting: float = 0.09) -> None:
         """Build floor, ceiling, walls with their openings, skirting, windows and doors."""
         w, d, h, t = self.width, self.depth, self.height, THICKNESS
-        self.workshop["floor", "floor"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0)
-        self.workshop["ceiling", "ceiling"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0)
+        self.builder["floor", "floor"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0)
+        self.builder["ceiling", "ceiling"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0)
         for wall in _WALLS:
             holes = [
                 (o.s - o.width / 2, o.s + o.width / 2, o.sill, o.sill + o.height)
                 for o in self.windows
                 if o.wall == wall
             ]
-            self.workshop["walls", "walls"] += self._wall(wall, holes)
+            self.builder["walls", "walls"] += self._wall(wall, holes)
             if skirting:
                 self._skirting(wall, skirting)
         for number, window in enumerate(self.windows):
@@ -128,7 +128,7 @@ class Room:
     def _outside(self) -> None:
         """Add a lawn and a hedge around the room, since the sky is black below the horizon."""
         reach, level = 20.0, -0.35
-        self.workshop["outside", "lawn"] += box(
+        self.builder["outside", "lawn"] += box(
             (2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), bevel=0, grain=0
         )
         rng = np.random.default_rng(12)
@@ -139,7 +139,7 @@ class Room:
             heights = level + np.linspace(-0.05, 1, 5)[:, None] * (top - level)
             points = np.stack([np.broadcast_to(s, belly.shape), belly, heights], axis=-1)
             # seen from inside, columns to the right have decreasing s
-            self.workshop["outside", "hedge"] += sheet(points[:, ::-1], 0.6).turned("z", degrees)
+            self.builder["outside", "hedge"] += sheet(points[:, ::-1], 0.6).turned("z", degrees)
 
     def _wall(self, wall: str, holes: list[tuple[float, float, float, float]]) -> Shape:
         # north and south walls also fill the corners; all walls enter floor and ceiling, so no light leaks in
@@ -174,7 +174,7 @@ class Room:
             length, middle = high - low, (high + low) / 2
             board = box((length, 0.014, height), (middle, -0.007, 0), 0.004, grain=0)
             lip = box((length, 0.008, 0.012), (middle, -0.004, height - 0.002), 0.003, grain=0)
-            self.workshop["skirting", "trim"] += self.on_wall(wall, board + lip)
+            self.builder["skirting", "trim"] += self.on_wall(wall, board + lip)
 
     def _window(self, window: Window, number: int) -> None:
         w, h, z = window.width, window.height, window.sill
@@ -217,7 +217,7 @@ class Room:
                         grain=0,
                     )
                 )
-        self.workshop["windows", "trim"] += self.on_wall(window.wall, join(bars), window.s)
+        self.builder["windows", "trim"] += self.on_wall(window.wall, join(bars), window.s)
         handle = cylinder(0.011, 0.02).turned("x", 90).moved(0, depth - 0.034, z + 0.45 * h)
         lever = tube(
             [
@@ -230,7 +230,7 @@ class Room:
             smooth=3,
         )
         offset = inner_w / columns / 2 if columns == 1 else 0.0
-        self.workshop["window_handles", "hardware"] += self.on_wall(
+        self.builder["window_handles", "hardware"] += self.on_wall(
             window.wall, (handle + lever).moved(x=-offset + (0.025 if columns > 1 else 0.027)), window.s
         )
         if z > 0.3:
@@ -240,7 +240,7 @@ class Room:
             board = box((w + 0.12, 0.10, 0.03), (0, -0.022 + 0.0, z - 0.029), 0.008, 2, grain=0) + box(
                 (w - 0.002, depth - 0.03, 0.0305), (0, (depth - 0.03) / 2 - 0.001, z - 0.029), 0.001, grain=0
             )
-            self.workshop["sills", "sill"] += self.on_wall(window.wall, board, window.s)
+            self.builder["sills", "sill"] += self.on_wall(window.wall, board, window.s)
             self.surface(
                 f"sill {number}",
                 "sill",
@@ -263,7 +263,7 @@ class Room:
             for side in (-1, 1)
         ]
         casing.append(box((w + 0.20, 0.022, 0.08), (0, -0.011, z + h + 0.012), 0.006, grain=0))
-        self.workshop["windows", "trim"] += self.on_wall(window.wall, join(casing), window.s)
+        self.builder["windows", "trim"] += self.on_wall(window.wall, join(casing), window.s)
         x, y, degrees = self.frame(window.wall)
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         right, out = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
@@ -281,13 +281,13 @@ class Room:
                 pw = (w - 0.36) / 2
                 x = side * (pw / 2 + 0.06)
                 leaf.append(box((pw, 0.012, high - low), (x, -0.019, low), 0.011, grain=2))
-        self.workshop["doors", "door"] += self.on_wall(door.wall, join(leaf), door.s)
+        self.builder["doors", "door"] += self.on_wall(door.wall, join(leaf), door.s)
         casing = [
             box((0.085, 0.03, h + 0.01), (side * (w / 2 + 0.044), -0.015, 0), 0.006, 2, grain=2)
             for side in (-1, 1)
         ]
         casing.append(box((w + 0.19, 0.034, 0.085), (0, -0.017, h + 0.01), 0.006, 2, grain=0))
-        self.workshop["doors", "trim"] += self.on_wall(door.wall, join(casing), door.s)
+        self.builder["doors", "trim"] += self.on_wall(door.wall, join(casing), door.s)
         x = w / 2 - 0.07
         plate = box((0.042, 0.006, 0.2), (x, -0.021, 0.94), 0.003, 2)
         lever = tube(
@@ -296,7 +296,7 @@ class Room:
             10,
             smooth=4,
         )
-        self.workshop["door_handles", "hardware"] += self.on_wall(door.wall, plate + lever, door.s)
+        self.builder["door_handles", "hardware"] += self.on_wall(door.wall, plate + lever, door.s)
 
     # markers ---------------------------------------------------------------------------------------------
     def surface(
@@ -374,7 +374,7 @@ class Room:
             for side in (-1, 1)
         ]
         brackets = [box((0.02, 0.1, 0.02), (side * full / 2, -0.05, top - 0.03), 0.003) for side in (-1, 1)]
-        self.workshop["curtain_rails", "hardware"] += self.on_wall(
+        self.builder["curtain_rails", "hardware"] += self.on_wall(
             window.wall, join([rail, *ends, *brackets]), window.s
         )
         for side in (-1, 1):
@@ -393,4 +393,4 @@ class Room:
             )
             z = bottom + (top - 0.02 - bottom) * v + 0 * u
             points = np.stack([np.broadcast_to(x, z.shape), y, z], axis=-1)
-            self.workshop["curtains", slot] += self.on_wall(window.wall, sheet(points, 0.0016), window.s)
+            self.builder["curtains", slot] += self.on_wall(window.wall, sheet(points, 0.0016), window.s)

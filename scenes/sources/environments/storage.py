@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shelves, books and cabinets, added to a workshop's part: back at y = 0, front towards -y, on z = 0; metres."""
+"""Shelves, books and cabinets, added to a builder's part: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -17,7 +17,7 @@ from scenes.sources.shapes import (
 
 
 def shelf_unit(
-    w: Workshop, part: str, *, width: float, height: float, depth: float = 0.3, levels: tuple[float, ...], columns: int = 1,
+    w: PartBuilder, part: str, *, width: float, height: float, depth: float = 0.3, levels: tuple[float, ...], columns: int = 1,
     slot: str = "shelves", back: bool = True, board: float = 0.022,
 ) -> None:  # fmt: skip
     """Add an open bookcase; ``levels``: heights of the upper sides of its boards."""
@@ -53,7 +53,7 @@ def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
 
 
 def book_row(
-    w: Workshop, part: str, covers: tuple[str, ...], pages: str, *, x: float, width: float, y: float, z: float, height: float, seed: int,
+    w: PartBuilder, part: str, covers: tuple[str, ...], pages: str, *, x: float, width: float, y: float, z: float, height: float, seed: int,
     depth: float = 0.19,
 ) -> None:  # fmt: skip
     """Add books from ``x`` over ``width``, in front of ``y``; the last one leans."""
@@ -84,7 +84,7 @@ def book_row(
 
 
 def cabinet(
-    w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, rows: tuple[float, ...] = (1.0,),
+    w: PartBuilder, part: str, *, width: float, height: float, depth: float, columns: int, rows: tuple[float, ...] = (1.0,),
     slot: str = "cabinet", front: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
     panel: bool = False, knobs: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
@@ -145,7 +145,7 @@ def cabinet(
 
 
 def _pull(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     slot: str,
     x: float,

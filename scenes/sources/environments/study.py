@@ -10,7 +10,7 @@ from scenes.sources.environments import decor, furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.shapes import box, cylinder, extrude, lathe, rounded_rectangle, soft_box, tube
 
 
@@ -48,7 +48,7 @@ def _slots() -> dict[str, Slot]:
 
 @environment("study", "Study")
 def study(collection: bpy.types.Collection) -> None:
-    w = Workshop(_slots())
+    w = PartBuilder(_slots())
     windows = (Window("north", -0.45, 1.5, 0.88, 1.35, (2, 1)), Window("east", 0.2, 0.9, 0.88, 1.35, (1, 2)))
     room = Room(w, collection, 3.8, 3.2, 2.5, windows, (Door("south", 1.2),))
     room.build_shell(skirting=0.11)
@@ -86,7 +86,7 @@ def study(collection: bpy.types.Collection) -> None:
 
 
 def _desk(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     w["desk", "desk"] += box((1.6, 0.75, 0.03), (0, -0.375, 0.715), 0.006, 2, grain=0)
     for x in (-0.74, 0.74):
         for y in (-0.06, -0.69):
@@ -177,7 +177,7 @@ def _desk(room: Room) -> None:
 
 
 def _bookcase(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     levels = (0.09, 0.42, 0.75, 1.08, 1.41, 1.74)
     storage.shelf_unit(
         w, "bookcase", width=2.1, height=2.08, depth=0.29, levels=levels, columns=3, slot="bookcase"
@@ -219,7 +219,7 @@ def _bookcase(room: Room) -> None:
 
 
 def _board(room: Room) -> None:
-    w = room.workshop
+    w = room.builder
     w["board", "board"] += box((0.8, 0.012, 0.56), (0, -0.007, 0), 0.002, grain=0)
     w["board", "bookcase"] += [
         *[box((0.86, 0.022, 0.03), (0, -0.011, z), 0.004, 2, grain=0) for z in (-0.03, 0.56)],

@@ -11,7 +11,7 @@ import numpy as np
 from scenes.sources.environments import storage
 from scenes.sources.materials import art, natural
 from scenes.sources.materials.graph import Graph, srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import cloth, metal, painted, paper, plastic, thing, wood
 from scenes.sources.shapes import Shape, box, cylinder, grid, hoop, lathe, panel, sheet, tube, vessel
 
@@ -39,7 +39,7 @@ def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
     cover=Slot(("leather",), ("leather", "paper", "fabric"), "leather_red"),
     pages=_PAGES,
 )
-def book_single(w: Workshop) -> None:
+def book_single(w: PartBuilder) -> None:
     cover, pages = lying_book(0.034, 0.22, 0.15)
     w["book", "cover"] += cover
     w["book", "pages"] += pages
@@ -54,7 +54,7 @@ def book_single(w: Workshop) -> None:
     fourth=_cover("2e4a3a"),
     pages=_PAGES,
 )
-def book_stack(w: Workshop) -> None:
+def book_stack(w: PartBuilder) -> None:
     z = 0.0
     for slot, thick, length, deep, angle in (
         ("first", 0.036, 0.26, 0.19, 4),
@@ -69,7 +69,7 @@ def book_stack(w: Workshop) -> None:
 
 @thing("Books between bookends", "book", supports="shelf, table, counter", yaw=60, first=_cover("6d2b2b"), second=_cover("2b4a5e"), third=_cover("b89a52"), fourth=_cover("47503f"),
        pages=_PAGES, iron=painted("222325", 0.45))  # fmt: skip
-def book_row(w: Workshop) -> None:
+def book_row(w: PartBuilder) -> None:
     storage.book_row(
         w,
         "books",
@@ -97,7 +97,7 @@ def book_row(w: Workshop) -> None:
     page=Slot(("paper",), (), graph=_page),
     edge=_PAGES,
 )
-def book_open(w: Workshop) -> None:
+def book_open(w: PartBuilder) -> None:
     t = np.linspace(0, 1, 14)
     for side in (-1, 1):
         x = side * 0.142 * t
@@ -136,7 +136,7 @@ def _magazine(ground: str, ink: str, seed: float) -> Slot:
     second=_cover("4f6a78", 0.3),
     third=_cover("b7a16a", 0.3),
 )
-def magazines(w: Workshop) -> None:
+def magazines(w: PartBuilder) -> None:
     for k, (slot, angle) in enumerate((("second", 7.0), ("third", -12.0), ("second", 3.0))):
         w["magazines", slot] += (
             _limp(0.21, 0.28, 0.005).turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026)
@@ -160,7 +160,7 @@ def _limp(sx: float, sy: float, thick: float) -> Shape:
     board=Slot(("paper",), ("paper",), "cardboard"),
     tape=plastic("b08a54", 0.25),
 )
-def box_cardboard(w: Workshop) -> None:
+def box_cardboard(w: PartBuilder) -> None:
     t, x, y, h = 0.004, 0.3, 0.22, 0.2
     walls = [box((x, t, h), (0, s * (y / 2 - t / 2), 0), 0.0012, grain=0) for s in (-1, 1)] + [
         box((t, y - 2 * t, h), (s * (x / 2 - t / 2), 0, 0), 0.0012, grain=1) for s in (-1, 1)
@@ -187,7 +187,7 @@ def box_cardboard(w: Workshop) -> None:
     wood=wood("walnut_lacquered"),
     brass=metal((0.86, 0.70, 0.38), 0.25),
 )
-def box_wooden(w: Workshop) -> None:
+def box_wooden(w: PartBuilder) -> None:
     w["box", "wood"] += [
         box((0.24, 0.16, 0.07), bevel=0.003, segments=2, grain=0),
         box((0.246, 0.166, 0.03), (0, 0, 0.0715), 0.005, 2, grain=0),
@@ -207,7 +207,7 @@ def box_wooden(w: Workshop) -> None:
     weave=Slot(("organic",), ("organic", "fabric"), "wicker"),
     lining=cloth("d3c9b2"),
 )
-def basket(w: Workshop) -> None:
+def basket(w: PartBuilder) -> None:
     w["basket", "weave"] += vessel(
         [(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3
     )
@@ -229,13 +229,13 @@ def basket(w: Workshop) -> None:
     body=paper("b8b0a0"),
     lid=paper("3e5560", 0.5),
 )
-def box_shoe(w: Workshop) -> None:
+def box_shoe(w: PartBuilder) -> None:
     w["box", "body"] += box((0.325, 0.195, 0.11), bevel=0.0012)
     w["box", "lid"] += box((0.331, 0.201, 0.036), (0, 0, 0.079), 0.0015, 2)
 
 
 @thing("Biscuit tin", "box", tin=painted("2f4f63", 0.22), rim=metal((0.75, 0.62, 0.36), 0.2))
-def box_tin(w: Workshop) -> None:
+def box_tin(w: PartBuilder) -> None:
     w["tin", "tin"] += lathe(
         [
             (0, 0),
@@ -263,7 +263,7 @@ def box_tin(w: Workshop) -> None:
     paper=Slot(("paper",), ("paper",), "paper_kraft"),
     handle=paper("8a6a44"),
 )
-def bag_paper(w: Workshop) -> None:
+def bag_paper(w: PartBuilder) -> None:
     x, y, h, t = 0.11, 0.06, 0.3, 0.0012
     rings = []
     for k, z in enumerate(np.linspace(0, h, 9)):

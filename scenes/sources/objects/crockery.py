@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.objects.registry import (
     fixed,
     glaze,
@@ -26,7 +26,7 @@ def handle(
 
 
 @thing("Mug", "crockery", glaze=glaze("d8d2c4"))
-def mug(w: Workshop) -> None:
+def mug(w: PartBuilder) -> None:
     w["mug", "glaze"] += vessel(
         [(0.036, 0.002), (0.0385, 0.007), (0.0405, 0.04), (0.0408, 0.07), (0.041, 0.094)],
         0.0042,
@@ -36,14 +36,14 @@ def mug(w: Workshop) -> None:
 
 
 @thing("Enamel mug", "crockery", enamel=glaze("27506b", 0.14), rim=fixed("14161a", 0.2, "glazed"))
-def mug_two_tone(w: Workshop) -> None:
+def mug_two_tone(w: PartBuilder) -> None:
     w["mug", "enamel"] += vessel([(0.040, 0.001), (0.0425, 0.004), (0.043, 0.04), (0.0435, 0.08)], 0.0022)
     w["mug", "enamel"] += handle(0.02, 0.062, 0.042, 0.0425, 0.032, 0.004)
     w["mug", "rim"] += hoop(0.0425, 0.0021, 0.0812, 40, 8)
 
 
 @thing("Bowl", "crockery", glaze=glaze("cfc4ae", source="glaze_speckled"))
-def bowl(w: Workshop) -> None:
+def bowl(w: PartBuilder) -> None:
     w["bowl", "glaze"] += vessel(
         [(0.034, 0.004), (0.036, 0.008), (0.055, 0.022), (0.074, 0.047), (0.081, 0.072)],
         0.0045,
@@ -58,7 +58,7 @@ def bowl(w: Workshop) -> None:
     second=glaze("e3ded2"),
     third=glaze("4a6a7c"),
 )
-def bowls_stacked(w: Workshop) -> None:
+def bowls_stacked(w: PartBuilder) -> None:
     for i, slot in enumerate(("first", "second", "third")):
         shape = vessel(
             [(0.033, 0.003), (0.036, 0.008), (0.058, 0.026), (0.072, 0.05), (0.076, 0.062)],
@@ -70,7 +70,7 @@ def bowls_stacked(w: Workshop) -> None:
 
 
 @thing("Dinner plate", "crockery", glaze=glaze("e6e3da"))
-def plate(w: Workshop) -> None:
+def plate(w: PartBuilder) -> None:
     w["plate", "glaze"] += _plate(0.132)
 
 
@@ -83,7 +83,7 @@ def _plate(radius: float) -> Shape:
 
 
 @thing("Stack of plates", "crockery", glaze=glaze("e2ded3"), band=glaze("35566b"))
-def plates_stacked(w: Workshop) -> None:
+def plates_stacked(w: PartBuilder) -> None:
     for i in range(5):
         w["plates", "band" if i % 2 else "glaze"] += (
             _plate(0.105)
@@ -94,7 +94,7 @@ def plates_stacked(w: Workshop) -> None:
 
 
 @thing("Cup and saucer", "crockery", glaze=glaze("ece9e2"), coffee=fixed("1c0e07", 0.06))
-def cup_and_saucer(w: Workshop) -> None:
+def cup_and_saucer(w: PartBuilder) -> None:
     w["saucer", "glaze"] += _plate(0.074)
     cup = vessel(
         [(0.021, 0.002), (0.024, 0.006), (0.036, 0.028), (0.041, 0.052), (0.0425, 0.06)], 0.0028, foot=0.003
@@ -105,7 +105,7 @@ def cup_and_saucer(w: Workshop) -> None:
 
 
 @thing("Teapot", "crockery", glaze=glaze("a9c2ab", source="glaze_celadon"))
-def teapot(w: Workshop) -> None:
+def teapot(w: PartBuilder) -> None:
     w["pot", "glaze"] += vessel(
         [(0.043, 0.003), (0.05, 0.008), (0.078, 0.04), (0.08, 0.065), (0.062, 0.098), (0.043, 0.11)],
         0.004,
@@ -124,7 +124,7 @@ def teapot(w: Workshop) -> None:
 
 
 @thing("Jug", "crockery", glaze=glaze("5f7f95"))
-def jug(w: Workshop) -> None:
+def jug(w: PartBuilder) -> None:
     body = vessel(
         [
             (0.044, 0.002),

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from scenes.sources.materials.graph import Graph, srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import cloth, fixed, leather, metal, plastic, rubber, thing, wood
 from scenes.sources.shapes import (
     box,
@@ -43,7 +43,7 @@ def _grille(g: Graph, count: int = 24, color: str = "26282a") -> bpy.types.Mater
 
 @thing("Table radio", "electronics", yaw=60, case=wood("walnut_lacquered"), front=plastic("d6cdb8", 0.4), grille=Slot(("plastic",), (), graph=partial(_grille, count=30, color="b9ae96")),
        knob=metal((0.86, 0.72, 0.42), 0.25), dial=fixed("33261a", 0.15, "glass"))  # fmt: skip
-def radio(w: Workshop) -> None:
+def radio(w: PartBuilder) -> None:
     w["radio", "case"] += soft_box((0.3, 0.13, 0.17), (0, 0, 0.008), 0.022, (0, 0, 0), 8)
     w["radio", "front"] += (
         extrude(rounded_rectangle(0.272, 0.142, 0.014, 5), 0.006, 0.002)
@@ -98,7 +98,7 @@ def radio(w: Workshop) -> None:
     shell=plastic("2a2b2e", 0.35),
     steel=metal(rough=0.2),
 )
-def headphones(w: Workshop) -> None:
+def headphones(w: PartBuilder) -> None:
     # modelled as they lie on the cups
     arch = [(0.083 * np.cos(a), 0.02 + 0.1 * np.sin(a), 0.0) for a in np.linspace(0.06, np.pi - 0.06, 15)]
     band = tube(arch, 0.006, 10).scaled(1, 1, 2.2)
@@ -147,7 +147,7 @@ def headphones(w: Workshop) -> None:
     cone=plastic("18181a", 0.5),
     ring=metal(rough=0.3),
 )
-def speaker(w: Workshop) -> None:
+def speaker(w: PartBuilder) -> None:
     w["speaker", "case"] += box((0.18, 0.22, 0.3), (0, 0, 0.006), 0.006, 2, grain=2)
     w["speaker", "cone"] += (
         extrude(rounded_rectangle(0.168, 0.288, 0.008, 3), 0.003, 0.001)
@@ -189,7 +189,7 @@ def speaker(w: Workshop) -> None:
     keys=plastic("1c1d1f", 0.5),
     screen=SCREEN,
 )
-def laptop(w: Workshop) -> None:
+def laptop(w: PartBuilder) -> None:
     w["base", "case"] += extrude(rounded_rectangle(0.32, 0.22, 0.012, 5), 0.013, 0.003, 2).moved(z=0.001)
     for row in range(5):
         count = 12
@@ -214,7 +214,7 @@ def laptop(w: Workshop) -> None:
 
 
 @thing("Phone", "electronics", case=plastic("22303a", 0.3), screen=SCREEN)
-def phone(w: Workshop) -> None:
+def phone(w: PartBuilder) -> None:
     w["phone", "case"] += extrude(rounded_rectangle(0.072, 0.148, 0.011, 6), 0.0078, 0.0024, 3)
     w["phone", "screen"] += panel(0.0655, 0.1405).turned("x", -90).moved(0, -0.07025, 0.00795)
 
@@ -228,7 +228,7 @@ def phone(w: Workshop) -> None:
     skin=leather("leather_black"),
     glass=fixed("0a0c12", 0.04, "glass"),
 )
-def camera(w: Workshop) -> None:
+def camera(w: PartBuilder) -> None:
     outline = rounded_rectangle(0.132, 0.036, 0.012, 5)
     w["camera", "skin"] += extrude(outline, 0.05, 0.002).moved(z=0.01)
     w["camera", "body"] += extrude(outline, 0.0105, 0.002)
@@ -272,7 +272,7 @@ def camera(w: Workshop) -> None:
     keys=plastic("e6e1d4", 0.4),
     dark=plastic("8b8779", 0.42),
 )
-def keyboard(w: Workshop) -> None:
+def keyboard(w: PartBuilder) -> None:
     slope = 5.0
     w["board", "case"] += box((0.36, 0.135, 0.016), bevel=0.004, segments=2).bent(
         lambda p: (
@@ -310,7 +310,7 @@ def keyboard(w: Workshop) -> None:
     red=plastic("b3352c", 0.3),
     blue=plastic("2f5fa8", 0.3),
 )
-def game_controller(w: Workshop) -> None:
+def game_controller(w: PartBuilder) -> None:
     w["pad", "body"] += soft_box((0.145, 0.07, 0.03), (0, 0.01, 0.016), 0.014, (0, 0.002, 0.004), 8)
     for side in (-1, 1):
         w["pad", "body"] += tube(

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from scenes.sources.materials.graph import Graph, srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import (
     glaze,
     organic,
@@ -90,7 +90,7 @@ def apple_shapes(size: float = 0.037) -> tuple[Shape, Shape]:
 
 
 @thing("Apple", "fruit", skin=APPLE, stalk=organic("4a3521", 0.8))
-def apple(w: Workshop) -> None:
+def apple(w: PartBuilder) -> None:
     fruit, stalk = apple_shapes()
     w["apple", "skin"] += fruit
     w["apple", "stalk"] += stalk
@@ -116,7 +116,7 @@ def pear_shape(segments: int) -> Shape:
 
 
 @thing("Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
-def pear(w: Workshop) -> None:
+def pear(w: PartBuilder) -> None:
     w["pear", "skin"] += pear_shape(32).bent(
         lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])
     )
@@ -129,7 +129,7 @@ def pear(w: Workshop) -> None:
 
 
 @thing("Lemons", "fruit", skin=organic("d9b823", 0.4))
-def lemons(w: Workshop) -> None:
+def lemons(w: PartBuilder) -> None:
     for angle, x, y in ((15, 0.0, 0.0), (105, 0.062, 0.018), (-40, -0.012, 0.066)):
         body = lathe(
             [
@@ -203,7 +203,7 @@ def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
     skin=Slot(("organic",), (), graph=_banana_skin),
     crown=organic("54431f", 0.75),
 )
-def bananas(w: Workshop) -> None:
+def bananas(w: PartBuilder) -> None:
     """A hand of four bananas that rests on its blossom ends and its crown."""
     height = 0.0115  # of the stalks above the table at the crown
     for k, (yaw, bend, length) in enumerate(
@@ -230,7 +230,7 @@ def bananas(w: Workshop) -> None:
     pear=organic("a2a545", 0.42),
     stalk=organic("4a3521", 0.8),
 )
-def fruit_bowl(w: Workshop) -> None:
+def fruit_bowl(w: PartBuilder) -> None:
     w["bowl", "bowl"] += vessel(
         [(0.05, 0.004), (0.053, 0.009), (0.09, 0.03), (0.125, 0.06), (0.137, 0.08)], 0.005, foot=0.005
     )

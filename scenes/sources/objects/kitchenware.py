@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import (
     clay,
     glaze,
@@ -37,7 +37,7 @@ from scenes.sources.shapes import (
     steel=metal(rough=0.2),
     grip=plastic("1a1a1c", 0.4),
 )
-def saucepan(w: Workshop) -> None:
+def saucepan(w: PartBuilder) -> None:
     w["pan", "steel"] += vessel(
         [(0.084, 0.002), (0.09, 0.006), (0.091, 0.05), (0.0915, 0.1), (0.0945, 0.104)], 0.0022, smooth=3
     )
@@ -81,7 +81,7 @@ def saucepan(w: Workshop) -> None:
     supports="counter, table",
     iron=Slot(("metal",), ("metal",), "iron_cast"),
 )
-def frying_pan(w: Workshop) -> None:
+def frying_pan(w: PartBuilder) -> None:
     w["pan", "iron"] += vessel(
         [(0.1, 0.002), (0.106, 0.006), (0.122, 0.036), (0.128, 0.045)], 0.004, smooth=3
     )
@@ -102,7 +102,7 @@ def frying_pan(w: Workshop) -> None:
     grip=plastic("191919", 0.35),
     steel=metal(rough=0.18),
 )
-def knife_block(w: Workshop) -> None:
+def knife_block(w: PartBuilder) -> None:
     side = [(-0.075, 0.0), (0.075, 0.0), (0.075, 0.13), (-0.02, 0.215), (-0.075, 0.155)]
     block = extrude(side, 0.1, 0.004, 2).turned("x", 90).moved(0, 0.05, 0).turned("z", 90)
     w["block", "wood"] += block
@@ -137,7 +137,7 @@ def knife_block(w: Workshop) -> None:
     supports="counter, table",
     wood=Slot(("wood",), ("wood", "stone"), "teak_oiled"),
 )
-def chopping_board(w: Workshop) -> None:
+def chopping_board(w: PartBuilder) -> None:
     outline = rounded_rectangle(0.36, 0.22, 0.02, 5)
     w["board", "wood"] += extrude(outline, 0.02, 0.003, 2)
     grip = [(x + 0.22, y) for x, y in rounded_rectangle(0.12, 0.05, 0.02, 5)]
@@ -152,7 +152,7 @@ def chopping_board(w: Workshop) -> None:
     grip=wood_tone("6b4528", 0.45),
     steel=metal(rough=0.18),
 )
-def kettle(w: Workshop) -> None:
+def kettle(w: PartBuilder) -> None:
     w["kettle", "body"] += lathe(
         [
             (0, 0.002),
@@ -198,7 +198,7 @@ def kettle(w: Workshop) -> None:
     dark=wood_tone("7c532f", 0.55),
     steel=metal(rough=0.2),
 )
-def utensil_jar(w: Workshop) -> None:
+def utensil_jar(w: PartBuilder) -> None:
     w["jar", "jar"] += vessel(
         [(0.05, 0.002), (0.056, 0.008), (0.058, 0.08), (0.055, 0.13), (0.058, 0.14)], 0.005, smooth=3
     )
@@ -245,7 +245,7 @@ def utensil_jar(w: Workshop) -> None:
 
 
 @thing("Egg cup with egg", "kitchenware", cup=glaze("d3c7a8", 0.15), egg=organic("d9b899", 0.5))
-def egg_cup(w: Workshop) -> None:
+def egg_cup(w: PartBuilder) -> None:
     w["cup", "cup"] += vessel(
         [(0.02, 0.001), (0.021, 0.004), (0.011, 0.014), (0.012, 0.022), (0.0225, 0.036), (0.0245, 0.048)],
         0.0025,
@@ -267,7 +267,7 @@ def egg_cup(w: Workshop) -> None:
 
 
 @thing("Pepper mill", "kitchenware", wood=wood("walnut_lacquered"), steel=metal(rough=0.15))
-def peppermill(w: Workshop) -> None:
+def peppermill(w: PartBuilder) -> None:
     w["mill", "wood"] += lathe(
         [
             (0, 0),

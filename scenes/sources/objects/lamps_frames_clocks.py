@@ -10,7 +10,7 @@ import numpy as np
 from scenes.sources.environments import decor
 from scenes.sources.materials import art
 from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import (
     fixed,
     glaze,
@@ -41,7 +41,7 @@ from scenes.sources.shapes import (
     metal=metal((0.91, 0.78, 0.42), 0.25),
     shade=Slot(("fabric",), ("fabric", "paper"), color=srgb("dcd2bd"), roughness=0.85),
 )
-def lamp_table(w: Workshop) -> None:
+def lamp_table(w: PartBuilder) -> None:
     w["base", "base"] += lathe(
         [
             (0, 0.012),
@@ -71,7 +71,7 @@ def lamp_table(w: Workshop) -> None:
     steel=metal(rough=0.2),
     inside=fixed("e8e6df", 0.35, "painted"),
 )
-def lamp_desk(w: Workshop) -> None:
+def lamp_desk(w: PartBuilder) -> None:
     w["base", "paint"] += lathe(
         [(0, 0), (0.085, 0), (0.09, 0.005), (0.086, 0.018), (0.03, 0.026), (0.018, 0.04), (0, 0.042)], 40
     )
@@ -107,7 +107,7 @@ def lamp_desk(w: Workshop) -> None:
     wax=organic("e6dcc2", 0.5),
     wick=fixed("1a1512", 0.9),
 )
-def lantern(w: Workshop) -> None:
+def lantern(w: PartBuilder) -> None:
     s, h = 0.075, 0.2
     w["frame", "iron"] += [
         box((0.165, 0.165, 0.014), (0, 0, 0.006), 0.004, 2),
@@ -153,7 +153,7 @@ def lantern(w: Workshop) -> None:
     w["candle", "wick"] += tube([(0, 0, 0.11), (0.001, 0, 0.122), (0.004, 0, 0.13)], 0.0012, 6)
 
 
-def _standing_frame(w: Workshop, width: float, height: float, rim: float, art_slot: str) -> None:
+def _standing_frame(w: PartBuilder, width: float, height: float, rim: float, art_slot: str) -> None:
     parts = [box((width, 0.016, rim), (0, 0, z), 0.003, 2, grain=0) for z in (0, height - rim)]
     parts += [
         box((rim, 0.016, height - 2 * rim), (s * (width - rim) / 2, 0, rim), 0.003, 2, grain=2)
@@ -184,7 +184,7 @@ _portrait = partial(art.portrait, ground=srgb("6a7f72"), skin=srgb("c99a78"), co
     backing=fixed("2b2622", 0.9, "paper"),
     photo=Slot(("paper",), (), graph=_portrait),
 )
-def frame_portrait(w: Workshop) -> None:
+def frame_portrait(w: PartBuilder) -> None:
     _standing_frame(w, 0.16, 0.21, 0.02, "photo")
 
 
@@ -206,7 +206,7 @@ def frame_portrait(w: Workshop) -> None:
         ),
     ),
 )
-def frame_landscape(w: Workshop) -> None:
+def frame_landscape(w: PartBuilder) -> None:
     _standing_frame(w, 0.22, 0.165, 0.014, "photo")
 
 
@@ -217,7 +217,7 @@ def frame_landscape(w: Workshop) -> None:
     frame=metal((0.56, 0.57, 0.58), 0.15),
     mirror=Slot(("metal",), (), color=(0.9, 0.9, 0.9), roughness=0.05, metallic=1.0),
 )
-def mirror_stand(w: Workshop) -> None:
+def mirror_stand(w: PartBuilder) -> None:
     w["stand", "frame"] += lathe(
         [
             (0, 0),
@@ -249,7 +249,7 @@ def mirror_stand(w: Workshop) -> None:
 
 
 def _hands(
-    w: Workshop,
+    w: PartBuilder,
     part: str,
     slot: str,
     at: tuple[float, float, float],
@@ -288,7 +288,7 @@ def _face(radius: float) -> Shape:
     dial=_dial,
     hands=fixed("151413", 0.4),
 )
-def clock_alarm(w: Workshop) -> None:
+def clock_alarm(w: PartBuilder) -> None:
     r = 0.05
     drum = lathe(
         [
@@ -335,7 +335,7 @@ def clock_alarm(w: Workshop) -> None:
     dial=_dial,
     hands=fixed("151413", 0.4),
 )
-def clock_mantel(w: Workshop) -> None:
+def clock_mantel(w: PartBuilder) -> None:
     outline = [(-0.15, 0.03), (0.15, 0.03), (0.14, 0.06), (0.115, 0.085), (0.1, 0.13), (0.08, 0.165), (0.05, 0.186), (0.0, 0.194),
                (-0.05, 0.186), (-0.08, 0.165), (-0.1, 0.13), (-0.115, 0.085), (-0.14, 0.06)]  # fmt: skip
     w["case", "case"] += extrude(outline, 0.09, 0.006, 2).turned("x", 90).moved(0, 0.045, 0)
@@ -350,7 +350,7 @@ def clock_mantel(w: Workshop) -> None:
 
 
 @thing("Kitchen timer", "clock", shell=plastic("d8d2c2", 0.3), knob=plastic("b5482f", 0.35))
-def hourglass_timer(w: Workshop) -> None:
+def hourglass_timer(w: PartBuilder) -> None:
     w["timer", "shell"] += lathe(
         [(0, 0), (0.03, 0), (0.034, 0.004), (0.037, 0.02), (0.033, 0.036), (0.03, 0.0375), (0, 0.0375)],
         36,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.environments import decor
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import (
     clay,
     cloth,
@@ -31,7 +31,7 @@ SEAT = "seat, bed, floor"
 
 
 @thing("Cushion", "cushion", supports=SEAT, cover=fabric("linen_blue"), piping=cloth("d9d0bc"))
-def cushion_square(w: Workshop) -> None:
+def cushion_square(w: PartBuilder) -> None:
     shape = pillow((0.45, 0.45, 0.16), 13, seed=3)
     w["cushion", "cover"] += shape
     w["cushion", "piping"] += _piping(0.45, 0.45, 0.064, 0.0035)
@@ -51,7 +51,7 @@ def _piping(sx: float, sy: float, z: float, radius: float, pinch: float = 0.07) 
 
 
 @thing("Striped cushion", "cushion", supports=SEAT, cover=fabric("ticking_stripe"))
-def cushion_stripe(w: Workshop) -> None:
+def cushion_stripe(w: PartBuilder) -> None:
     w["cushion", "cover"] += pillow((0.55, 0.36, 0.15), 13, seed=8)
 
 
@@ -62,7 +62,7 @@ def cushion_stripe(w: Workshop) -> None:
     cover=Slot(("fabric",), ("fabric",), "velvet_rust"),
     button=cloth("6b2f18"),
 )
-def cushion_round(w: Workshop) -> None:
+def cushion_round(w: PartBuilder) -> None:
     body = lathe(
         [
             (0, 0.012),
@@ -92,7 +92,7 @@ def cushion_round(w: Workshop) -> None:
 
 
 @thing("Bolster", "cushion", supports=SEAT, cover=leather("leather_tan"))
-def cushion_bolster(w: Workshop) -> None:
+def cushion_bolster(w: PartBuilder) -> None:
     roll = lathe(
         [
             (0, 0),
@@ -132,7 +132,7 @@ def cushion_bolster(w: Workshop) -> None:
     stem=organic("56663a", 0.6),
     soil=fixed("22180f", 0.95, "organic"),
 )
-def plant_broad(w: Workshop) -> None:
+def plant_broad(w: PartBuilder) -> None:
     decor.plant(w, "plant", height=0.42, seed=11, pot_radius=0.075, leaves=20, leaf="leaf", stem="stem")
 
 
@@ -144,7 +144,7 @@ def plant_broad(w: Workshop) -> None:
     leaf=organic("3a5d3a", 0.4),
     soil=fixed("22180f", 0.95, "organic"),
 )
-def plant_snake(w: Workshop) -> None:
+def plant_snake(w: PartBuilder) -> None:
     _pot(w, 0.08, 0.13)
     rng = np.random.default_rng(4)
     for k in range(11):
@@ -173,7 +173,7 @@ def plant_snake(w: Workshop) -> None:
         )
 
 
-def _pot(w: Workshop, r: float, h: float) -> None:
+def _pot(w: PartBuilder, r: float, h: float) -> None:
     w["pot", "pot"] += lathe(
         [
             (0, 0),
@@ -203,7 +203,7 @@ def _pot(w: Workshop, r: float, h: float) -> None:
     spine=organic("d8c9a0", 0.6),
     soil=fixed("8a7a60", 0.95, "organic"),
 )
-def cactus(w: Workshop) -> None:
+def cactus(w: PartBuilder) -> None:
     _pot(w, 0.05, 0.075)
     body = lathe(
         [(0, 0.055), (0.024, 0.056), (0.033, 0.085), (0.035, 0.12), (0.03, 0.15), (0.016, 0.172), (0, 0.178)],

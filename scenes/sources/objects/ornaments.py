@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.objects.registry import (
     clay,
     fixed,
@@ -32,7 +32,7 @@ from scenes.sources.shapes import (
     wax=organic("e3d9bf", 0.45),
     wick=fixed("1a1512", 0.9),
 )
-def candlestick(w: Workshop) -> None:
+def candlestick(w: PartBuilder) -> None:
     w["stick", "metal"] += (lathe([(0, 0), (0.05, 0), (0.052, 0.004), (0.046, 0.01), (0.02, 0.018), (0.011, 0.03), (0.009, 0.05), (0.015, 0.06), (0.009, 0.07), (0.0085, 0.12), (0.014, 0.13), (0.01, 0.138),
                                    (0.024, 0.146), (0.026, 0.15), (0.0135, 0.15), (0.013, 0.168), (0.0115, 0.168), (0.0112, 0.15), (0, 0.15)], 36))  # fmt: skip
     w["candle", "wax"] += lathe(
@@ -48,7 +48,7 @@ def candlestick(w: Workshop) -> None:
     wax=organic("d9ccb0", 0.5),
     wick=fixed("1a1512", 0.9),
 )
-def candle_bowl(w: Workshop) -> None:
+def candle_bowl(w: PartBuilder) -> None:
     w["bowl", "bowl"] += vessel([(0.03, 0.002), (0.038, 0.01), (0.047, 0.03), (0.048, 0.055)], 0.005)
     w["candle", "wax"] += lathe(
         [(0, 0.01), (0.034, 0.012), (0.0405, 0.03), (0.0418, 0.043), (0.03, 0.042), (0, 0.0405)], 32
@@ -57,7 +57,7 @@ def candle_bowl(w: Workshop) -> None:
 
 
 @thing("Knot", "statuette", body=stone("marble_black"), plinth=wood("ebony"))
-def statuette_knot(w: Workshop) -> None:
+def statuette_knot(w: PartBuilder) -> None:
     t = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     knot = (
         np.stack(
@@ -74,7 +74,7 @@ def statuette_knot(w: Workshop) -> None:
 
 
 @thing("Bird", "statuette", body=clay("e2ddd2", 0.55), beak=metal((0.86, 0.70, 0.38), 0.3))
-def statuette_bird(w: Workshop) -> None:
+def statuette_bird(w: PartBuilder) -> None:
     spine = np.array(
         [
             [-0.075, 0.047],
@@ -98,13 +98,13 @@ def statuette_bird(w: Workshop) -> None:
 
 
 @thing("Turned figure", "statuette", body=stone("marble_white"))
-def statuette_torso(w: Workshop) -> None:
+def statuette_torso(w: PartBuilder) -> None:
     w["figure", "body"] += (lathe([(0, 0), (0.044, 0), (0.046, 0.004), (0.043, 0.014), (0.03, 0.022), (0.026, 0.05), (0.034, 0.09), (0.03, 0.13), (0.018, 0.155), (0.013, 0.168), (0.024, 0.176), (0.012, 0.184),
                                    (0.02, 0.196), (0.026, 0.214), (0.02, 0.235), (0, 0.242)], 44, smooth=3))  # fmt: skip
 
 
 @thing("Stone obelisk", "statuette", body=stone("granite_red"), foot=stone("marble_green"))
-def obelisk(w: Workshop) -> None:
+def obelisk(w: PartBuilder) -> None:
     def ring(s: float, z: float) -> list[tuple[float, float, float]]:
         return [(-s, -s, z), (s, -s, z), (s, s, z), (-s, s, z)]
 

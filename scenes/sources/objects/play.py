@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import cloth, fixed, painted, plastic, rubber, thing, wood_tone
 from scenes.sources.shapes import (
     Shape,
@@ -34,7 +34,7 @@ ON = "table, shelf, floor, seat, bed"
     eye=fixed("0c0a09", 0.1, "plastic"),
     bow=cloth("2f5a7c", 0.6),
 )
-def toy_bear(w: Workshop) -> None:
+def toy_bear(w: PartBuilder) -> None:
     def ball(
         radius: float, at: tuple[float, float, float], stretch: tuple[float, float, float] = (1, 1, 1)
     ) -> Shape:
@@ -100,7 +100,7 @@ def _half_ring(radius: float, x: float, y: float, z: float, degrees: tuple[float
     lens=fixed("d9d5c4", 0.15, "plastic"),
     lamp=fixed("7a0d0c", 0.2, "plastic"),
 )
-def toy_car(w: Workshop) -> None:
+def toy_car(w: PartBuilder) -> None:
     """A die-cast saloon car 15 cm long: body, glass with pillars, arches, bumpers, lamps, door seams."""
     body = [
         (-0.0745, 0.0235, 0.0205, 0.034), (-0.0715, 0.029, 0.0165, 0.0395), (-0.061, 0.0325, 0.0135, 0.0435),
@@ -168,7 +168,7 @@ def _side_of_body(z: float) -> float:
     return float(0.0341 * across * (1 - 0.09 * max(upward, 0.0)))
 
 
-def _wheel(w: Workshop, x: float, side: int) -> None:
+def _wheel(w: PartBuilder, x: float, side: int) -> None:
     """Add a wheel: a tyre with a groove, a hub and a cap; the outer face is 36 mm from the car's mid-plane."""
     tyre = [(0, 0), (0.0135, 0), (0.0166, 0.0012), (0.0175, 0.0034), (0.0175, 0.0056), (0.0169, 0.006),
             (0.0169, 0.0066), (0.0175, 0.007), (0.0175, 0.0092), (0.0166, 0.0114), (0.0135, 0.0124),
@@ -194,7 +194,7 @@ def _wheel(w: Workshop, x: float, side: int) -> None:
     yellow=painted("d0a030", 0.35, False),
     bare=wood_tone("c9a06c", 0.5),
 )
-def toy_blocks(w: Workshop) -> None:
+def toy_blocks(w: PartBuilder) -> None:
     s = 0.045
     cube = box((s, s, s), bevel=0.003, segments=2)
     for slot, x, y, z, angle in (
@@ -223,7 +223,7 @@ def toy_blocks(w: Workshop) -> None:
     beak=rubber("c4541c", 0.4),
     eye=fixed("0c0c0c", 0.15, "plastic"),
 )
-def toy_duck(w: Workshop) -> None:
+def toy_duck(w: PartBuilder) -> None:
     body = sphere(0.04, segments=32).scaled(1.25, 1.0, 0.8).moved(0, 0, 0.029)
 
     def tail(p: np.ndarray) -> np.ndarray:
@@ -255,7 +255,7 @@ def toy_duck(w: Workshop) -> None:
     bare=wood_tone("c7a06e", 0.5),
     black=painted("1d1d1f", 0.35, False),
 )
-def toy_train(w: Workshop) -> None:
+def toy_train(w: PartBuilder) -> None:
     w["engine", "green"] += [
         box((0.13, 0.052, 0.014), (0, 0, 0.012), 0.003, 2),
         box((0.045, 0.05, 0.052), (0.04, 0, 0.025), 0.003, 2),
@@ -309,7 +309,7 @@ def toy_train(w: Workshop) -> None:
     c=plastic("3f7a54", 0.3),
     d=plastic("305f95", 0.3),
 )
-def spinning_top(w: Workshop) -> None:
+def spinning_top(w: PartBuilder) -> None:
     w["toy", "bare"] += [
         lathe([(0, 0), (0.058, 0), (0.061, 0.004), (0.056, 0.014), (0, 0.016)], 40),
         cylinder(0.011, 0.135, (0, 0, 0.01), 0.003, 20),

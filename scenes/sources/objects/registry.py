@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 
-Builder = Callable[[Workshop], None]
+Builder = Callable[[PartBuilder], None]
 TABLETOP = "table, shelf, counter, sill"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import (
     cloth,
     fabric,
@@ -107,7 +107,7 @@ class _Shoe:
             bars.append(tube(path, 0.0022, 6, smooth=2))
         return join(bars)
 
-    def add_pair(self, w: Workshop, gap: float) -> None:
+    def add_pair(self, w: PartBuilder, gap: float) -> None:
         """Add a pair with centres ``gap`` apart and toes turned outwards."""
         for part, side in (("right", -1), ("left", 1)):
             for slot, shape in self.pieces():
@@ -127,7 +127,7 @@ class _Shoe:
     lining=cloth("2d2f33"),
     lace=cloth("e6e3da"),
 )
-def shoes_trainers(w: Workshop) -> None:
+def shoes_trainers(w: PartBuilder) -> None:
     _Shoe(thick=0.03).add_pair(w, 0.13)
 
 
@@ -140,7 +140,7 @@ def shoes_trainers(w: Workshop) -> None:
     lining=cloth("a88a62", 0.7),
     lace=cloth("2a1c12"),
 )
-def shoes_leather(w: Workshop) -> None:
+def shoes_leather(w: PartBuilder) -> None:
     _Shoe(0.295, 0.096, (0.042, 0.078, 0.066), 0.014).add_pair(w, 0.125)
 
 
@@ -152,5 +152,5 @@ def shoes_leather(w: Workshop) -> None:
     sole=rubber("3b3632", 0.8),
     lining=cloth("c9b898"),
 )
-def shoes_slippers(w: Workshop) -> None:
+def shoes_slippers(w: PartBuilder) -> None:
     _Shoe(0.27, 0.105, (0.052, 0.06, 0.036), 0.012, is_laced=False).add_pair(w, 0.13)

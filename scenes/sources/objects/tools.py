@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import (
     cloth,
     metal,
@@ -32,7 +32,7 @@ def _lying(shape: Shape, z: float) -> Shape:
     steel=metal((0.42, 0.42, 0.43), 0.38),
     wood=wood_tone("a87842", 0.5),
 )
-def hammer(w: Workshop) -> None:
+def hammer(w: PartBuilder) -> None:
     z = 0.0142
     handle = lathe(
         [
@@ -77,7 +77,7 @@ def hammer(w: Workshop) -> None:
     steel=metal(rough=0.2),
     collar=rubber(),
 )
-def screwdriver(w: Workshop) -> None:
+def screwdriver(w: PartBuilder) -> None:
     grip = lathe(
         [
             (0, 0),
@@ -109,7 +109,7 @@ def screwdriver(w: Workshop) -> None:
 
 
 @thing("Pliers", "tool", supports=BENCH, steel=metal((0.5, 0.5, 0.5), 0.3), grip=rubber("2b4f86", 0.55))
-def pliers(w: Workshop) -> None:
+def pliers(w: PartBuilder) -> None:
     for side in (-1, 1):
         w["pliers", "steel"] += tube(
             [
@@ -147,7 +147,7 @@ def pliers(w: Workshop) -> None:
     latch=metal(rough=0.3),
     grip=rubber("1b1b1b", 0.6),
 )
-def toolbox(w: Workshop) -> None:
+def toolbox(w: PartBuilder) -> None:
     w["box", "paint"] += box((0.4, 0.2, 0.13), bevel=0.006, segments=2)
     lid = [(-0.1025, 0.0), (0.1025, 0.0), (0.1025, 0.03), (0.07, 0.062), (-0.07, 0.062), (-0.1025, 0.03)]
     w["box", "paint"] += (
@@ -182,7 +182,7 @@ def toolbox(w: Workshop) -> None:
     ferrule=metal(rough=0.25),
     hair=cloth("2a211a", 0.85),
 )
-def paint_brush(w: Workshop) -> None:
+def paint_brush(w: PartBuilder) -> None:
     def ring(hw: float, hd: float, x: float, z: float = 0.011) -> list[tuple[float, float, float]]:
         angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
         p = 2.6
@@ -232,7 +232,7 @@ def paint_brush(w: Workshop) -> None:
     grip=rubber(),
     blade=Slot(("metal",), ("metal",), color=(0.8, 0.7, 0.2), roughness=0.3, metallic=1.0),
 )
-def tape_measure(w: Workshop) -> None:
+def tape_measure(w: PartBuilder) -> None:
     outline = [
         (-0.034, 0.0),
         (0.036, 0.0),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import Workshop
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.objects.registry import (
     clay,
     fixed,
@@ -21,7 +21,7 @@ from scenes.sources.shapes import cylinder, lathe, tube, vessel
 
 
 @thing("Slim vase", "vase", glaze=glaze("1b3278", source="glaze_cobalt"))
-def vase_slim(w: Workshop) -> None:
+def vase_slim(w: PartBuilder) -> None:
     w["vase", "glaze"] += vessel(
         [
             (0.038, 0.002),
@@ -38,7 +38,7 @@ def vase_slim(w: Workshop) -> None:
 
 
 @thing("Moon vase", "vase", clay=clay("c9bfae"))
-def vase_round(w: Workshop) -> None:
+def vase_round(w: PartBuilder) -> None:
     w["vase", "clay"] += vessel(
         [
             (0.05, 0.002),
@@ -55,7 +55,7 @@ def vase_round(w: Workshop) -> None:
 
 
 @thing("Ribbed vase", "vase", glaze=glaze("37604f", 0.16))
-def vase_ribbed(w: Workshop) -> None:
+def vase_ribbed(w: PartBuilder) -> None:
     body = vessel(
         [(0.045, 0.002), (0.055, 0.02), (0.068, 0.1), (0.064, 0.18), (0.048, 0.23), (0.052, 0.25)],
         0.005,
@@ -84,7 +84,7 @@ def vase_ribbed(w: Workshop) -> None:
     glaze=glaze("dcd8ce", source="glaze_dipped"),
     twig=wood_tone("3f2e20", 0.8),
 )
-def vase_with_twigs(w: Workshop) -> None:
+def vase_with_twigs(w: PartBuilder) -> None:
     w["vase", "glaze"] += vessel(
         [(0.04, 0.002), (0.052, 0.015), (0.06, 0.07), (0.042, 0.13), (0.026, 0.165), (0.03, 0.185)],
         0.0045,
@@ -121,7 +121,7 @@ def vase_with_twigs(w: Workshop) -> None:
     label=fixed("d9d0b8", 0.75, "paper"),
     foil=metal((0.30, 0.05, 0.06), 0.35),
 )
-def bottle_wine(w: Workshop) -> None:
+def bottle_wine(w: PartBuilder) -> None:
     w["bottle", "glass"] += (lathe([(0, 0.006), (0.022, 0.004), (0.031, 0), (0.0355, 0.002), (0.0375, 0.008), (0.0375, 0.17), (0.0368, 0.19), (0.031, 0.212),
                                     (0.0195, 0.232), (0.0152, 0.25), (0.0142, 0.285), (0.0142, 0.3), (0, 0.3)], 40))  # fmt: skip
     w["foil", "foil"] += lathe(
@@ -148,7 +148,7 @@ def bottle_wine(w: Workshop) -> None:
     wire=metal(),
     seal=rubber("8c2a20"),
 )
-def bottle_ceramic(w: Workshop) -> None:
+def bottle_ceramic(w: PartBuilder) -> None:
     w["bottle", "glaze"] += vessel(
         [
             (0.036, 0.002),
@@ -184,7 +184,7 @@ def bottle_ceramic(w: Workshop) -> None:
     pump=plastic("202224", 0.35),
     label=fixed("5b6a5e", 0.7, "paper"),
 )
-def bottle_soap(w: Workshop) -> None:
+def bottle_soap(w: PartBuilder) -> None:
     w["body", "body"] += lathe(
         [
             (0, 0),
@@ -225,7 +225,7 @@ def bottle_soap(w: Workshop) -> None:
     lid=plastic("26282b", 0.4),
     band=rubber(),
 )
-def thermos(w: Workshop) -> None:
+def thermos(w: PartBuilder) -> None:
     w["flask", "steel"] += lathe(
         [
             (0, 0.001),
@@ -245,7 +245,7 @@ def thermos(w: Workshop) -> None:
 
 
 @thing("Painted bottle", "bottle", paint=painted("b8c9c2", 0.3))
-def bottle_milk_painted(w: Workshop) -> None:
+def bottle_milk_painted(w: PartBuilder) -> None:
     w["bottle", "paint"] += vessel(
         [
             (0.037, 0.001),
