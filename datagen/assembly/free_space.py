@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene
-from datagen.assembly.things import fibonacci_sphere
+from datagen.assembly.things import above_supports, fibonacci_sphere, has_consistent_winding
 from datagen.formats.asset import EnvironmentAsset
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
@@ -89,16 +89,9 @@ class FreeSpace:
 
     @cached_property
     def has_consistent_winding(self) -> bool:
-        """Whether over 90 % of hits seen from the room's cameras and supports are on front faces."""
+        """:func:`~datagen.assembly.things.has_consistent_winding` from cameras and above supports."""
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
-        for s in self.environment.support_surfaces:
-            middle = np.array(s.origin_m) + 0.5 * (np.array(s.edge_u_m) + np.array(s.edge_v_m))
-            starts.append(middle + np.array([0.0, 0.0, min(0.5 * s.clearance_m, 0.3)]))
-        if not starts:
-            return False
-        directions = np.tile(fibonacci_sphere(64), (len(starts), 1))
-        hits = self.rays.cast(np.repeat(starts, 64, axis=0), directions)
-        return bool(self.rays.is_back_hit(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
+        return has_consistent_winding(self.rays, [*starts, *above_supports(self.environment)])
 
     def fault(self, position: Floats, clearance_m: float) -> str:
         """Why a position (3,) is not free: ``inside_solid``, ``too_close`` or ``outside``; '' if it is."""

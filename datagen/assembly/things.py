@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -184,21 +185,8 @@ class Room:
 
     @cached_property
     def has_consistent_winding(self) -> bool:
-        """Whether at least 90 % of rays from above the support surfaces hit front faces of triangles.
-
-        Downloaded scenes often have random winding, so hits on back faces do not indicate solids.
-        """
-        shown, backs = 0, 0
-        for surface in self.asset.support_surfaces:
-            start = np.array(surface.origin_m) + 0.5 * (
-                np.array(surface.edge_u_m) + np.array(surface.edge_v_m)
-            )
-            start[2] += min(0.5 * surface.clearance_m, 0.3)
-            directions = fibonacci_sphere(64)
-            hits = self.rays.cast(start, directions)
-            shown += int(hits.hit_mask.sum())
-            backs += int(self.rays.is_back_hit(hits, directions).sum())
-        return shown > 0 and backs < 0.1 * shown
+        """:func:`has_consistent_winding` from above the support surfaces."""
+        return has_consistent_winding(self.rays, above_supports(self.asset))
 
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
         """Indices of the triangles above a surface whose bounds intersect the box ``bounds_m`` (2, 3)."""
@@ -218,6 +206,27 @@ class Room:
         if len(near) == 0:
             return False
         return intersects(CollisionModel(self.geometry.vertices, self.geometry.faces[near]).at(), body)
+
+
+def above_supports(asset: EnvironmentAsset) -> list[Floats]:
+    """Points (3,) up to 0.3 m above the middles of an environment's support surfaces."""
+    points = []
+    for surface in asset.support_surfaces:
+        middle = np.array(surface.origin_m) + 0.5 * (np.array(surface.edge_u_m) + np.array(surface.edge_v_m))
+        points.append(middle + np.array([0.0, 0.0, min(0.5 * surface.clearance_m, 0.3)]))
+    return points
+
+
+def has_consistent_winding(rays: RayScene, starts: Sequence[Floats]) -> bool:
+    """Whether over 90 % of the hits of rays in all directions from ``starts``, each (3,), are on front faces.
+
+    Downloaded scenes often have random winding, so hits on back faces do not indicate solids.
+    """
+    if not starts:
+        return False
+    directions = np.tile(fibonacci_sphere(64), (len(starts), 1))
+    hits = rays.cast(np.repeat(starts, 64, axis=0), directions)
+    return bool(rays.is_back_hit(hits, directions).sum() < 0.1 * hits.hit_mask.sum())
 
 
 def fibonacci_sphere(count: int) -> Floats:

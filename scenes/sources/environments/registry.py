@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import bpy
 
-Builder = Callable[[bpy.types.Collection], None]
+Build = Callable[[bpy.types.Collection], None]
 
 
 @dataclass(frozen=True)
@@ -16,16 +16,16 @@ class EnvironmentSource:
     """The source of a room: ``build`` adds it to a collection that is tagged as an environment."""
 
     title: str
-    build: Builder
+    build: Build
 
 
 ENVIRONMENTS: dict[str, EnvironmentSource] = {}
 
 
-def environment(name: str, title: str) -> Callable[[Builder], Builder]:
+def environment(name: str, title: str) -> Callable[[Build], Build]:
     """Decorate a builder to register it as ``name``."""
 
-    def register(build: Builder) -> Builder:
+    def register(build: Build) -> Build:
         ENVIRONMENTS[name] = EnvironmentSource(title, build)
         return build
 

@@ -11,7 +11,7 @@ import bpy
 from scenes.sources.materials import made, natural
 from scenes.sources.materials.graph import Graph, srgb
 
-Builder = Callable[[Graph], bpy.types.Material]
+Build = Callable[[Graph], bpy.types.Material]
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class MaterialSource:
     classes: tuple[str, ...]
     tile_size_m: float
     max_px: int
-    build: Builder
+    build: Build
 
 
 MATERIALS: dict[str, MaterialSource] = {}

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from scenes.sources.materials.graph import srgb
 from scenes.sources.modelling import PartBuilder, Slot
 
-Builder = Callable[[PartBuilder], None]
+Build = Callable[[PartBuilder], None]
 TABLETOP = "table, shelf, counter, sill"
 
 
@@ -26,7 +26,7 @@ class ObjectSource:
     scale: tuple[float, float]
     yaw_degrees: float | None
     slots: dict[str, Slot]
-    build: Builder
+    build: Build
 
 
 OBJECTS: dict[str, ObjectSource] = {}
@@ -35,13 +35,13 @@ OBJECTS: dict[str, ObjectSource] = {}
 def thing(
     title: str, category: str, *, supports: str = TABLETOP, scale: tuple[float, float] = (0.92, 1.1),
     yaw: float | None = None, **slots: Slot,
-) -> Callable[[Builder], Builder]:  # fmt: skip
+) -> Callable[[Build], Build]:  # fmt: skip
     """Decorate a builder to register it by its name; keyword arguments are its slots.
 
     ``yaw``: maximum rotation from facing -Y, in degrees, None for any.
     """
 
-    def register(build: Builder) -> Builder:
+    def register(build: Build) -> Build:
         OBJECTS[build.__name__] = ObjectSource(title, category, supports, scale, yaw, slots, build)
         return build
 
