@@ -22,7 +22,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def mitsuba_variant() -> str:
-    """Set the CPU variant before a test imports mitsuba."""
-    from mitsuba_plugins.variant import select_variant
+    """Set the variant before a test imports mitsuba: ``SCENE_MATERIALS_VARIANT``, else the CPU's."""
+    from mitsuba_plugins.variant import CPU_VARIANT, select_variant
 
-    return select_variant("llvm_ad_rgb")
+    return select_variant(os.environ.get("SCENE_MATERIALS_VARIANT", CPU_VARIANT))

@@ -16,7 +16,8 @@ from pathlib import Path
 from datagen.foundation.bundled import bundled_library, bundled_names
 from datagen.foundation.errors import InputError
 from datagen.library import find_packages
-from mitsuba_plugins.variant import CPU_VARIANT, REMEDY, choose_llvm, has_cuda, resolve_variant
+from datagen.rendering.denoiser import OPTIX_WEIGHTS, uses_optix
+from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, REMEDY, choose_llvm, has_cuda, resolve_variant
 
 REQUIRED = (
     "mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "pyoidn", "embreex", "python-fcl", "pydantic", "typer",
@@ -182,7 +183,11 @@ def _gpu() -> Finding:
         return Finding("GPU", "none; rendering runs on the CPU", True, False)
     command = ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"]
     names = subprocess.run(command, capture_output=True, text=True)
-    return Finding("GPU", "; ".join(names.stdout.strip().splitlines()) or "NVIDIA driver found", True, False)
+    found = "; ".join(names.stdout.strip().splitlines()) or "NVIDIA driver found"
+    if not uses_optix(CUDA_VARIANT):
+        found += f"; OIDN denoises on the CPU, as {OPTIX_WEIGHTS} is missing"
+        return Finding("GPU", found, False, False, "containers: NVIDIA_DRIVER_CAPABILITIES=all")
+    return Finding("GPU", found, True, False)
 
 
 def print_report(findings: list[Finding]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Denoising with noise-free auxiliary buffers: OIDN on the CPU, OptiX on NVIDIA GPUs.
+"""Denoising with noise-free auxiliary buffers: OptiX on NVIDIA GPUs with its weights, else OIDN on the CPU.
 
 Two paths per pixel with noise-free albedo and normal give less error than sixteen with noisy ones; the
 auxiliary buffers therefore come from a separate pass (:mod:`mitsuba_plugins.material_buffers`).
@@ -7,8 +7,10 @@ auxiliary buffers therefore come from a separate pass (:mod:`mitsuba_plugins.mat
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from datagen.formats.recipe import RenderRecipe
 
 QUALITIES = ("fast", "balanced", "high")
+OPTIX_WEIGHTS = Path("/usr/share/nvidia/nvoptix.bin")
+"""Weights of the OptiX denoiser on Linux, a part of the NVIDIA driver that containers often lack."""
 
 
 class Denoiser(Protocol):
@@ -152,14 +156,22 @@ class OptixDenoiser:
         return np.maximum(np.array(result, dtype=np.float32)[..., :3], 0.0)
 
 
+def uses_optix(variant: str) -> bool:
+    """Whether OptiX denoises for a Mitsuba variant; without its weights it would abort the process."""
+    return variant.startswith("cuda") and (sys.platform == "win32" or OPTIX_WEIGHTS.is_file())
+
+
 def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
-    """Create the denoiser for a Mitsuba variant: OptiX for CUDA, else OIDN."""
-    return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser()
+    """Create the denoiser for a Mitsuba variant: OptiX where it can run, else OIDN."""
+    return OptixDenoiser() if uses_optix(variant) else OidnDenoiser()
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
     """OIDN at a quarter of the cost, for error estimates; None if the recipe disables it or uses OptiX."""
     from mitsuba_plugins.variant import select_variant
 
-    variant = select_variant(recipe.variant)
-    return OidnDenoiser(quality="fast") if recipe.denoise and not variant.startswith("cuda") else None
+    return (
+        OidnDenoiser(quality="fast")
+        if recipe.denoise and not uses_optix(select_variant(recipe.variant))
+        else None
+    )

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, QUALITIES, RenderRecipe
 from datagen.foundation.errors import Problem, raise_problems
 from datagen.foundation.exr import COMPRESSIONS
+from datagen.rendering.denoiser import uses_optix
 
 DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
 """No denoiser; OIDN's qualities, with guides; OIDN's ``high`` without guides; OptiX."""
@@ -111,7 +112,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 def base_setting(variant: str) -> Setting:
     """Base point of the sweeps, with the default denoiser of the Mitsuba ``variant``."""
-    return Setting(variant=variant, denoiser="optix" if variant.startswith("cuda") else "high")
+    return Setting(variant=variant, denoiser="optix" if uses_optix(variant) else "high")
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:

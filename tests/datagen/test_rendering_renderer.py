@@ -21,7 +21,8 @@ from datagen.foundation.buffers import BUFFERS, RENDERED_BUFFERS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import to_storage
-from datagen.rendering.denoiser import OidnDenoiser, auxiliary_albedo
+from datagen.rendering import denoiser
+from datagen.rendering.denoiser import OidnDenoiser, auxiliary_albedo, make_denoiser
 from datagen.rendering.prepared_scene import view_seed
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.view_job import RenderedView
@@ -242,6 +243,19 @@ def test_auxiliary_albedo_is_zero_where_nothing_reflects() -> None:
     mask = np.array([[[1.0], [0.5], [0.0]]], np.float32)
     diffuse, specular = np.full((1, 3, 3), 0.4, np.float32), np.full((1, 3, 3), 0.1, np.float32)
     assert auxiliary_albedo(diffuse, specular, mask)[0, :, 0] == pytest.approx([0.46, 0.23, 0.0])
+
+
+def test_optix_denoises_where_its_weights_are_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without them, OptiX would abort the process."""
+    weights = tmp_path / "nvoptix.bin"
+    monkeypatch.setattr(denoiser, "OPTIX_WEIGHTS", weights)
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert make_denoiser("cuda_ad_rgb").name.startswith("oidn")
+    weights.touch()
+    assert make_denoiser("cuda_ad_rgb").name == "optix"
+    assert make_denoiser("llvm_ad_rgb").name.startswith("oidn")
 
 
 def test_denoiser_accepts_images_of_several_sizes() -> None:
