@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from benchmarks.timing import median_seconds, write_report
-from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS
+from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS, VIEW_BUFFERS
 from datagen.foundation.exr import decode_view, encode_view
 from model.networks import NetworkConfig, Track
 from model.training.config import PRESETS, TrainingConfig, resolve_config
@@ -98,7 +98,7 @@ def synthetic_view() -> bytes:
     """Bytes of the EXR of a 640 x 384 view with all buffers, smooth with some noise."""
     rng = np.random.default_rng(0)
     buffers = {}
-    for name in VIEW_BUFFERS:
+    for name in (*VIEW_BUFFERS, *LIGHT_BUFFERS):
         buffer = BUFFERS[name]
         planes = [cv2.resize(rng.random((24, 40)), (WIDTH, HEIGHT)) for _ in range(buffer.num_channels)]
         values = np.stack(planes, axis=-1) + 0.01 * rng.random((HEIGHT, WIDTH, buffer.num_channels))

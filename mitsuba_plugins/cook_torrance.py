@@ -186,6 +186,9 @@ class _Lobes:
         diffuse_energy = dr.mean(diffuse)
         total = specular_energy + diffuse_energy
         share = specular_energy / dr.select(total > 0.0, total, 1.0)
+        # CUDA's division is approximate: a share above 1 would make densities negative, and one below 1 add
+        # a diffuse lobe to a surface without one.
+        share = dr.select((diffuse_energy == 0.0) & (total > 0.0), 1.0, dr.minimum(share, 1.0))
         return dr.maximum(share, MIN_LOBE_PROBABILITY)
 
     def eval_pdf(self, wo: Array) -> tuple[Any, Any]:

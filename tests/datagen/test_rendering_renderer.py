@@ -102,7 +102,8 @@ import json, sys
 import drjit as dr
 from pathlib import Path
 from mitsuba_plugins.variant import select_variant
-select_variant("llvm_ad_rgb")
+folder, configuration, recipe, variant = sys.argv[1:]
+select_variant(variant)
 dr.set_thread_count(1)
 from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
@@ -111,7 +112,6 @@ from datagen.library import Library
 from datagen.rendering.denoiser import OidnDenoiser
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.test_rendering_renderer import digest
-folder, configuration, recipe = sys.argv[1:]
 renderer = SceneRenderer(
     parse_model(Configuration, json.loads(configuration), "argument"),
     Library([Path(folder)]),
@@ -128,7 +128,8 @@ def test_another_process_with_one_thread_makes_the_same_bytes(tmp_path: Path, bu
     error = RenderRecipe(max_rel_mse=0.01, max_path_samples=64, firefly_clamp=30, auxiliary_samples=16)
     recipe = RECIPE if budget == "samples" else error
     rendered = renderer(tmp_path, box_room(), CAMERAS, recipe, lights=LIGHTS, objects=OBJECTS)
-    arguments = [str(tmp_path), rendered.configuration.model_dump_json(), recipe.model_dump_json()]
+    models = (rendered.configuration, recipe)
+    arguments = [str(tmp_path), *(model.model_dump_json() for model in models), rendered.variant]
     result = subprocess.run(
         [sys.executable, "-c", _OTHER_PROCESS, *arguments],
         cwd=REPOSITORY,

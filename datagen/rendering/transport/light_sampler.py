@@ -122,9 +122,12 @@ class LightSampler:
             through: Any = dr.zeros(mi.DirectionSample3f)
             through.d, through.n, through.dist = direction, -direction, guide.distance
             through.p = si.p + direction * guide.distance
-            through.emitter = mi.EmitterPtr(guide.environment)
+            # By pointer: on CUDA, Dr.Jit 1.5 aborts on recordings that call guide.environment directly.
+            index_of_sky: Any = mi.UInt32(self.environment_index)
+            environment = dr.gather(mi.EmitterPtr, self.scene.emitters_dr(), index_of_sky)
+            through.emitter = environment
             own_pdf = dr.select(guided, self.scene.pdf_emitter_direction(si, through, guided), own_pdf)
-            emitted = dr.select(guided, guide.environment.eval(sky, guided), emitted)
+            emitted = dr.select(guided, environment.eval(sky, guided), emitted)
             ds = dr.select(guided, through, ds)
         ds.pdf = self.pdf(si.p, ds.d, own_pdf, index, record)
         return ds, dr.select(ds.pdf > 0.0, emitted / dr.maximum(ds.pdf, 1e-30), 0.0)
