@@ -8,9 +8,12 @@ that of nearby empty pixels. The result is
 
     x_p = (L - b_p) / a_p,
 
-shrunk towards the surfel's median of x_p, weighted by a_p^2. Since a mesh with errors predicts its edges
-badly, 1 - a_p and b_p are multiplied by a slope, the median of (L - X) / (a_p X + b_p - X) over edge pixels
-of surfels whose radiance X is known from pixels without edges.
+whose standard error is that of a_p times the radiance behind, b_p / (1 - a_p), over a_p: before a bright
+sky it exceeds the radiance of a dark slat many times. So x_p is shrunk towards the median of its surfel, and
+that towards the median of a block of the same smooth region, each weighted by the inverse variance and
+compared with the variation that texture may have. Since a mesh with errors predicts its edges badly, 1 - a_p
+and b_p are multiplied by a slope, the median of (L - X) / (a_p X + b_p - X) over edge pixels of surfels whose
+radiance X is known from pixels without edges.
 """
 
 from __future__ import annotations
@@ -33,8 +36,14 @@ from datagen.light.surfels import Surfels, build_surfels, weighted_medians
 
 RAYS = 16
 """Rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
-SHRINKAGE = 0.1
-"""a_p^2 at which x_p and the surfel's median have equal weight."""
+SHARE_ERROR = 0.04
+"""Standard error of a_p, from the number of rays here and of samples in the photographed pixel."""
+RADIANCE_ERROR = 0.1
+"""Standard error of a photographed pixel, relative to the block's radiance."""
+TEXTURE = 0.5
+"""Standard deviation of the radiance in a block and in a surfel, relative to its median."""
+BLOCK_CELLS = 20
+"""Side, in cells, of the blocks whose median stands for a surfel of few or uncertain pixels."""
 MIN_SHARE = 0.1
 """Minimum of a_p in the division."""
 WINDOW, MIN_SPREAD = 9, 0.01
@@ -44,6 +53,7 @@ SAMPLED_EVERY = 7
 """Of edge pixels far from mixed surfels, which matter only for the slope, one in this number is used."""
 MIN_CONTRAST = 0.2
 """Minimum difference between X and the predicted L, relative to the larger one, of pixels for the slope."""
+_TINY = 1e-30  # avoids 0 / 0 where nothing is behind, at any exposure
 EXACT_SLOPE = 0.9
 """Minimum slope of an exact mesh: the development rooms have 0.90 to 1.04 with their own meshes, 0.25 to 0.84
 with worse ones."""
@@ -76,10 +86,10 @@ def unmixed(
         return list(views)
     slope = edge_slope(color, share, other, surfels.radiance[owner], ~surfels.is_mixed[owner])
     share, other = 1 - slope * (1 - share), slope * other
-    own = np.maximum(color - other, 0) / np.maximum(share, MIN_SHARE)[:, None]
-    median = _medians(owner, own, share**2, len(surfels))[owner]
-    weight = (share**2 / (share**2 + SHRINKAGE))[:, None]
-    found = weight * own + (1 - weight) * median
+    divisor = np.maximum(share, MIN_SHARE)
+    behind = other @ LUMINANCE_WEIGHTS / np.maximum(1 - share, 1 / RAYS)
+    own = (color - other) / divisor[:, None]
+    found = _shrunk(surfels, region_of_face, owner, own, np.square(SHARE_ERROR * behind / divisor), divisor)
     found = np.where(surfels.is_mixed[owner, None], found, color).astype(np.float32)
     ends = np.cumsum([0, *map(len, edges)])
     result = []
@@ -108,6 +118,40 @@ def edge_slope(
     shown = (color @ LUMINANCE_WEIGHTS - own)[used] / expected[used]
     slope = float(np.clip(np.median(shown) / EXACT_SLOPE, 0, 1))
     return (num * slope + PRIOR_PIXELS) / (num + PRIOR_PIXELS)
+
+
+def _shrunk(
+    surfels: Surfels,
+    region_of_face: NDArray[np.int32],
+    owner: NDArray[np.int32],
+    own: NDArray,
+    variance: NDArray,
+    share: NDArray,
+) -> NDArray[np.float64]:
+    """Radiance (K, 3), at least 0, of pixels of the surfels ``owner`` (K,), from the estimates ``own`` (K, 3)
+    with the ``variance`` (K,) that the error of ``share`` (K,) gives their luminance.
+    """
+    side_m = BLOCK_CELLS * surfels.grid.cell_m
+    cell = np.floor((surfels.position_m - surfels.grid.low) / side_m).astype(np.int64)
+    place = np.column_stack([region_of_face[surfels.face], cell])
+    block = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+    num, of_block = int(block.max()) + 1, block[owner]
+    typical = np.abs(_medians(of_block, own, 1 / (variance + _TINY), num) @ LUMINANCE_WEIGHTS)[of_block]
+    variance = variance + np.square(RADIANCE_ERROR * typical / share) + _TINY
+    precision = 1 / variance
+    in_block = np.maximum(_medians(of_block, own, precision, num), 0)[block]
+    of_surfel = 1 / np.maximum(np.bincount(owner, precision, len(surfels)), _TINY)
+    in_surfel = _toward(in_block, _medians(owner, own, precision, len(surfels)), of_surfel)
+    return _toward(in_surfel[owner], own, variance)
+
+
+def _toward(center: NDArray, values: NDArray, variance: NDArray) -> NDArray[np.float64]:
+    """``values`` (K, 3), whose luminance has the ``variance`` (K,), shrunk towards ``center`` (K, 3), from
+    which they differ by :data:`TEXTURE`; at least 0.
+    """
+    spread = np.square(TEXTURE * (center @ LUMINANCE_WEIGHTS))
+    weight = (spread / (spread + variance))[:, None]
+    return np.maximum(weight * values + (1 - weight) * center, 0)
 
 
 def _edge_pixels(surfels: Surfels, index: int, view: TracedView) -> NDArray[np.int64]:

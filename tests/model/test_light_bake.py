@@ -235,6 +235,19 @@ def test_metal_spreads_to_dark_segments_of_its_region(albedo: float, becomes_met
     assert found.is_metal.tolist() == [True, becomes_metal, False]  # the last is in no region with metal
 
 
+@pytest.mark.parametrize(("advantage", "becomes_metal"), [(0.01, True), (0.0, False)])
+def test_segments_of_a_region_share_their_evidence_of_metal(advantage: float, becomes_metal: bool) -> None:
+    """A fifth of the region is surely metal, too little to spread by its share; 0.012 would suffice alone."""
+    levels = len(ROUGHNESS_LEVELS)
+    dielectric = np.full((2, levels, len(SPECULAR_LEVELS)), 0.1, np.float32)
+    metal = np.repeat(0.1 - np.float32([0.05, advantage]), levels).reshape(2, levels)
+    costs = Costs(dielectric, metal, np.full((2, levels, 3), 0.8, np.float32))
+    prior = np.full((2, 3), 0.04), np.full(2, 0.6)
+    region, size = np.zeros(2, np.int64), np.array([20, 80])
+    found = decide(costs, *prior, np.ones(2), np.full(2, 8), region, size, PriorWeights())
+    assert found.is_metal.tolist() == [True, becomes_metal]
+
+
 def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, views: int = 4) -> SolvedSegments:
     """Decision for one segment whose hypotheses cost ``dielectric`` (levels, speculars) and ``metal`` (S
     0.9), with a network's S of 0.04 and R of 0.6."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datagen.geometry.views import TracedView
 from model.reconstruction.light import stage
 from model.reconstruction.light.shading_correction import SCALE_SUPPORT, network_scale
-from model.reconstruction.light.view_maps import WHITE_PAINT, view_materials
+from model.reconstruction.light.view_maps import MAX_EXCESS, WHITE_PAINT, view_materials
 from tests.model.light_room import photographed_room, quads
 from tests.model.test_light_room import of_quad, predicted, room, solved
 
@@ -85,10 +85,32 @@ def test_light_without_weight_has_no_scale(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(("diffuse", "expected"), [(0.3, 0.6), (0.6, WHITE_PAINT), (0.9, 0.9)])
 def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, expected: float) -> None:
     """The limit does not apply to brighter predictions of the network."""
-    view, surfels = photographed_room()[0], room().lit.surfels
-    nothing = np.zeros_like(room().solved.replaced)
-    twice = np.full((len(surfels), 3), 2, np.float32)
-    unknown = replace(room().solved, replaced=nothing, prior_scale=twice)
+    np.testing.assert_allclose(unknown_albedo(diffuse, 2, lighting=0.01)[0], expected, atol=2e-3)
+
+
+@pytest.mark.usefixtures("mitsuba_variant")
+def test_prediction_does_not_exceed_the_recorded_light() -> None:
+    found, of_light = unknown_albedo(0.8, 1)
+    assert (of_light < 0.5).mean() > 0.5
+    error = np.abs(found - np.minimum(0.8, MAX_EXCESS * of_light))
+    assert np.quantile(error, 0.95) < 0.02  # irradiance is interpolated between surfels
+
+
+def unknown_albedo(
+    diffuse: float, prior_scale: float, lighting: float = 1.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Diffuse albedo (K, 3) of a view's surfaces without trust in light, and pi times the radiance over the
+    irradiance (K, 3), for a prediction of ``diffuse``; ``lighting`` multiplies the irradiance.
+    """
+    view, surfels, known = photographed_room()[0], room().lit.surfels, room().solved
+    unknown = replace(
+        known,
+        diffuse=lighting * known.diffuse,
+        replaced=np.zeros_like(known.replaced),
+        prior_scale=np.full((len(surfels), 3), prior_scale, np.float32),
+    )
     maps = view_materials(surfels, unknown, 0, view, predicted((view,), diffuse)[0])
-    on_surface = surfels.pixel_surfel[0].reshape(view.color.shape[:2]) >= 0
-    np.testing.assert_allclose(maps["diffuse_albedo"][on_surface].astype(float), expected, atol=2e-3)
+    own = surfels.pixel_surfel[0].reshape(view.color.shape[:2])
+    on_surface = own >= 0
+    of_light = view.color[on_surface] / np.maximum(unknown.diffuse[own[on_surface]], 1e-9)
+    return maps["diffuse_albedo"][on_surface].astype(float), of_light

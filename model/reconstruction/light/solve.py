@@ -49,7 +49,9 @@ MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
 difference of costs, relative to the residual, at which they are equally likely, since glossy hypotheses fit
 noise slightly better."""
 METAL_SHARE = 0.25
-"""Share of metal among a smooth region's surfels above which metal spreads in the region."""
+"""Share of metal among a smooth region's surfels from which metal spreads in the region."""
+MIN_ADVANTAGE = -0.05
+"""Minimum advantage of metal that counts in a region's mean, so that few dark segments do not decide."""
 METAL_TOLERANCE = 0.005
 """Excess cost over a dielectric at which metal still spreads to a segment."""
 
@@ -127,8 +129,9 @@ def decide(
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) is in (0, 1];
     ``views`` (G,) is the mean number of views of a surfel, ``group`` (G,) the smooth region and ``size`` (G,)
     the number of surfels. A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy
-    hypotheses, weighted by likelihood. If :data:`METAL_SHARE` of a region is metal, its segments that metal
-    explains about as well as a dielectric become metal too.
+    hypotheses, weighted by likelihood. If :data:`METAL_SHARE` of a region is metal, or the mean advantage of
+    metal in it exceeds the mean minimum, its segments that metal explains about as well as a dielectric
+    become metal too.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -146,14 +149,20 @@ def decide(
     variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
     unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # networks rarely predict metal, but then reliably
+    required = weights.metal * doubt * unlike
     metal = costs.metal + of_r
     mean_albedo = costs.metal_albedo.mean(axis=2)
     metal = np.where(mean_albedo < MIN_DARK_METAL, np.inf, metal)
     metal_level = metal.argmin(axis=1)
-    advantage = best - metal[rows, metal_level]
-    is_metal = (advantage > weights.metal * doubt * unlike) & (mean_albedo[rows, metal_level] >= MIN_METAL)
-    share = np.bincount(group, size * is_metal) / np.maximum(np.bincount(group, size), 1)
-    is_metal |= (share[group] >= METAL_SHARE) & (advantage > -METAL_TOLERANCE)
+    albedo, advantage = mean_albedo[rows, metal_level], best - metal[rows, metal_level]
+    is_metal = (advantage > required) & (albedo >= MIN_METAL)
+    excess = np.maximum(advantage, MIN_ADVANTAGE) - required
+    share, excess_of_region, albedo_of_region = (
+        np.bincount(group, size * values) / np.maximum(np.bincount(group, size), 1)
+        for values in (is_metal, excess, albedo)
+    )
+    spreads = (share >= METAL_SHARE) | ((excess_of_region > 0) & (albedo_of_region >= MIN_METAL))
+    is_metal |= spreads[group] & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
     residual = np.where(is_metal, costs.metal[rows, metal_level], residual)

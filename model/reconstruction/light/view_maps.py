@@ -7,7 +7,7 @@ Shading and materials of the surfels around a pixel are interpolated between cel
 
 clipped to [0, MAX_ALBEDO], or in uncertain light to the albedo of white paint; the specular part is that of
 the same view. S and R are those of surfels of similar reflectance, so they change with the colour; they are
-blended with the network's by confidence.
+blended with the network's by confidence. A network's D beyond what the recorded light allows is reduced.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ SIMILAR = 0.35
 WHITE_PAINT = 0.85
 """Maximum D in uncertain light; surfels of the development rooms that exceed it there have a true D of 0.78
 to 0.91."""
+MAX_EXCESS = 1.5
+"""Maximum of the network's D relative to that of a surface whose whole radiance is diffuse, which it cannot
+exceed; the margin allows for errors of Ld."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 
 
@@ -164,6 +167,7 @@ def _pixels(
             d = min(max(d, np.float32(0)), max_albedo) * (1 - is_metal)
             network = prior[index, c]
             scaled = min(network * scale[c] / total, max(network, np.float32(WHITE_PAINT)))
+            scaled = min(scaled, np.float32(MAX_EXCESS) * color[index, c] / ld[c])
             out[index, c] = of_light * d + (1 - of_light) * scaled
             out[index, 3 + c] = conf[1] * s[c] + (1 - conf[1]) * prior[index, 3 + c]
             out[index, 7 + c] = conf[c]
