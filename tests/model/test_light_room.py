@@ -18,7 +18,7 @@ from model.reconstruction.light.confidence import trust_in_hidden
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import MAX_ALBEDO
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
-from model.reconstruction.light.view_maps import WHITE_PAINT
+from model.reconstruction.light.view_maps import WHITE_PAINT, view_materials
 from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry, without_pixels
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -225,3 +225,27 @@ def test_albedo_is_found_with_a_third_of_the_room_unseen() -> None:
     for quad in quads():
         if quad.name in ("south", "north", "ceiling", "east-low"):
             np.testing.assert_allclose(median_albedo(found, quad.name), quad.diffuse, rtol=0.045)
+
+
+@pytest.mark.parametrize(("roughness", "shows_detail"), [(0.5, True), (0.1, False)])
+def test_rough_metal_has_the_detail_of_the_photograph(roughness: float, shows_detail: bool) -> None:
+    """Single pixels differ by a fifth from the radiance of their surfels."""
+    view, surfels, found = photographed_room()[0], room().lit.surfels, room().solved
+    ones = np.ones((len(surfels), 3), np.float32)
+    metal = replace(
+        found,
+        specular_albedo=0.5 * ones,
+        roughness=roughness * ones[:, 0],
+        is_metal=ones[:, 0] > 0,
+        confidence=ones,
+    )
+    row, column = np.indices(view.color.shape[:2])
+    pattern = np.where((row + column) % 2, 1.2, 0.8)[..., None].astype(np.float32)
+    plain, detailed = (
+        view_materials(surfels, metal, 0, seen, predicted((view,))[0])["specular_albedo"].astype(np.float64)
+        for seen in (view, replace(view, color=view.color * pattern))
+    )
+    is_metal = (np.abs(plain - 0.5) < 0.3).all(axis=2) & (view.geometry.depth_z_m[..., 0] > 0)
+    assert is_metal.mean() > 0.3
+    expected = np.broadcast_to(pattern if shows_detail else 1.0, plain.shape)
+    np.testing.assert_allclose((detailed / plain)[is_metal], expected[is_metal], rtol=4e-3)

@@ -7,7 +7,9 @@ Shading and materials of the surfels around a pixel are interpolated between cel
 
 clipped to [0, MAX_ALBEDO], or in uncertain light to the albedo of white paint; the specular part is that of
 the same view. S and R are those of surfels of similar reflectance, so they change with the colour; they are
-blended with the network's by confidence. A network's D beyond what the recorded light allows is reduced.
+blended with the network's by confidence. S of rough metals has the detail of the photograph: that of the
+surfels around the pixel times L over their radiance in the view. A network's D beyond what the recorded light
+allows is reduced.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from datagen.geometry.views import TracedView
 from datagen.light.lighting import MIN_SHADING
 from datagen.light.surfels import NUM_SIDES, Surfels, camera_row, cell_of, place_pixel, surfels_around
 from datagen.multiview.compiled import compiled
+from model.reconstruction.light.metal_texture import BLURRED, SHARP
 from model.reconstruction.light.solve import MAX_ALBEDO
 
 SIMILAR = 0.35
@@ -80,6 +83,7 @@ def view_materials(
         surfels.grid.shape,
         surfels.grid.surfel,
         row_of,
+        observations.radiance,
         solved.diffuse,
         solved.specular,
         solved.specular_albedo,
@@ -99,8 +103,8 @@ def view_materials(
 
 @compiled
 def _pixels(
-    color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, diffuse, specular, albedo, rough,
-    metal, confidence, replaced, prior_scale, radiance, prior, floor
+    color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, observed, diffuse, specular,
+    albedo, rough, metal, confidence, replaced, prior_scale, radiance, prior, floor
 ):  # fmt: skip
     """D, S, R and their confidence (P, 10) of the P pixels of a view."""
     out = np.zeros((len(color), 10), np.float32)
@@ -109,7 +113,7 @@ def _pixels(
     near = np.zeros(8, np.int64)
     share = np.zeros(8, np.float32)
     ld, spec, s = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
-    scale = np.zeros(3, np.float32)
+    scale, s_around, seen = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
     for index in range(len(color)):
         for k in range(7):
             out[index, k] = prior[index, k]
@@ -122,7 +126,7 @@ def _pixels(
         total_spec = np.float32(0)
         conf = np.zeros(3, np.float32)
         of_light = np.float32(0)
-        ld[:], spec[:], scale[:] = 0, 0, 0
+        ld[:], spec[:], scale[:], s_around[:], seen[:] = 0, 0, 0, 0, 0
         for k in range(num):
             i, w = near[k], share[k]
             total += w
@@ -136,6 +140,8 @@ def _pixels(
                 total_spec += w
                 for c in range(3):
                     spec[c] += w * specular[row, c]
+                    s_around[c] += w * albedo[i, c]
+                    seen[c] += w * observed[row, c]
         of_light /= total
         for c in range(3):
             ld[c] = max(ld[c] / total, floor)
@@ -161,6 +167,9 @@ def _pixels(
                 s[c] += w * albedo[i, c]
         r /= total_like
         is_metal /= total_like
+        blurred = min(
+            max((r - np.float32(SHARP)) / np.float32(BLURRED - SHARP), np.float32(0)), np.float32(1)
+        )
         for c in range(3):
             s[c] /= total_like
             d = (color[index, c] - spec[c]) / (max(1 - s[c], np.float32(0.05)) * ld[c])
@@ -169,6 +178,9 @@ def _pixels(
             scaled = min(network * scale[c] / total, max(network, np.float32(WHITE_PAINT)))
             scaled = min(scaled, np.float32(MAX_EXCESS) * color[index, c] / ld[c])
             out[index, c] = of_light * d + (1 - of_light) * scaled
+            if seen[c] > 0:
+                of_pixel = min(s_around[c] * color[index, c] / seen[c], np.float32(1))
+                s[c] += is_metal * blurred * (of_pixel - s[c])
             out[index, 3 + c] = conf[1] * s[c] + (1 - conf[1]) * prior[index, 3 + c]
             out[index, 7 + c] = conf[c]
         out[index, 6] = conf[2] * r + (1 - conf[2]) * prior[index, 6]
