@@ -124,7 +124,7 @@ class LightSampler:
             through.p = si.p + direction * guide.distance
             # By pointer: on CUDA, Dr.Jit 1.5 aborts on recordings that call guide.environment directly.
             index_of_sky: Any = mi.UInt32(self.environment_index)
-            environment = dr.gather(mi.EmitterPtr, self.scene.emitters_dr(), index_of_sky)
+            environment: Any = dr.gather(mi.EmitterPtr, self.scene.emitters_dr(), index_of_sky)
             through.emitter = environment
             own_pdf = dr.select(guided, self.scene.pdf_emitter_direction(si, through, guided), own_pdf)
             emitted = dr.select(guided, environment.eval(sky, guided), emitted)
