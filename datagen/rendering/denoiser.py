@@ -170,8 +170,5 @@ def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
     """OIDN at a quarter of the cost, for error estimates; None if the recipe disables it or uses OptiX."""
     from mitsuba_plugins.variant import select_variant
 
-    return (
-        OidnDenoiser(quality="fast")
-        if recipe.denoise and not uses_optix(select_variant(recipe.variant))
-        else None
-    )
+    uses_oidn = not uses_optix(select_variant(recipe.variant))
+    return OidnDenoiser(quality="fast") if recipe.denoise and uses_oidn else None
