@@ -149,14 +149,17 @@ def test_inserted_object_is_in_every_picture(small: tuple[Suite, Evaluation]) ->
 def test_maps_of_another_method_are_evaluated_like_ours(
     small: tuple[Suite, Evaluation], cache: Path, tmp_path: Path
 ) -> None:
-    suite, evaluation = small
-    ours = _methods(evaluation)["ours"]
+    suite, _ = small
+    plain = NetworkMethod(
+        name="network", kind="network", checkpoint=str(bundled_checkpoint()), materials="network"
+    )
+    network = _methods(evaluate(suite.model_copy(update={"methods": (plain,)}), cache))["network"]
     target = tmp_path / "maps" / "small-room"
-    shutil.copytree(Path(ours.folder) / "views", target)
+    shutil.copytree(Path(network.folder) / "views", target)
     other = MapsMethod(name="other", kind="maps", folder=tmp_path / "maps")
     judged = _methods(evaluate(suite.model_copy(update={"methods": (other,)}), cache))["other"]
-    assert judged.maps_per_view == ours.maps_per_view
-    assert judged.maps_merged == pytest.approx(ours.maps_merged, rel=1e-6)
+    assert judged.maps_per_view == network.maps_per_view
+    assert judged.maps_merged == pytest.approx(network.maps_merged, rel=1e-6)
     lost = sorted(target.iterdir())[0]
     lost.unlink()
     faulty = evaluate(suite.model_copy(update={"methods": (other,)}), cache)
