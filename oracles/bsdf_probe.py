@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import numpy as np
 
 from mitsuba_plugins import register, select_variant
-from mitsuba_plugins.variant import CPU_VARIANT
+from oracles import VARIANT
 
-select_variant(os.environ.get("SCENE_MATERIALS_VARIANT", CPU_VARIANT))
+select_variant(VARIANT)
 register()
 
 import drjit as dr  # noqa: E402

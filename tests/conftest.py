@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from oracles import VARIANT
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))
 
@@ -22,7 +24,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def mitsuba_variant() -> str:
-    """Set the variant before a test imports mitsuba: ``SCENE_MATERIALS_VARIANT``, else the CPU's."""
-    from mitsuba_plugins.variant import CPU_VARIANT, select_variant
+    """Set the variant before a test imports mitsuba."""
+    from mitsuba_plugins.variant import select_variant
 
-    return select_variant(os.environ.get("SCENE_MATERIALS_VARIANT", CPU_VARIANT))
+    return select_variant(VARIANT)

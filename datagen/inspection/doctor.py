@@ -107,7 +107,7 @@ def examine(folder: Path | None = None) -> list[Finding]:
     except InputError as error:
         found, is_fine, _, remedy = _failed(error)
         findings.append(Finding("LLVM", found, is_fine, variant == CPU_VARIANT, remedy))
-    findings.append(_gpu())
+    findings.append(gpu_finding())
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
     if all(f.is_fine for f in findings if f.is_required):
         findings.append(_probe("rendering", _RENDER_PROBE, f"read the message; {REMEDY}"))
@@ -178,7 +178,8 @@ def _package(name: str, is_required: bool, remedy: str) -> Finding:
         return Finding(name, "not installed", False, is_required, remedy)
 
 
-def _gpu() -> Finding:
+def gpu_finding() -> Finding:
+    """The GPU, and whether its driver can denoise."""
     if not has_cuda():
         return Finding("GPU", "none; rendering runs on the CPU", True, False)
     command = ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"]

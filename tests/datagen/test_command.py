@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from datagen.formats.shard import Dataset
+from datagen.inspection import doctor
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import write_small_library
 from tests.small_disk import small_disk
@@ -90,6 +91,17 @@ def test_doctor_prints_the_environment() -> None:
     assert "rendering" in result.stdout and "works" in result.stdout
 
 
+@pytest.mark.parametrize("has_weights", [True, False])
+def test_doctor_reports_a_gpu_without_denoiser(monkeypatch: pytest.MonkeyPatch, has_weights: bool) -> None:
+    listed = subprocess.CompletedProcess([], 0, stdout="NVIDIA H200, 143771 MiB\n")
+    monkeypatch.setattr(doctor, "has_cuda", lambda: True)
+    monkeypatch.setattr(doctor, "uses_optix", lambda variant: has_weights)
+    monkeypatch.setattr(doctor.subprocess, "run", lambda *_, **__: listed)
+    finding = doctor.gpu_finding()
+    assert finding.value.startswith("NVIDIA H200, 143771 MiB") and finding.is_fine == has_weights
+    assert ("NVIDIA_DRIVER_CAPABILITIES" in finding.remedy) != has_weights
+
+
 @pytest.mark.parametrize("module", ["datagen", "model.cli"])
 def test_the_commands_print_their_version(module: str) -> None:
     command = [sys.executable, "-m", module, "--version"]
@@ -110,9 +122,9 @@ def test_without_llvm_one_message_appears_before_work_starts(inputs: Path, tmp_p
     (sentence,) = [line for line in result.stderr.splitlines() if line and "timing samples" not in line]
     assert sentence.startswith("LLVM: DRJIT_LIBLLVM_PATH = /nothing/libLLVM.so, no loadable LLVM")
     assert sentence.endswith("its libLLVM shared library") and not out.exists()
-    doctor = " ".join(_datagen("doctor", COLUMNS="400", **NO_LLVM).stdout.split())
-    assert "/nothing/libLLVM.so, no loadable LLVM of 16 or later; expected LLVM 19 or later" in doctor
-    assert "apt-get install libllvm19" in doctor
+    listed = " ".join(_datagen("doctor", COLUMNS="400", **NO_LLVM).stdout.split())
+    assert "/nothing/libLLVM.so, no loadable LLVM of 16 or later; expected LLVM 19 or later" in listed
+    assert "apt-get install libllvm19" in listed
 
 
 def test_without_llvm_a_planned_folder_is_unchanged(inputs: Path, tmp_path: Path) -> None:

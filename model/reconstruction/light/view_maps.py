@@ -113,7 +113,7 @@ def _pixels(
     near = np.zeros(8, np.int64)
     share = np.zeros(8, np.float32)
     ld, spec, s = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
-    scale, s_around, seen = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
+    scale, s_around, l_around = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
     for index in range(len(color)):
         for k in range(7):
             out[index, k] = prior[index, k]
@@ -126,7 +126,7 @@ def _pixels(
         total_spec = np.float32(0)
         conf = np.zeros(3, np.float32)
         of_light = np.float32(0)
-        ld[:], spec[:], scale[:], s_around[:], seen[:] = 0, 0, 0, 0, 0
+        ld[:], spec[:], scale[:], s_around[:], l_around[:] = 0, 0, 0, 0, 0
         for k in range(num):
             i, w = near[k], share[k]
             total += w
@@ -141,7 +141,7 @@ def _pixels(
                 for c in range(3):
                     spec[c] += w * specular[row, c]
                     s_around[c] += w * albedo[i, c]
-                    seen[c] += w * observed[row, c]
+                    l_around[c] += w * observed[row, c]
         of_light /= total
         for c in range(3):
             ld[c] = max(ld[c] / total, floor)
@@ -178,8 +178,8 @@ def _pixels(
             scaled = min(network * scale[c] / total, max(network, np.float32(WHITE_PAINT)))
             scaled = min(scaled, np.float32(MAX_EXCESS) * color[index, c] / ld[c])
             out[index, c] = of_light * d + (1 - of_light) * scaled
-            if seen[c] > 0:
-                of_pixel = min(s_around[c] * color[index, c] / seen[c], np.float32(1))
+            if l_around[c] > 0:
+                of_pixel = min(s_around[c] * color[index, c] / l_around[c], np.float32(1))
                 s[c] += is_metal * blurred * (of_pixel - s[c])
             out[index, 3 + c] = conf[1] * s[c] + (1 - conf[1]) * prior[index, 3 + c]
             out[index, 7 + c] = conf[c]
