@@ -38,8 +38,6 @@ RAYS = 16
 """Rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
 SHARE_ERROR = 0.04
 """Standard error of a_p, from the number of rays here and of samples in the photographed pixel."""
-RADIANCE_ERROR = 0.1
-"""Standard error of a photographed pixel, relative to the block's radiance."""
 TEXTURE = 0.5
 """Standard deviation of the radiance in a block and in a surfel, relative to its median."""
 BLOCK_CELLS = 20
@@ -89,7 +87,8 @@ def unmixed(
     divisor = np.maximum(share, MIN_SHARE)
     behind = other @ LUMINANCE_WEIGHTS / np.maximum(1 - share, 1 / RAYS)
     own = (color - other) / divisor[:, None]
-    found = _shrunk(surfels, region_of_face, owner, own, np.square(SHARE_ERROR * behind / divisor), divisor)
+    variance = np.square(SHARE_ERROR * behind / divisor) + _TINY
+    found = _shrunk(surfels, region_of_face, owner, own, variance)
     found = np.where(surfels.is_mixed[owner, None], found, color).astype(np.float32)
     ends = np.cumsum([0, *map(len, edges)])
     result = []
@@ -126,20 +125,16 @@ def _shrunk(
     owner: NDArray[np.int32],
     own: NDArray,
     variance: NDArray,
-    share: NDArray,
 ) -> NDArray[np.float64]:
     """Radiance (K, 3), at least 0, of pixels of the surfels ``owner`` (K,), from the estimates ``own`` (K, 3)
-    with the ``variance`` (K,) that the error of ``share`` (K,) gives their luminance.
+    whose luminance has the ``variance`` (K,).
     """
     side_m = BLOCK_CELLS * surfels.grid.cell_m
     cell = np.floor((surfels.position_m - surfels.grid.low) / side_m).astype(np.int64)
     place = np.column_stack([region_of_face[surfels.face], cell])
     block = np.unique(place, axis=0, return_inverse=True)[1].ravel()
-    num, of_block = int(block.max()) + 1, block[owner]
-    typical = np.abs(_medians(of_block, own, 1 / (variance + _TINY), num) @ LUMINANCE_WEIGHTS)[of_block]
-    variance = variance + np.square(RADIANCE_ERROR * typical / share) + _TINY
     precision = 1 / variance
-    in_block = np.maximum(_medians(of_block, own, precision, num), 0)[block]
+    in_block = np.maximum(_medians(block[owner], own, precision, int(block.max()) + 1), 0)[block]
     of_surfel = 1 / np.maximum(np.bincount(owner, precision, len(surfels)), _TINY)
     in_surfel = _toward(in_block, _medians(owner, own, precision, len(surfels)), of_surfel)
     return _toward(in_surfel[owner], own, variance)
