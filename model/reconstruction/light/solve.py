@@ -48,8 +48,10 @@ MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
 """Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the
 difference of costs, relative to the residual, at which they are equally likely, since glossy hypotheses fit
 noise slightly better."""
+METAL_SHARE = 0.25
+"""Share of metal among a smooth region's surfels from which metal spreads in the region."""
 MIN_ADVANTAGE = -0.05
-"""Minimum advantage of metal in a region's mean, since that of dark segments is infinitely low."""
+"""Minimum advantage of metal that counts in a region's mean, so that few dark segments do not decide."""
 METAL_TOLERANCE = 0.005
 """Excess cost over a dielectric at which metal still spreads to a segment."""
 
@@ -127,8 +129,9 @@ def decide(
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) is in (0, 1];
     ``views`` (G,) is the mean number of views of a surfel, ``group`` (G,) the smooth region and ``size`` (G,)
     the number of surfels. A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy
-    hypotheses, weighted by likelihood. If metal is better than a dielectric in the mean of a region by the
-    minimum, its segments that metal explains about as well as a dielectric become metal too.
+    hypotheses, weighted by likelihood. If :data:`METAL_SHARE` of a region is metal, or the mean advantage of
+    metal in it exceeds the mean minimum, its segments that metal explains about as well as a dielectric
+    become metal too.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -153,9 +156,13 @@ def decide(
     metal_level = metal.argmin(axis=1)
     albedo, advantage = mean_albedo[rows, metal_level], best - metal[rows, metal_level]
     is_metal = (advantage > required) & (albedo >= MIN_METAL)
-    excess = np.bincount(group, size * (np.maximum(advantage, MIN_ADVANTAGE) - required))
-    bright = np.bincount(group, size * (albedo - MIN_METAL)) >= 0
-    is_metal |= ((excess > 0) & bright)[group] & (advantage > -METAL_TOLERANCE)
+    excess = np.maximum(advantage, MIN_ADVANTAGE) - required
+    share, excess_of_region, albedo_of_region = (
+        np.bincount(group, size * values) / np.maximum(np.bincount(group, size), 1)
+        for values in (is_metal, excess, albedo)
+    )
+    spreads = (share >= METAL_SHARE) | ((excess_of_region > 0) & (albedo_of_region >= MIN_METAL))
+    is_metal |= spreads[group] & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
     residual = np.where(is_metal, costs.metal[rows, metal_level], residual)
