@@ -44,7 +44,7 @@ from model.reconstruction.merge.merger import MapMerger, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
 from model.reconstruction.merge.weights import Weights
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
-from model.reconstruction.stages import Run
+from model.reconstruction.stages import Estimate, Run
 from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "borders", "angle", "distance", "confidence", "all")
@@ -188,10 +188,10 @@ def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
         (Path(folder) / "views").mkdir()
         run = Run(Path(folder), options, InferReport(), lambda *_: None)
         source.prepare(options)
-        maps = source.maps(room.traced, run)
+        estimate = Estimate(source.maps(room.traced, run))
         for stage in map_stages(source, options):
-            maps = stage(room.traced, maps, run)
-    return maps
+            estimate = stage(room.traced, estimate, run)
+    return estimate.maps
 
 
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:

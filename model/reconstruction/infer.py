@@ -55,7 +55,7 @@ from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
 from model.reconstruction.poses.stage import mended
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
-from model.reconstruction.stages import MapSource, MapStage, Run
+from model.reconstruction.stages import Estimate, Found, MapSource, MapStage, Run
 from model.reconstruction.unwrap.uv import unwrapped
 
 __all__ = ["InferOptions", "InferReport", "infer"]
@@ -77,6 +77,7 @@ class FinalViews:
     sides: NDArray[np.float32]
     footprint_m: float | None
     can_be_seen: NDArray[np.bool_]
+    found: Found
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,16 @@ class PackedMaps:
     normals: NDArray[np.float32]
     size: int
     can_be_seen: NDArray[np.bool_]
+    found: Found
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The atlas, its mesh, and the results of earlier stages in addition to maps."""
+
+    atlas: Atlas
+    mesh: Mesh
+    found: Found
 
 
 def infer(
@@ -116,11 +127,11 @@ def infer(
         report.notes += capture.notes
         _claim(capture, source, run)
         with ExitStack() as files:
-            atlas, mesh = _merged(_packed(_final_views(capture, source, run), run), run, files)
+            merged = _merged(_packed(_final_views(capture, source, run), run), run, files)
             with run.stage("fill") as advance:
-                fill_unseen(atlas, mesh, advance)
-            _export(capture, atlas, mesh, run)
-        write_bytes_atomically(out / "report.html", report_html(report, run.found.pictures).encode())
+                fill_unseen(merged.atlas, merged.mesh, advance)
+            _export(capture, merged, run)
+        write_bytes_atomically(out / "report.html", report_html(report, merged.found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
         if error.filename is None and error.errno:  # the error of a full disk does not name the file
@@ -172,16 +183,17 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
     with run.stage("trace") as advance:
         traced = trace_capture(capture, advance)
     _check(traced, run)
+    doubt_at = None
     if source.is_predicted:
-        traced = completed(traced, run)
+        traced, doubt_at = completed(traced, run)
         traced = mended(traced, run) if run.options.mends_poses else traced
-    maps = source.maps(traced, run)
+    estimate = Estimate(source.maps(traced, run), doubt_at)
     for stage in map_stages(source, run.options):
-        maps = stage(traced, maps, run)
+        estimate = stage(traced, estimate, run)
     sides = seen_sides([view.geometry for view in traced.views], run.report.num_triangles)
     footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
-    can_be_seen = visible_faces(traced)
-    return FinalViews(map_views(traced.views, maps), traced.geometry, sides, footprint_m, can_be_seen)
+    views = map_views(traced.views, estimate.maps)
+    return FinalViews(views, traced.geometry, sides, footprint_m, visible_faces(traced), estimate.found)
 
 
 def _check(traced: TracedCapture, run: Run) -> None:
@@ -217,14 +229,15 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
         )
         scene = final.geometry.scene if options.visibility == "trace" else None
         merger = MapMerger(final.views, merge_options, scene, smooth_regions(final.geometry.mesh))
-        packed = PackedMaps(merger, mesh, face_normals(mesh, final.sides), size, final.can_be_seen)
+        normals = face_normals(mesh, final.sides)
+        packed = PackedMaps(merger, mesh, normals, size, final.can_be_seen, final.found)
     run.tell("pack", 1, 1)
     return packed
 
 
-def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> tuple[Atlas, Mesh]:
-    """The merged atlas, in memory or in files that exist until ``files`` is closed, and its mesh."""
-    confidence_at = run.found.confidence_at
+def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> Merged:
+    """Merge the maps in an atlas, in memory or in files that exist until ``files`` is closed."""
+    confidence_at = packed.found.confidence_at
     memory = _atlas_memory(packed.size, run.out, has_confidence=confidence_at is not None)
     atlas = files.enter_context(memory)
     with run.stage("merge") as advance:
@@ -233,7 +246,7 @@ def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> tuple[Atlas, Mesh
         if confidence_at is not None:
             put_confidence(atlas, surface, confidence_at)
         run.report.seen_share, run.report.seen_of_visible = _seen_share(atlas, packed.can_be_seen)
-    return atlas, packed.mesh
+    return Merged(atlas, packed.mesh, packed.found)
 
 
 @contextmanager
@@ -258,12 +271,12 @@ def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, fl
     return seen / max(covered, 1), seen / max(visible, 1)
 
 
-def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
-    """The reconstruction with balanced lights, whose gains are added to the report."""
-    if run.found.samples is None:
+def _balanced(reconstruction: Reconstruction, found: Found, run: Run) -> Reconstruction:
+    """Balance the lights to the photographed radiance, and add their gains to the report."""
+    if found.samples is None:
         return reconstruction
     with run.stage("lights"):
-        balance = balanced(reconstruction, run.found.samples)
+        balance = balanced(reconstruction, found.samples)
     if balance is None:
         return reconstruction
     run.report.light["balance"] = {"loss_before": balance.loss_before, "loss_after": balance.loss_after}
@@ -272,13 +285,13 @@ def _balanced(reconstruction: Reconstruction, run: Run) -> Reconstruction:
     return replace(reconstruction, lights=balance.lights)
 
 
-def _export(capture: Capture, atlas: Atlas, mesh: Mesh, run: Run) -> None:
-    out = run.out
+def _export(capture: Capture, merged: Merged, run: Run) -> None:
+    out, mesh, found = run.out, merged.mesh, merged.found
     capture = replace(capture, geometry=CaptureGeometry(mesh, capture.geometry.parts))
-    reconstruction = Reconstruction(capture, mesh, atlas, out / "atlas", run.found.lights)
+    reconstruction = Reconstruction(capture, mesh, merged.atlas, out / "atlas", found.lights)
     with run.stage("images") as advance:
-        write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr, progress=advance)
-    reconstruction = _balanced(reconstruction, run)
+        write_atlas_images(out / "atlas", merged.atlas, has_exr=run.options.has_exr, progress=advance)
+    reconstruction = _balanced(reconstruction, found, run)
     with run.stage("export") as advance:
         write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
         advance(1, 4)

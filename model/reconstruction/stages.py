@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -31,21 +31,32 @@ class ViewPicture:
     confidence: NDArray[np.uint8]
 
 
-@dataclass
+DoubtAt = Callable[[NDArray, NDArray], NDArray[np.float32]]
+"""Function from points and normals (both (N, 3)) to the luminance (N,) of the diffuse shading that is
+uncertain because photographs clip its source."""
+
+
+@dataclass(frozen=True)
 class Found:
     """Results of the stages in addition to maps, None or empty if no stage provides them.
 
     ``samples``: photographed radiance, to which ``lights`` are balanced; ``confidence_at``: function from
-    surface points and normals (both (..., 3)) to the confidence (..., 3) of D, S and R, 255 for 1;
-    ``doubt_at``: function from points and normals (both (N, 3)) to the luminance (N,) of the diffuse shading
-    that is uncertain because photographs clip its source.
+    surface points and normals (both (..., 3)) to the confidence (..., 3) of D, S and R, 255 for 1.
     """
 
     lights: FoundLights | None = None
     samples: RadianceSamples | None = None
     confidence_at: Callable[[NDArray, NDArray], NDArray[np.uint8]] | None = None
-    pictures: list[ViewPicture] = field(default_factory=list)
-    doubt_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None
+    pictures: tuple[ViewPicture, ...] = ()
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The maps of every view, in the capture's order, and further results."""
+
+    maps: list[Maps]
+    doubt_at: DoubtAt | None = None
+    found: Found = Found()
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,6 @@ class Run:
     options: InferOptions
     report: InferReport
     tell: Progress
-    found: Found = field(default_factory=Found)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Advance]:
@@ -93,5 +103,5 @@ class MapSource(Protocol):
         """Return the maps of every view, in the capture's order."""
 
 
-MapStage = Callable[[TracedCapture, list[Maps], Run], list[Maps]]
-"""A stage between prediction and merge: returns new maps of the views and leaves its input unchanged."""
+MapStage = Callable[[TracedCapture, Estimate, Run], Estimate]
+"""A stage between prediction and merge: returns a new estimate and leaves its input unchanged."""

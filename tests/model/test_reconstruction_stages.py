@@ -18,7 +18,7 @@ from model.reconstruction.infer import InferOptions, infer, map_stages
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps, GivenMaps
-from model.reconstruction.stages import Maps, Run
+from model.reconstruction.stages import Estimate, Maps, Run
 from oracles.textured_room import room_capture
 
 OPTIONS = InferOptions(atlas=64, has_exr=False, is_checked=False)
@@ -42,11 +42,12 @@ def test_a_stage_runs_between_prediction_and_merge(tmp_path: Path, monkeypatch: 
     capture = room_capture(2, (32, 24))
     given: list[Maps] = []
 
-    def darker(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
+    def darker(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
         assert [view.name for view in traced.views] == [view.name for view in capture.views]
         assert run.report.name == capture.name and traced.geometry.scene is not None
-        given.extend(maps)
-        return [{**m, "diffuse_albedo": m["diffuse_albedo"] * np.float32(0)} for m in maps]
+        given.extend(estimate.maps)
+        dark = [{**m, "diffuse_albedo": m["diffuse_albedo"] * np.float32(0)} for m in estimate.maps]
+        return replace(estimate, maps=dark)
 
     infer(capture, tmp_path / "plain", TRUTH, OPTIONS)
     monkeypatch.setattr(infer_module, "map_stages", lambda source, options: [darker])

@@ -3,39 +3,37 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from datagen.geometry.traced import smooth_regions
 from datagen.geometry.views import TracedCapture
 from model.reconstruction.level.albedo_level import clipped_share, find_level
-from model.reconstruction.stages import Maps, Run
+from model.reconstruction.stages import Estimate, Run
 
 
-def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
-    """The maps with corrected albedo scale, or unchanged if evidence is weak; files on disk keep the
-    prediction.
-    """
+def leveled(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
+    """Correct the albedo scale of the maps, unless evidence is weak; files on disk keep the prediction."""
     with run.stage("level") as advance:
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(
             traced.views,
-            maps,
+            estimate.maps,
             traced.geometry,
             region_of_face,
             clipped_share(traced.views),
-            run.found.doubt_at,
+            estimate.doubt_at,
             advance,
         )
         run.report.albedo_level = asdict(level.report)
         if not level.report.is_applied:
             run.report.notes.append(f"the albedo scale is not corrected: {level.report.reason}")
-            return maps
+            return estimate
         corrected = []
-        for view_maps, view in zip(maps, traced.views, strict=True):
+        for view_maps, view in zip(estimate.maps, traced.views, strict=True):
             face = view.geometry.face
             region = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
             albedo = level.corrected(view_maps["diffuse_albedo"], region)
             corrected.append({**view_maps, "diffuse_albedo": albedo})
-        return corrected
+        return replace(estimate, maps=corrected)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from datagen.geometry.traced import smooth_regions
 from datagen.geometry.views import TracedCapture
@@ -12,31 +12,34 @@ from model.reconstruction.light.options import LightReport
 from model.reconstruction.light.pictures import view_pictures
 from model.reconstruction.light.stage import LightOptions, materials_from_light
 from model.reconstruction.light.surfel_confidence import SurfelConfidence
-from model.reconstruction.stages import Maps, Run
+from model.reconstruction.stages import Estimate, Found, Run
 
 
-def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions | None = None) -> list[Maps]:
-    """Maps of D, S and R from light, blended with ``maps`` where the evidence is weak; stored maps are
-    unchanged.
+def lit(traced: TracedCapture, estimate: Estimate, run: Run, options: LightOptions | None = None) -> Estimate:
+    """Estimate D, S and R from light, blended with the given maps where evidence is weak, and the lights;
+    files on disk keep the prediction.
     """
     options = options or LightOptions(has_prior=run.options.materials == "both")
     report = LightReport()
     with run.stage("light") as report.advance:
-        found = materials_from_light(
+        materials = materials_from_light(
             traced.views,
-            maps,
+            estimate.maps,
             traced.geometry,
             traced.capture.geometry.emitter_mask(),
             smooth_regions(traced.geometry.mesh),
             run.report.exposure,
             options,
-            run.found.doubt_at,
+            estimate.doubt_at,
             report,
         )
         with report.step("lights"):
-            lights = found_lights(found.lit, traced.geometry, traced.capture.geometry)
+            lights = found_lights(materials.lit, traced.geometry, traced.capture.geometry)
     run.report.light = {**asdict(report), "lights": lights.described()}
-    run.found.lights, run.found.samples = lights, radiance_samples(traced.views)
-    run.found.confidence_at = SurfelConfidence.of(found.lit.surfels, found.solved.confidence).at
-    run.found.pictures = view_pictures(traced.views, found.maps, run.report.exposure)
-    return found.maps
+    found = Found(
+        lights,
+        radiance_samples(traced.views),
+        SurfelConfidence.of(materials.lit.surfels, materials.solved.confidence).at,
+        tuple(view_pictures(traced.views, materials.maps, run.report.exposure)),
+    )
+    return replace(estimate, maps=materials.maps, found=found)

@@ -30,7 +30,7 @@ class Completed:
 
     ``radiometry`` is the cameras' calibration. ``sources`` are clipped in every view; ``radiance`` (S, 3) is
     their radiance, ``spread`` (S,) the standard deviation of its logarithm. ``clipped_share``: share of the
-    pixels that are clipped; ``doubt_at``: see :class:`~model.reconstruction.stages.Found`.
+    pixels that are clipped; ``doubt_at``: see :data:`~model.reconstruction.stages.DoubtAt`.
     """
 
     views: list[TracedView]

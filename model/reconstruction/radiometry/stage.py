@@ -11,16 +11,16 @@ import numpy as np
 from datagen.geometry.traced import smooth_regions
 from datagen.geometry.views import TracedCapture
 from model.reconstruction.radiometry.completed import Completed, completed_views
-from model.reconstruction.stages import Run
+from model.reconstruction.stages import DoubtAt, Run
 
 
-def completed(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with its views at one exposure and clipped pixels completed.
+def completed(traced: TracedCapture, run: Run) -> tuple[TracedCapture, DoubtAt | None]:
+    """The capture with its views at one exposure and clipped pixels completed, and the uncertainty of light.
 
     It is unchanged if an image has no clipping limit, as in renderings, which have one exposure.
     """
     if any(view.limit is None for view in traced.views):
-        return traced
+        return traced, None
     with run.stage("radiometry"):
         try:
             found = completed_views(
@@ -32,11 +32,10 @@ def completed(traced: TracedCapture, run: Run) -> TracedCapture:
             )
         except ValueError as error:
             run.report.notes.append(f"exposures and clipped pixels are unchanged: {error}")
-            return traced
+            return traced, None
     run.report.radiometry = described(found)
     run.report.notes += notes_of(found)
-    run.found.doubt_at = found.doubt_at
-    return replace(traced, views=tuple(found.views))
+    return replace(traced, views=tuple(found.views)), found.doubt_at
 
 
 def described(found: Completed) -> dict[str, Any]:
