@@ -88,9 +88,10 @@ def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: 
         if recipe.name in failures:
             continue
         try:
-            scene = _opened(suite, planned[recipe.name], tell)
+            quality = suite.judging(recipe)
+            scene = _opened(quality, planned[recipe.name], tell)
             methods = tuple(
-                _judge(suite, scene, method, camera, lpips, tell)
+                _judge(quality, scene, method, camera, lpips, tell)
                 for camera in (None, *suite.cameras)
                 for method in suite.methods
                 if camera is None or not isinstance(method, TruthMethod)

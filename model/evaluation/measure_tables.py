@@ -105,10 +105,8 @@ def _noise(result: SuiteResult) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for scene, method in _judged(result):
         for light, views, found in image_noise(method):
-            error = float(np.hypot(found.by_views, found.by_seed))
-            rows.append(
-                (scene.name, method.label, light, views, found.mean, found.by_views, found.by_seed, error)
-            )
+            figures = (found.mean, found.by_views, found.by_seed, found.error)
+            rows.append((scene.name, method.label, light, views, *figures))
     columns = ("scene", "method", "light", "views", "PSNR sRGB (dB)", "by views", "by seed", "together")
     caption = (
         "Standard errors of the mean over views: by bootstrap over views, and from another seed of the "

@@ -42,10 +42,14 @@ class Figure:
     by_seed: float
 
     @property
+    def error(self) -> float:
+        """Standard error of both causes, NaN if unknown."""
+        return float(np.hypot(self.by_views, self.by_seed))
+
+    @property
     def text(self) -> str:
         """Text such as "21.5 ± 0.3"; without the error if it is unknown."""
-        error = np.hypot(self.by_views, self.by_seed)
-        return f"{self.mean:.1f}" if np.isnan(error) else f"{self.mean:.1f} ± {error:.1f}"
+        return f"{self.mean:.1f}" if np.isnan(self.error) else f"{self.mean:.1f} ± {self.error:.1f}"
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:

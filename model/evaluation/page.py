@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Self-contained HTML page of a suite. For every scene it shows the best and the worst view of each method
-with a slider between truth and estimate, errors of D, S and R in one view on a common scale, a chart of
-errors by kind of surface, all pictures, and the tables.
+"""Self-contained HTML page of a suite: a chart of all methods; for every scene the best and the worst view
+of each method with a slider between truth and estimate, errors of D, S and R in one view on a common scale, a
+chart of errors by kind of surface, all pictures; and the tables.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color_maps import cividis
 from model.evaluation.measure_tables import image_noise
 from model.evaluation.metrics import shown
-from model.evaluation.page_style import SCRIPT, STYLE
+from model.evaluation.overview import overview_svg
+from model.evaluation.page_style import SCRIPT, STYLE, hue
 from model.evaluation.pictures import COLUMNS, Row, map_pixels, rendered_views, small
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
@@ -52,6 +53,7 @@ def page_html(
         "<p>Each method recovers the materials of rooms from rendered photographs; the recovered rooms are "
         "rendered again and compared with the truth.</p>"
         f'<nav>{links}<a href="#tables">tables</a></nav>',
+        f'<div class="wide overview">{overview_svg(result)}</div>',
         *scenes,
         f'<section id="tables"><ul class="notes">{items}</ul>{"".join(t.html() for t in tables)}</section>',
     ]
@@ -199,7 +201,7 @@ def _charts(methods: Sequence[MethodResult]) -> str:
         return ""
     kinds = [k for k in ("all", *KINDS) if any(k in method.by_kind["merged"] for method in judged)]
     legend = "".join(
-        f'<span><i style="background:{_hue(k)}"></i>{html.escape(m.label)}</span>'
+        f'<span><i style="background:{hue(k)}"></i>{html.escape(m.label)}</span>'
         for k, m in enumerate(judged)
     )
     charts = "".join(_chart(name, kinds, judged) for name in MATERIAL_MAPS)
@@ -208,11 +210,6 @@ def _charts(methods: Sequence[MethodResult]) -> str:
         "on each kind; below its name is its share of the judged pixels.</p>"
         f'<div class="legend">{legend}</div><div class="chart">{charts}</div>'
     )
-
-
-def _hue(index: int) -> str:
-    hues = ("#2f6f8f", "#d08a2e", "#5a8f4e", "#8a5a9c", "#b5483f", "#7a7f87", "#3d9c94", "#c06c9a")
-    return hues[index % len(hues)]
 
 
 def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> str:
@@ -242,7 +239,7 @@ def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> 
             y, length = top + k * _BAR_PX, longest * errors[kind, k] / largest
             parts.append(
                 f'<rect x="{_LABEL_PX}" y="{y}" width="{length:.1f}" height="{_BAR_PX - 2}" rx="2" '
-                f'fill="{_hue(k)}"/><text class="quiet" x="{_LABEL_PX + length + 4:.1f}" y="{y + 7.5}" '
+                f'fill="{hue(k)}"/><text class="quiet" x="{_LABEL_PX + length + 4:.1f}" y="{y + 7.5}" '
                 f'style="font-size:8.5px">{errors[kind, k]:.3f}</text>'
             )
     return f'<svg viewBox="0 0 {_CHART_PX} {height}" role="img">{"".join(parts)}</svg>'

@@ -54,6 +54,7 @@ figcaption { font-size: 12.5px; padding: .3rem .1rem 0; } figcaption b { color: 
 .errors .head { color: var(--soft); font-size: 12.5px; text-align: center; } .errors .row { font-size:
   13px; font-weight: 600; }
 .errors img { width: 100%; display: block; border-radius: 4px; }
+.overview svg { min-width: 46rem; width: 100%; margin: 1.2rem 0 0; }
 .scale { display: flex; align-items: center; gap: .6rem; font-size: 12px; color: var(--soft); margin:
   .5rem 0 0; }
 .scale img { height: 10px; width: 14rem; border-radius: 3px; }
@@ -79,3 +80,9 @@ for (const pair of document.querySelectorAll('.pair')) {
   });
 }
 """
+
+
+def hue(index: int) -> str:
+    """Colour of the method at ``index`` in charts."""
+    hues = ("#2f6f8f", "#d08a2e", "#5a8f4e", "#8a5a9c", "#b5483f", "#7a7f87", "#3d9c94", "#c06c9a")
+    return hues[index % len(hues)]

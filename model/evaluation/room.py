@@ -54,8 +54,9 @@ class TestScene(StrictModel):
     ``source``: a Mitsuba file, its folder, an environment package, or a recipe (.yaml), whose configuration
     number ``configuration`` is the scene; ``imports`` are files and folders whose assets the recipe may use.
     There are ``views`` photographs, and ``novel_views`` more views on a walk, of ``resolution`` (width,
-    height); ``render`` and ``cameras`` are as in recipes. ``seed`` draws cameras and light paths. ``unit_m``:
-    metres per unit of a Mitsuba file; ``annotations``: file with corrections of the imported room
+    height); ``render`` and ``cameras`` are as in recipes. ``judged``: quality of all judged views instead of
+    the suite's ``truth`` and ``render``, for scenes with more noise. ``seed`` draws cameras and light paths.
+    ``unit_m``: metres per unit of a Mitsuba file; ``annotations``: file with corrections of the imported room
     (docs/importing.md). ``may_know_shapes``: checkpoints may have been trained on the rooms and objects of a
     recipe, but on none of its materials.
     """
@@ -72,6 +73,7 @@ class TestScene(StrictModel):
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     render: RenderRecipe = Field(default_factory=lambda: RenderRecipe(quality="standard"))
+    judged: RenderRecipe | None = None
     cameras: CameraRecipe = CameraRecipe()
     unit_m: Positive = 1.0
     annotations: Path | None = None
@@ -203,7 +205,7 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
 
 def _key(scene: TestScene) -> str:
     """Hash of everything that affects pixels, except library versions and files that the source refers to."""
-    parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes"})
+    parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes", "judged"})
     if not scene.is_drawn:  # imports do not affect the pixels
         del parts["configuration"], parts["imports"]
     else:

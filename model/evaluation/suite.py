@@ -168,6 +168,12 @@ class Suite(StrictModel):
             raise ValueError(f"expected modified_light and inserted to name scenes, not {', '.join(unknown)}")
         return self
 
+    def judging(self, scene: TestScene) -> Suite:
+        """The suite with the quality of ``scene``'s judged views."""
+        if scene.judged is None:
+            return self
+        return self.model_copy(update={"truth": scene.judged, "render": scene.judged})
+
     @property
     def cameras(self) -> tuple[CameraFaults, ...]:
         """The camera faults selected by ``camera``."""

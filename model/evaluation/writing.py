@@ -10,6 +10,7 @@ from pathlib import Path
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.foundation.images import encode_png
 from model.evaluation.measure_tables import measure_tables
+from model.evaluation.overview import overview_svg, standalone
 from model.evaluation.page import page_html
 from model.evaluation.pictures import COLUMNS, RELIGHTING, scene_rows, sheet
 from model.evaluation.rendering import JudgedView
@@ -17,7 +18,7 @@ from model.evaluation.results import SuiteResult
 from model.evaluation.tables import Table, tables_of
 
 STATE_FILE = "state.json"
-_REVISION = 4
+_REVISION = 5
 KNOWN_WARNING = (
     "Checkpoints may have been trained on these scenes: the figures test the program, not the checkpoints."
 )
@@ -51,6 +52,7 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
     figures = out / "figures"
     shutil.rmtree(figures, ignore_errors=True)
     figures.mkdir()
+    content["figures/overview.svg"] = standalone(overview_svg(result)).encode()
     for name, scene in rows.items():
         content[f"figures/{name}-all.png"] = encode_png(sheet(scene, COLUMNS, is_turned=False))
         content[f"figures/{name}-relighting.png"] = encode_png(sheet(scene, RELIGHTING, is_turned=True))

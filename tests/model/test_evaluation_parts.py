@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -20,8 +21,10 @@ from model.evaluation.baselines import maps_files
 from model.evaluation.lpips import Lpips
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.metrics import common_exposure, image_figures, means, psnr_db, shown, ssim
+from model.evaluation.overview import overview_svg, standalone
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.evaluation.room import TestScene
 from model.evaluation.scenery import added_lights, level_place
 from model.evaluation.suite import ModifiedLight, describe_suite, read_suite
 from model.evaluation.tables import tables_of
@@ -87,6 +90,15 @@ def test_paper_suite_is_sound() -> None:
     ]
     assert not suite.may_be_known
     assert not read_suite(SMALL.parent / "reduced.yaml").may_be_known
+
+
+def test_a_scene_has_its_own_quality_of_judged_views() -> None:
+    suite = read_suite(SMALL)
+    scene = suite.scenes[0]
+    noisy = TestScene.model_validate({**scene.model_dump(), "judged": {"path_samples": 64}})
+    assert suite.judging(scene) == suite
+    assert suite.judging(noisy).truth == suite.judging(noisy).render == noisy.judged
+    assert suite.judging(noisy).methods == suite.methods
 
 
 # ---- meshes
@@ -303,3 +315,16 @@ def test_tables_contain_the_papers_figures(tmp_path: Path) -> None:
     write_results(_result(), {"veach-ajar": {"view-000": _view(0.5)}}, tmp_path)
     text = (tmp_path / "evaluation.md").read_text()
     assert "left out, no checkpoint at x" in text and "may have been trained" in text
+
+
+def test_chart_of_methods_has_their_figures() -> None:
+    """Panels begin at x = 104, 280, 456 (maps, 1e-4 to 1) and 632 (10 to 45 dB), and are 156 wide."""
+    views = {"path-000": {"psnr_srgb_db": 27.5}, "path-001": {"psnr_srgb_db": 27.5}}
+    result = _result()
+    method = result.scenes[0].methods[0].model_copy(update={"image_views": {"own": {"novel": views}}})
+    scene = result.scenes[0].model_copy(update={"methods": (method,)})
+    root = ElementTree.fromstring(standalone(overview_svg(result.model_copy(update={"scenes": (scene,)}))))
+    circles = [(float(c.get("cx", 0)), c.get("fill")) for c in root.findall(".//{*}circle")][1:]
+    at = [104 + 156 * (np.log10(0.02) + 4) / 4, 280 + 156 * 0.5, 456 + 156 * (np.log10(0.05) + 4) / 4, 710]
+    assert [x for x, _ in circles] == pytest.approx(at, abs=0.06)
+    assert [fill == "none" for _, fill in circles] == [False, False, False, True]
