@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """The Beckmann microfacet distribution as free functions on Dr.Jit arrays, stable in float32.
 
-Letters: ``alpha`` is the slope width (perceptual roughness squared, clamped to [:data:`MIN_ALPHA`, 1]); ``w``
-a unit direction in the local frame (z is the normal); ``h`` the half vector, *of any positive length*;
-``cos`` and ``sin`` are those of the angle between ``w`` and the normal, ``tan2`` the squared tangent of that
-between ``h`` and the normal. Sources: Walter et al. 2007 (D, G1), Heitz 2014 and Heitz & d'Eon 2014 (visible
-normals).
+Symbols: ``alpha`` is the slope width (perceptual roughness squared, clamped to [:data:`MIN_ALPHA`, 1]), ``w``
+a unit direction in the local frame (z is the normal), ``h`` the half vector *of any positive length*, ``cos``
+and ``sin`` the cosine and sine of the angle between ``w`` and the normal, ``tan2`` the squared tangent of the
+angle between ``h`` and the normal. Sources: Walter et al. 2007 (D, G1), Heitz 2014 and Heitz & d'Eon 2014
+(visible normals).
 
-Three measures keep float32 accurate down to alpha = 1e-3 (docs/bsdf.md has the errors, in eps):
+Three measures keep float32 accurate down to alpha = 1e-3 (docs/bsdf.md lists the errors, in eps):
 
 * tan^2 is computed from the tangential part of ``h``. ``wi.x + wo.x`` cancels exactly near the mirror
   direction, whereas 1 - cos^2 has no correct digit there (26 % error in D at alpha = 1e-3).
@@ -28,7 +28,7 @@ MIN_ALPHA = 1e-3
 MAX_TAN2 = 1e3
 """Beyond this tan^2 the density is below exp(-985) for every alpha <= 1: zero in float32."""
 MAX_EXPONENT = 100.0
-"""exp(-100) is zero in float32; capping the exponent keeps 0 * inf out of the derivatives."""
+"""Cap of the exponent, which keeps 0 * inf out of the derivatives; exp(-100) is negligible in float32."""
 MAX_COTANGENT = 10.0
 """1 + erf(a) is 2 to the last bit of float32 for a > 4; this bound avoids a division by zero at the normal.
 """
@@ -111,7 +111,7 @@ def visible_normal_pdf(w: Array, h: Array, alpha: Array) -> Array:
 
 
 def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
-    """Sample a unit half vector of density :func:`visible_normal_pdf` by ``sample`` in [0, 1]^2; w.z > 0.
+    """Sample a unit half vector with density :func:`visible_normal_pdf` by ``sample`` in [0, 1]^2; w.z > 0.
 
     The surface is stretched to alpha = 1, slopes are drawn there, and the result is stretched back.
     """
@@ -133,7 +133,7 @@ def sample_visible_slopes(
     """Sample a visible slope (x, y) at alpha = 1, for a direction of azimuth 0 with this cosine and sine.
 
     Inverts the distribution function C(s) = 1 + erf(s) + tan exp(-s^2) / sqrt(pi) of Heitz & d'Eon 2014 by
-    ``num_steps`` of Newton's method in x = erf(s), starting at the inverse for grazing incidence.
+    ``num_steps`` Newton steps in x = erf(s), starting at the inverse for grazing incidence.
     """
     edge = 1.0 - 6e-8  # the last float32 below 1: erfinv stays finite
     u = dr.clip(sample.x, 6e-8, edge)

@@ -28,8 +28,8 @@ COLOR_ATTRIBUTES = ("diffuse_albedo", "specular_albedo")
 SCALAR_ATTRIBUTES = ("roughness",)
 DEFAULTS = {"diffuse_albedo": 0.5, "specular_albedo": 0.04, "roughness": 0.5}
 MIN_LOBE_PROBABILITY = 0.1
-"""Minimum probability of the specular lobe: bounds the sample weight by 10 where Fresnel rises at grazing
-angles."""
+"""Minimum probability of sampling the specular lobe, which bounds the sample weight by 10 at grazing angles,
+where Fresnel reflectance rises."""
 INVERSE_PI = 1.0 / math.pi
 
 
@@ -37,7 +37,7 @@ class CookTorrance(mi.BSDF):
     """BSDF of a Lambertian lobe and a Cook-Torrance lobe with Beckmann distribution.
 
     Parameters: ``diffuse_albedo``, ``specular_albedo`` (RGB or texture, linear, [0, 1]), ``roughness``
-    (number or texture, [0, 1]; an RGB texture gives its luminance), ``two_sided`` (default true).
+    (number or texture, [0, 1]; RGB textures are converted to luminance), ``two_sided`` (default true).
 
     Raises :class:`InputError` if a parameter contains NaN, Inf or a value outside its range. Values set later
     through ``mi.traverse`` are clamped at evaluation instead.
@@ -92,7 +92,7 @@ class CookTorrance(mi.BSDF):
             return beckmann.effective_albedo(getattr(self, name).eval(si, active))
         if name in SCALAR_ATTRIBUTES:
             return beckmann.effective_roughness(getattr(self, name).eval_1(si, active))
-        # As Mitsuba's BSDFs: an indirect call queries all BSDFs of a scene, even those without the attribute.
+        # As in Mitsuba's BSDFs, since an indirect call queries all BSDFs, also those without the attribute.
         return mi.Float(0.0)
 
     def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
@@ -155,7 +155,7 @@ class CookTorrance(mi.BSDF):
 
 
 class _Lobes:
-    """Diffuse and specular lobe at an interaction; computes what does not depend on ``wo`` once."""
+    """Diffuse and specular lobes at an interaction; terms independent of ``wo`` are computed once."""
 
     def __init__(self, bsdf: CookTorrance, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array):
         self.has_diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)

@@ -11,7 +11,7 @@ Two kinds of buffer, computed in one kernel with one thread per pixel:
   centres of pixel and lens, because means of depths or of ids would be meaningless.
 
 Samples are drawn from the filter's normalised absolute value by its inverse distribution function, with its
-sign as weight: no pixel writes into another, so any filter costs the same, without atomics. Emitters and the
+sign as weight. No pixel writes to another, so all filters cost the same and need no atomics. Emitters and the
 background are masked: surface_mask 0, ids 0, channels 0. Emitters keep their depth, because they occlude.
 Axis order of arrays: (H, W, C), row 0 at the top.
 """
@@ -86,7 +86,7 @@ class PixelFilter:
         return dr.lerp(low, high, position - mi.Float(cell))
 
     def variates_inside(self, pixel: Array, size: int) -> tuple[Any, Any]:
-        """Smallest and largest variate for samples of column or row ``pixel`` that are in [0, ``size``]."""
+        """Smallest and largest variate that places samples of column or row ``pixel`` in [0, ``size``]."""
         if not self.is_cut_off:
             return mi.Float(0.0), mi.Float(1.0)
         scale = self.TABLE_SIZE / (2.0 * self._radius)
@@ -136,7 +136,7 @@ def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
 
 @dataclass(frozen=True)
 class _RayResult:
-    """Sums along a ray of channels weighted by coverage; point and shape index of the first solid surface."""
+    """Coverage-weighted sums of channels along a ray; point and shape index of the first solid surface."""
 
     diffuse_albedo: Array
     specular_albedo: Array
@@ -158,7 +158,7 @@ def _empty_result(num_rays: int) -> _RayResult:
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
-    """Next interaction of a ray, whether the ray may pass through, and its result (coverage = opacity)."""
+    """Next interaction of a ray, whether the ray may pass through it, and its result (coverage = opacity)."""
     # Camera rays are coherent, which makes Embree's packets three times as fast.
     si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
     is_hit = active & si.is_valid()
@@ -180,7 +180,7 @@ def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _Ray
 
 
 def _trace(view: _View, ray: Any) -> _RayResult:
-    """Trace a camera ray to its first surface, through partly transparent surfaces from front to back."""
+    """Trace a camera ray from front to back through partly transparent surfaces to the first opaque one."""
     if not view.is_layered:
         return _trace_surface(view, ray, mi.Bool(True))[2]
 
@@ -206,7 +206,7 @@ def _trace(view: _View, ray: Any) -> _RayResult:
 
 
 def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, Any]:
-    """Filter-weighted sums over each pixel's samples, with point and shape at its centre; sums of weights.
+    """Filter-weighted sums over each pixel's samples, point and shape at its centre, and sums of weights.
 
     Sample 0 is the centre, so the scene's intersection code is compiled once, in a single symbolic loop.
     """
@@ -250,7 +250,7 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
 
 
 def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
-    """Buffers by name: unevaluated Dr.Jit arrays of H x W entries."""
+    """Buffers by name, as unevaluated Dr.Jit arrays of H x W entries."""
     index = dr.arange(mi.UInt32, view.width * view.height)
     row = index // view.width
     sums, weight = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
@@ -306,7 +306,7 @@ def render_material_buffers(
     They are float32 except for ``instance_id`` and ``material_id`` (uint32). The result also contains
     ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to (instance
     id, material id), or is a :class:`SceneMaterials`, which views can share; None numbers the shapes.
-    ``hide_emitters`` must be as in the beauty image's integrator. Raises :class:`InputError` if ``spp`` is
+    ``hide_emitters`` must equal that of the beauty integrator. Raises :class:`InputError` if ``spp`` is
     below 1, a shape's material has no D, S and R, or a shape is missing from ``ids``.
     """
     _check_spp(spp)

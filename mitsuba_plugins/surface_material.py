@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Looks up material channels and ids of a scene's shapes inside kernels, for ground-truth passes.
+"""Lookup of the material channels and ids of a scene's shapes in kernels, for ground-truth passes.
 
 A shape's material may be nested in wrappers (``mask``, ``normalmap``, ``twosided``), none of which forwards
 attributes in Mitsuba. The tree of wrappers is therefore traversed once per scene and converted to a Python

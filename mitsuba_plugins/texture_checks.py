@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks material parameters when a material is created: range, NaN, and whether textures need UVs.
+"""Checks of material parameters at the creation of a material: range, NaN, and whether textures need UVs.
 
 A NaN would spread through path sums and denoisers to whole tiles of an image; it is rejected here, where file
 and texel are known.

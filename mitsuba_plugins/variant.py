@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Chooses the Mitsuba variant and its LLVM library, once per process.
+"""Choice of the Mitsuba variant and its LLVM library, once per process.
 
 With LLVM 14 to 16, Mitsuba aborts the whole process ("Cannot select: fminimum"), which no exception handler
 can catch. The newest library is therefore chosen *before* mitsuba is imported, and an error that states the
@@ -51,7 +51,7 @@ class LlvmLibrary:
 
 
 def find_llvm_libraries() -> list[LlvmLibrary]:
-    """Shared libraries of LLVM in the usual folders of all platforms, newest first."""
+    """Shared LLVM libraries in the usual folders of all platforms, newest first."""
     found: dict[Path, LlvmLibrary] = {}
     folders = [Path(f) for f in SEARCH_FOLDERS] + sorted(Path("/usr/lib").glob("llvm-*/lib"))
     for folder in folders:

@@ -20,8 +20,8 @@ _REMEDY = "do not use this file"
 def check_archive(archive: zipfile.ZipFile, path: Path, budget: Budget) -> None:
     """Raise :class:`InputError` if the open zip file ``path`` is unsafe to unpack.
 
-    Refused are names that repeat or lead out of the archive, links, devices, encryption, compression methods
-    other than deflate, and more members or bytes than the ``budget`` allows.
+    It must not contain duplicate names, names that lead out of the archive, links, devices, encryption,
+    compression other than deflate, or more members or bytes than the ``budget`` allows.
     """
     budget.hold_file(path)
     members = archive.infolist()

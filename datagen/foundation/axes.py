@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Conversion of the axes and units of foreign files to metres with Z up."""
+"""Conversion of other programs' axes and units to metres with Z up."""
 
 from __future__ import annotations
 

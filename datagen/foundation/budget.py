@@ -47,9 +47,9 @@ _NOUNS: dict[LimitName, str] = {
 
 @dataclass(frozen=True)
 class Limits:
-    """Upper limits of the amounts that one import may use.
+    """Upper limits of the amounts used by one import. Raises :class:`InputError` for invalid limits.
 
-    A mesh counts as many triangles as it has faces or, if more, a third of its vertices.
+    A mesh is charged as many triangles as it has faces or, if more, a third of its vertices.
     """
 
     nodes: int = 200_000
@@ -87,10 +87,9 @@ class Limits:
 
 
 class Budget:
-    """Amounts that the import of the file ``where`` has used, and their limits.
+    """Amounts used by the import of the file ``where``, and their limits.
 
-    Readers report the size of input by :meth:`hold`, and charge output by :meth:`spend` before they allocate
-    it.
+    Readers report the size of input by :meth:`hold`, and charge output by :meth:`spend` before allocation.
     """
 
     def __init__(self, where: str | Path, limits: Limits | None = None):
@@ -104,7 +103,7 @@ class Budget:
             sys.setrecursionlimit(max(sys.getrecursionlimit(), calls))
 
     def hold(self, num_bytes: int) -> None:
-        """Add bytes of input; limits that depend on the size of the input increase."""
+        """Add bytes of input, which raises the limits that depend on the size of the input."""
         self._held += num_bytes
 
     def hold_file(self, path: Path) -> None:
@@ -134,7 +133,7 @@ class Budget:
             raise self.exceeded(what, total, at)
 
     def check_depth(self, depth: int, at: str = "") -> None:
-        """Raise :class:`InputError` if ``depth`` levels, at position ``at``, exceed the limit of nesting."""
+        """Raise :class:`InputError` if ``depth`` levels, at position ``at``, exceed the nesting limit."""
         if depth > self.limits.depth:
             raise self.exceeded("depth", depth, at)
 

@@ -154,11 +154,11 @@ STATISTICS_BUFFERS = _names("statistics")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 """Buffers of a complete view; ``beauty_noisy`` and :data:`LIGHT_BUFFERS` are optional."""
 LIGHT_BUFFERS = _names("statistics", is_optional=True)
-"""Buffers of the light that a configuration's views record, enabled by ``statistics.light`` of the recipe."""
+"""Buffers of the light recorded by a configuration's views, enabled by the recipe's ``statistics.light``."""
 MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}
-"""R of the hypothetical surface whose reflected radiance a buffer stores."""
+"""Roughness R, by buffer, of the hypothetical surface whose reflected radiance the buffer stores."""
 MIN_COVERAGE = 0.5
-"""Minimum ``surface_mask`` of a surface pixel; below it, most of the colour is not the surface's."""
+"""Minimum ``surface_mask`` of a surface pixel; below it, other content dominates the colour."""
 
 
 def get_buffer(name: str) -> Buffer:
@@ -170,7 +170,7 @@ def get_buffer(name: str) -> Buffer:
 
 
 def split_channels(values: NDArray[Any], names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Views into ``values`` (..., C) by buffer; C is the sum of the buffers' numbers of channels."""
+    """Split ``values`` (..., C) into array views by buffer; C is the sum of the buffers' channel counts."""
     ends = np.cumsum([get_buffer(name).num_channels for name in names])
     assert values.shape[-1] == ends[-1], (values.shape, names)
     return dict(zip(names, np.split(values, ends[:-1], axis=-1), strict=True))
@@ -179,7 +179,8 @@ def split_channels(values: NDArray[Any], names: Sequence[str]) -> dict[str, NDAr
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Return the mask (H, W) of a view's surface pixels, from its buffers (H, W, C) by name.
 
-    They have positive ``depth_z_m`` and ``surface_mask`` of at least ``MIN_COVERAGE``, each if present.
+    Their ``depth_z_m`` is positive and their ``surface_mask`` at least ``MIN_COVERAGE``; a missing buffer is
+    not tested.
     """
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The colour map of all images of scalars."""
+"""The colour map of all scalar images."""
 
 from __future__ import annotations
 

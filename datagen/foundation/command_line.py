@@ -52,7 +52,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 
 def run_command(app: Callable[[], object]) -> None:
-    """Run a command; errors that the user can correct print a message instead of a traceback.
+    """Run a command; for errors that the user can correct, print a message instead of a traceback.
 
     Exit codes: 2 for bad input, including inaccessible files; 1 for a full disk and, silently, a broken pipe.
     """

@@ -17,7 +17,7 @@ _OPENING = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{\]}]', re.S)
 
 def parse_json(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
     """Parse JSON. Raises :class:`InputError` for invalid JSON, too many values or too many levels."""
-    # an upper bound: every value but the first follows one of these characters, also in strings
+    # an upper bound: every value but the first follows one of these characters, which strings also contain
     count = 1 + text.count(",") + text.count("[") + text.count("{")
     budget.spend("values", count, "document")
     try:

@@ -38,7 +38,7 @@ class Problem:
 
 
 def _reworded_if_empty(problem: Problem) -> Problem:
-    """Return ``problem``, or one that states that its file is empty, which parsers report as bad syntax."""
+    """Return ``problem``, reworded if its file is empty, which parsers report as a syntax error."""
     if isinstance(problem, str):  # torch rebuilds a worker's error from its text
         return problem
     try:

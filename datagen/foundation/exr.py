@@ -2,7 +2,7 @@
 """Encoding and decoding of a view's buffers as one multi-layer OpenEXR file.
 
 Channels are named by the registry (``R, G, B`` for beauty, ``layer.channel`` for the rest), scan lines run
-top-down, and no timestamps are written: with one OpenEXR version, equal arrays give equal bytes.
+top-down, and no timestamps are written: with one OpenEXR version, equal arrays produce equal bytes.
 """
 
 from __future__ import annotations

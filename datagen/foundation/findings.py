@@ -5,7 +5,7 @@ from __future__ import annotations
 
 
 class Findings:
-    """Approximations and notes of an import: distinct sentences, in order of their addition."""
+    """Approximations and notes of an import: distinct sentences, in order of addition."""
 
     def __init__(self) -> None:
         self._approximations: dict[str, None] = {}

@@ -22,7 +22,7 @@ _SHORT = 200
 def fault_of(
     folder: Path, name: str, allowed: Sequence[Path] = (), *, is_folder: bool = False
 ) -> tuple[Path | None, str]:
-    """Resolve a name in an untrusted file: (real path, "") or, if it is refused, (None, reason).
+    """Resolve a name in an untrusted file; return (real path, "") or, if it is refused, (None, reason).
 
     The name is relative to ``folder`` and must lead into it or into one of ``allowed``. The target may be
     missing; otherwise it must be a regular file, or a folder if ``is_folder``.
@@ -30,7 +30,7 @@ def fault_of(
     name = name.replace("\\", "/")
     if not name:
         return None, "no name"
-    if not name.isprintable():  # a NUL ends a name for the system, not for Python
+    if not name.isprintable():  # the operating system ends a name at a NUL, Python does not
         return None, "not a valid file name"
     if _URI.match(name):
         return None, "a URI"
@@ -74,7 +74,7 @@ def named_file(
 
 
 def inside(root: Path, path: Path) -> Path:
-    """Return ``path``, a regular or missing file inside ``root`` with links followed.
+    """Return ``path`` if it is a regular or missing file inside ``root``, also after following links.
 
     Raises :class:`InputError` for any other path.
     """

@@ -20,15 +20,15 @@ ItemT = TypeVar("ItemT")
 
 
 def digest(*key: int | str) -> bytes:
-    """Return the SHA-256 of the parts of a key, with their types and lengths as separators."""
+    """Return the SHA-256 digest of a key's parts, delimited by their types and lengths."""
     text = "".join(f"{type(part).__name__}:{len(str(part))}:{part};" for part in key)
     return hashlib.sha256(text.encode()).digest()
 
 
 def weighted_item(items: Sequence[ItemT], weights: Sequence[float], number: float) -> ItemT:
-    """Return the item that a uniform ``number`` in [0, 1) selects, with probabilities by ``weights``.
+    """Return the item selected by a uniform ``number`` in [0, 1), with probabilities proportional to weights.
 
-    Raises ``ValueError`` unless a weight is positive.
+    Raises ``ValueError`` if no weight is positive.
     """
     cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
     if not cumulative[-1] > 0:
@@ -80,7 +80,7 @@ class Draws:
         return items[self.integer(0, len(items) - 1)]
 
     def weighted(self, items: Sequence[ItemT], weights: Sequence[float]) -> ItemT:
-        """Return an item with probability proportional to its weight; raises as :func:`weighted_item`."""
+        """Return an item with probability proportional to its weight; raises like :func:`weighted_item`."""
         return weighted_item(items, weights, self.unit())
 
     def shuffled(self, items: Sequence[ItemT]) -> list[ItemT]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Normals for meshes that have none: smooth where the surface bends gently, discontinuous at creases."""
+"""Vertex normals for meshes without normals: smooth on gently curved surfaces, discontinuous at creases."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def with_normals(mesh: Mesh) -> Mesh:
     cross = area_vectors(mesh.triangles())
     unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
     vertex = welded(mesh)[1][mesh.faces].ravel()
-    order = np.argsort(vertex, kind="stable")  # corners by vertex; corner k is of face k // 3
+    order = np.argsort(vertex, kind="stable")  # corners by vertex; corner k belongs to face k // 3
     start = np.concatenate([[0], np.cumsum(np.bincount(vertex))])
     size = (start[1:] - start[:-1])[vertex[order]]
     local = np.arange(len(order)) - start[:-1][vertex[order]]

@@ -105,7 +105,7 @@ def reachable_faces(
 ) -> NDArray[np.bool_]:
     """Return the mask (M,) of triangles hit by random rays from the points ``position_m`` (N, 3).
 
-    Their directions are cosine-distributed about the points' unit normals, ``normal`` (N, 3).
+    Directions are cosine-distributed about the points' unit normals, ``normal`` (N, 3).
     """
     import mitsuba as mi
 
@@ -130,7 +130,8 @@ def reachable_faces(
 def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
     """Return a sign (M,) per triangle: 1 if more pixels show its front than its back, -1 if fewer.
 
-    Its product with the normal points to the visible side. Without a majority, it is that of most triangles.
+    The sign times the normal points to the visible side. A triangle without a majority gets the sign of most
+    triangles.
     """
     balance = np.zeros(num_faces, dtype=np.int64)
     for view in views:
@@ -154,7 +155,7 @@ def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.i
     """Return the index (M,) of each triangle's smooth region.
 
     Triangles that share an edge belong to one region if their normals differ by less than ``max_angle_rad``,
-    for either winding. Vertices at equal positions count as one.
+    regardless of winding. Vertices at equal positions count as one.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

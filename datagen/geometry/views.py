@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reading of a capture's views and ray tracing of its mesh, the input of all stages of a reconstruction."""
+"""Reading of a capture's views and ray tracing of its mesh: the input of all reconstruction stages."""
 
 from __future__ import annotations
 

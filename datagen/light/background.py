@@ -6,8 +6,8 @@ leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depen
 finer bins (:data:`FAR`). Half of the views predict the background pixels of the other half, once by direction
 and once by position; light counts as near unless direction predicts clearly better (:data:`FAR_GAIN`). A
 bin's radiance is the median of its pixels, in :data:`FAR` their mean. An empty bin gets the radiance of the
-nearest filled one; the box's diagonal counts as :data:`PLACE_WEIGHT` radians. It counts as photographed at
-distances up to the layout's ``photographed_reach``, as estimated up to :data:`REACH`, else as unknown.
+nearest filled one, where the box's diagonal counts as :data:`PLACE_WEIGHT` radians. It is photographed at
+distances up to the layout's ``photographed_reach``, estimated up to :data:`REACH`, and unknown beyond.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from mitsuba_plugins.cells import cell_of
 
 REACH = 1.0
 MIN_PIXELS = 3
-"""Pixels that a bin needs to count as filled."""
+"""Minimum number of pixels in a filled bin."""
 PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
 """Light counts as far if the error by direction is below this share of the error by position."""
 JUDGED_PLACES = 24
-"""Squares along each side of a face of the box in :func:`is_far`, which bins directions as :data:`FAR`."""
+"""Number of squares along each side of a box face in :func:`is_far`."""
 _MIN_GAIN = 1e-3  # in ln radiance; rounding must not determine the result
 _MAX_PIXELS = 6000  # per view
 
@@ -209,7 +209,7 @@ def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
 def photographed_background(
     views: Sequence[TracedView], low: NDArray, high: NDArray, layout: Layout | None = None
 ) -> Background:
-    """The background of ``views`` outside the box with corners ``low`` and ``high`` (3,).
+    """Estimate the background outside the box with corners ``low`` and ``high`` (3,) from ``views``.
 
     If ``layout`` is None, :func:`is_far` chooses it."""
     pixels = outside_pixels(views)
@@ -235,7 +235,7 @@ def photographed_background(
 
 
 def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDArray[np.float64]:
-    """Points (N, 6) for distances between bins: position, in units in which the diagonal of the box is
+    """Points (N, 6) for distances between bins: position, scaled such that the box's diagonal is
     :data:`PLACE_WEIGHT`, and unit direction.
     """
     places = layout.places
@@ -251,7 +251,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
 
 
 def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Bins (K,) with at least :data:`MIN_PIXELS` of the colours, and their medians (K, 3) by channel."""
+    """Bins (K,) with at least :data:`MIN_PIXELS` pixels, and their median colours (K, 3), by channel."""
     order = np.argsort(bins, kind="stable")
     keys, first, num = np.unique(bins[order], return_index=True, return_counts=True)
     medians = np.empty((len(keys), 3), np.float32)
@@ -263,7 +263,7 @@ def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[
 
 
 def _means(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """As :func:`_medians`, but with means, which preserve the irradiance of skies with trees and clouds."""
+    """Like :func:`_medians`, but with means, which preserve the irradiance of skies with trees and clouds."""
     keys, of_pixel, num = np.unique(bins, return_inverse=True, return_counts=True)
     sums = [np.bincount(of_pixel, color[:, channel].astype(np.float64)) for channel in range(3)]
     enough = num >= MIN_PIXELS

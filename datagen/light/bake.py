@@ -112,7 +112,7 @@ class Baker:
         num_rays: int,
         seed: int = 0,
     ) -> SpecularShading:
-        """Specular shading of K observations, by ``num_rays`` rays each, from points (K, 3), normals (K, 3),
+        """Specular shading of K observations, from ``num_rays`` rays each, for points (K, 3), normals (K, 3),
         unit directions to the cameras ``view`` (K, 3) and ``roughness`` (K,)."""
         import drjit as dr
         import mitsuba as mi
@@ -142,8 +142,8 @@ class Baker:
         return self.field.meet(ray, active, sample, self.guide)
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """Sample a point of an emitter; return its local direction, radiance (0 if occluded), density [1/sr],
-        and whether it is visible from ``p``.
+        """Sample a point of an emitter; return its direction in ``frame``, radiance (0 if occluded), density
+        [1/sr], and whether it is visible from ``p``.
         """
         import drjit as dr
         import mitsuba as mi
@@ -201,7 +201,7 @@ def _rows(values: Any) -> NDArray[np.float32]:
 
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Five numbers in [0, 1) for sample ``index`` of ``count`` at point ``lane``, from a shifted lattice."""
+    """Return five numbers in [0, 1) for sample ``index`` of ``count`` at point ``lane``, from its lattice."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed)
@@ -218,7 +218,7 @@ def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, An
 
 
 def _shifted(step: Any, shift: Any) -> Any:
-    """``step`` plus a random 32-bit ``shift`` / 2^32, modulo 1."""
+    """Return ``step`` + ``shift`` / 2^32, modulo 1."""
     import drjit as dr
     import mitsuba as mi
 
@@ -227,7 +227,7 @@ def _shifted(step: Any, shift: Any) -> Any:
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
-    """The argument ``sample`` of :meth:`RadianceField.meet`; None without metals."""
+    """Return the argument ``sample`` of :meth:`RadianceField.meet`; None without metals."""
     import mitsuba as mi
 
     if baker.field.metals is None:
@@ -239,7 +239,7 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
 
 
 def _guide_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
-    """The arguments ``sample_1`` and ``sample_2`` of :meth:`BrightGuide.sample`."""
+    """Return the arguments ``sample_1`` and ``sample_2`` of :meth:`BrightGuide.sample`."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed + 15485863)

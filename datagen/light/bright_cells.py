@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Finds bright surfaces that rays seldom hit: lamps not marked in the geometry, and sunlit spots.
+"""Detection of small bright surfaces: lamps not marked in the geometry, and sunlit spots.
 
-Rays sampled from a lobe seldom hit a lamp of a few cells, which may be the source of most of a room's light.
-Each cluster of adjacent bright cells of one side is enclosed in a rectangle perpendicular to the side's axis,
-towards which directions are sampled (:mod:`datagen.light.bright_guide`).
+Rays sampled from a lobe seldom hit a lamp of a few cells, which may emit most of a room's light. So each
+cluster of adjacent bright cells of one side is enclosed in a rectangle perpendicular to the side's axis, and
+directions towards the rectangle are sampled (:mod:`datagen.light.bright_guide`).
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from datagen.light.cells import Cells, cell_indices
 BRIGHT = 10.0
 """Minimum luminance of a bright cell, relative to the median of all cells."""
 MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4
-"""Minimum relative variance that a sampled cluster adds to the result of a single ray, and maximum number of
-clusters. With a cluster's share s of the power and a of the area, the variance is s^2 (1 / a - 1).
+"""Minimum relative variance that a sampled cluster adds to the estimate from a single ray, and maximum number
+of clusters. A cluster with share s of the power and share a of the area adds the variance s^2 (1 / a - 1).
 """
 
 
 def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[BrightRectangle]:
-    """Rectangles of the clusters of bright ``cells`` that rays seldom hit, by decreasing variance.
+    """Rectangles around the clusters of bright ``cells`` that rays seldom hit, by decreasing variance.
 
     ``is_emitter`` (K,): whether each row of the cells' radiance belongs to an emitter; emitters are sampled
     separately.
@@ -52,7 +52,7 @@ def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[Brigh
 def _rectangle(
     cells: Cells, at: NDArray[np.int64], side: int, power: float, variance: float
 ) -> BrightRectangle:
-    """Rectangle that covers cells (K, 3) of one side, perpendicular to the side's axis at their median."""
+    """Rectangle over the cells ``at`` (K, 3) of one ``side``, perpendicular to its axis at their median."""
     axis, is_upper = side // 2, side % 2 == 1
     low = cells.low + at.min(axis=0) * cells.cell_m
     high = cells.low + (at.max(axis=0) + 1) * cells.cell_m
@@ -76,5 +76,5 @@ def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArr
 
 
 def apart_by_side(at: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Points (K, 4) of cells ``at`` (K, 3) for neighbour searches, far apart for different ``side`` (K,)."""
+    """Points (K, 4) for neighbour searches among cells ``at`` (K, 3), with different sides (K,) far apart."""
     return np.column_stack([at, side * 4 * int(at.max() + 1)])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Sampling of directions towards rectangles around bright surfaces (:mod:`datagen.light.bright_cells`).
 
-Rectangles are sampled in proportion to their estimated light at the point. A sampled ray returns the radiance
-of the surface that it hits, so rectangles affect only the noise; the balance heuristic combines it with rays
-of the other techniques.
+A rectangle is chosen with probability proportional to its estimated light at the point. A sampled ray returns
+the radiance of the surface that it hits, so rectangles affect only the noise. The balance heuristic combines
+such rays with those of other techniques.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_ROWS, _NORMAL, _MIDDLE, _SQUARES, _POWER = 7, 3, 4, 5, 6  # vectors of a rectangle on the device
+_ROWS, _NORMAL, _MIDDLE, _SQUARES, _POWER = 7, 3, 4, 5, 6  # vectors per rectangle, and indices of some
 _MIN_FACING = 0.05  # minimum cosine at a rectangle, also for points not in front of it
 
 
@@ -40,7 +40,7 @@ class BrightRectangle:
 
 
 class BrightGuide:
-    """Samples directions towards ``rectangles``, inside kernels."""
+    """Samples directions towards ``rectangles`` in Dr.Jit kernels."""
 
     def __init__(self, rectangles: Sequence[BrightRectangle]):
         import mitsuba as mi
@@ -75,7 +75,7 @@ class BrightGuide:
         return [share / total for share in found]
 
     def sample(self, p: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any]:
-        """Sample a direction from ``p`` by numbers in [0, 1) and [0, 1)^2; also return its density [1/sr]."""
+        """Sample a direction from ``p`` and its density [1/sr] by random numbers in [0, 1) and [0, 1)^2."""
         import drjit as dr
         import mitsuba as mi
 

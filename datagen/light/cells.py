@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Cells with the radiance of surfaces: those of the surfels, larger ones that enclose them, and larger ones
-outside their grid.
+"""Grid cells that store surface radiance: those of the surfels, larger cells that enclose them, and larger
+cells outside the surfels' grid.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
 NUM_LEVELS = 3
 """Number of cell sizes: one, two and four times the side of the surfels' cells."""
 OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
-"""Side of the cells outside the surfels' grid, and distance to which they extend beyond it, both in sides of
-the surfels' cells; the distance is the diagonal of the photographed box."""
+"""Side of the cells outside the surfels' grid, and distance to which they extend beyond it, both relative to
+the side of the surfels' cells. The distance equals the diagonal of the photographed volume."""
 
 
 @dataclass(frozen=True)
 class Cells:
     """A grid of C cells with six sides each, of which K have radiance.
 
-    ``index`` (6 C,): row of each cell side in ``radiance`` (K, 3) and ``is_photographed`` (K,), -1 for none;
-    ``low`` corner (3,), ``cell_m`` side and ``shape`` (3,) of the grid.
+    ``index`` (6 C,): row of each cell side in ``radiance`` (K, 3) and ``is_photographed`` (K,), -1 for none.
+    ``low`` (3,): lower corner of the grid in metres; ``cell_m``: side of a cell; ``shape`` (3,): cells along
+    each axis.
     """
 
     index: NDArray[np.int32]
@@ -70,8 +71,8 @@ def side_of(normal: NDArray) -> NDArray[np.int64]:
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Keys (N,) of the cell sides at points (N, 3) with normals (N, 3): in the surfels' grid, else in the
-    larger cells around it, with keys after those of the grid, else -1.
+    """Keys (N,) of the cell sides at points (N, 3) with normals (N, 3), -1 outside all cells; the keys of the
+    larger cells around the surfels' grid follow those of the grid.
     """
     keys = cell_keys(grid, position_m, normal)
     around = cell_keys(_outer_grid(grid), position_m, normal)
@@ -79,7 +80,7 @@ def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArr
 
 
 def _outer_grid(grid: CellGrid) -> CellGrid:
-    """Grid of larger cells that extends beyond the surfels' grid."""
+    """Grid of larger cells that covers the surfels' grid and its surroundings."""
     margin = -(-OUTER_MARGIN_CELLS // OUTER_CELLS)
     side_m = OUTER_CELLS * grid.cell_m
     shape = -(-grid.shape // OUTER_CELLS) + 2 * margin
@@ -87,7 +88,7 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 
 def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
-    """Larger cells that extend beyond ``grid``, with the estimated ``radiance`` (N, 3) of their first point;
+    """Larger cells in and around ``grid``, with the estimated ``radiance`` (N, 3) of each one's first point;
     None if they contain no point.
     """
     outer = _outer_grid(grid)
@@ -102,7 +103,7 @@ def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: 
 
 
 def pyramid(cells: Cells) -> list[Cells]:
-    """Return ``cells``, and grids of two and four times their side with the mean radiance of cells inside."""
+    """Return ``cells`` and grids with cells of two and four times the side, with the mean radiance inside."""
     levels = [cells]
     occupied = np.flatnonzero(cells.index >= 0)
     at, side = cell_indices(occupied, cells.shape)

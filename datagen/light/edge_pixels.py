@@ -2,18 +2,18 @@
 """Radiance of surfels that are visible only at depth edges, where a pixel shows several surfaces.
 
 Let x be the radiance of the surface at the centre of pixel p, a_p the share of the pixel that it covers, and
-b_p the radiance of everything else in the pixel times its share: the pixel has the radiance L = a_p x + b_p.
+b_p the radiance of everything else in the pixel times its share. The pixel has the radiance L = a_p x + b_p.
 Rays through the pixel estimate a_p and b_p: other surfaces have the radiance of their surfels, the outside
 that of nearby empty pixels. The result is
 
     x_p = (L - b_p) / a_p,
 
-whose standard error is that of a_p times the radiance behind, b_p / (1 - a_p), over a_p: before a bright
-sky it exceeds the radiance of a dark slat many times. So x_p is shrunk towards the median of its surfel, and
-that towards the median of a block of the same smooth region, each weighted by the inverse variance and
-compared with the variation that texture may have. Since a mesh with errors predicts its edges badly, 1 - a_p
-and b_p are multiplied by a slope, the median of (L - X) / (a_p X + b_p - X) over edge pixels of surfels whose
-radiance X is known from pixels without edges.
+whose standard error is that of a_p times b_p / (1 - a_p), the radiance behind the surface, over a_p. In front
+of a bright sky, it is many times the radiance of a dark slat. So x_p is shrunk towards the median of its
+surfel, and this median towards that of a block of the same smooth region, by the ratio of the variance to
+that of texture. Since an inaccurate mesh predicts its edges badly, 1 - a_p and b_p are multiplied by a slope:
+the median of (L - X) / (a_p X + b_p - X) over edge pixels of surfels whose radiance X is known from pixels
+without edges.
 """
 
 from __future__ import annotations
@@ -37,24 +37,25 @@ from datagen.light.surfels import Surfels, build_surfels, weighted_medians
 RAYS = 16
 """Rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
 SHARE_ERROR = 0.04
-"""Standard error of a_p, from the number of rays here and of samples in the photographed pixel."""
+"""Standard error of a_p, due to the finite numbers of rays here and of samples in the photographed pixel."""
 TEXTURE = 0.5
-"""Standard deviation of the radiance in a block and in a surfel, relative to its median."""
+"""Assumed standard deviation of the radiance within a block or surfel, relative to the median."""
 BLOCK_CELLS = 20
-"""Side, in cells, of the blocks whose median stands for a surfel of few or uncertain pixels."""
+"""Side, in cells, of the blocks towards whose median surfels with few or uncertain pixels are shrunk."""
 MIN_SHARE = 0.1
-"""Minimum of a_p in the division."""
+"""Lower bound of the divisor a_p."""
 WINDOW, MIN_SPREAD = 9, 0.01
-"""Side in pixels of the window of the regression for the outside's radiance, and variance of the shares at
+"""Side in pixels of the regression window for the radiance of the outside, and variance of the shares at
 which the regression and the nearest empty pixel have equal weight."""
 SAMPLED_EVERY = 7
-"""Of edge pixels far from mixed surfels, which matter only for the slope, one in this number is used."""
+"""Sampling interval of the edge pixels far from mixed surfels, which affect only the slope."""
 MIN_CONTRAST = 0.2
-"""Minimum difference between X and the predicted L, relative to the larger one, of pixels for the slope."""
+"""Minimum difference between X and the predicted L, relative to the larger one, of pixels used for the
+slope."""
 _TINY = 1e-30  # avoids 0 / 0 where nothing is behind, at any exposure
 EXACT_SLOPE = 0.9
-"""Minimum slope of an exact mesh: the development rooms have 0.90 to 1.04 with their own meshes, 0.25 to 0.84
-with worse ones."""
+"""Minimum slope of an exact mesh: development rooms have 0.90 to 1.04 with exact meshes and 0.25 to 0.84 with
+inaccurate ones."""
 PRIOR_PIXELS = 1000
 """Number of pixels of sufficient contrast at which the measured slope and the prior, 1, have equal weight."""
 
@@ -102,10 +103,10 @@ def unmixed(
 def edge_slope(
     color: NDArray, share: NDArray, other: NDArray, known: NDArray, is_known: NDArray[np.bool_]
 ) -> float:
-    """Slope, in [0, 1], of the ``color`` (K, 3) of edge pixels against its prediction (module docstring).
+    """Slope, in [0, 1], of the ``color`` (K, 3) of edge pixels against their prediction (module docstring).
 
-    The prediction is ``share`` (K,) times the own surface's radiance ``known`` (K, 3), valid where
-    ``is_known`` (K,), plus ``other`` (K, 3). Returns 1 if no pixel has sufficient contrast.
+    The prediction is ``share`` (K,) times the radiance ``known`` (K, 3) of the pixel's own surface, valid
+    where ``is_known`` (K,), plus ``other`` (K, 3). Returns 1 if no pixel has sufficient contrast.
     """
     own = known @ LUMINANCE_WEIGHTS
     expected = share * own + other @ LUMINANCE_WEIGHTS - own
@@ -126,8 +127,8 @@ def _shrunk(
     own: NDArray,
     variance: NDArray,
 ) -> NDArray[np.float64]:
-    """Radiance (K, 3), at least 0, of pixels of the surfels ``owner`` (K,), from the estimates ``own`` (K, 3)
-    whose luminance has the ``variance`` (K,).
+    """Shrink the estimates ``own`` (K, 3), with luminance ``variance`` (K,), of pixels of the surfels
+    ``owner`` (K,); the result (K, 3) is at least 0.
     """
     side_m = BLOCK_CELLS * surfels.grid.cell_m
     cell = np.floor((surfels.position_m - surfels.grid.low) / side_m).astype(np.int64)
@@ -141,8 +142,8 @@ def _shrunk(
 
 
 def _toward(center: NDArray, values: NDArray, variance: NDArray) -> NDArray[np.float64]:
-    """``values`` (K, 3), whose luminance has the ``variance`` (K,), shrunk towards ``center`` (K, 3), from
-    which they differ by :data:`TEXTURE`; at least 0.
+    """Shrink ``values`` (K, 3) with luminance ``variance`` (K,) towards ``center`` (K, 3), about which they
+    have the relative standard deviation :data:`TEXTURE`; the result (K, 3) is at least 0.
     """
     spread = np.square(TEXTURE * (center @ LUMINANCE_WEIGHTS))
     weight = (spread / (spread + variance))[:, None]
@@ -168,7 +169,7 @@ def _edge_pixels(surfels: Surfels, index: int, view: TracedView) -> NDArray[np.i
 def _parts(
     field: RadianceField, view: TracedView, pixel: NDArray[np.int64], region_of_face: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Shares a_p (K,) and radiances b_p (K, 3), see the module's docstring, of pixels by flat index (K,).
+    """Shares a_p (K,) and radiances b_p (K, 3) of the pixels with flat indices (K,) (module docstring).
 
     Surfaces of unknown radiance count as the pixel's own.
     """
@@ -230,7 +231,7 @@ def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDAr
     """Radiance (K, 3) of the outside at the pixels with flat indices (K,); None without empty pixels.
 
     Radiance is regressed on ``share`` (H, W), the part of each pixel without surface, in a window around the
-    pixel, and evaluated at 1. Where shares hardly vary, the colour of the nearest empty pixel is used.
+    pixel, and evaluated at share 1. Where shares hardly vary, the colour of the nearest empty pixel is used.
     """
     from scipy.ndimage import distance_transform_edt, uniform_filter
 
@@ -256,7 +257,7 @@ def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDAr
 
 
 def _medians(owner: NDArray, values: NDArray, weight: NDArray, num: int) -> NDArray[np.float32]:
-    """Median (``num``, 3) by channel of each owner's ``values`` (K, 3), weighted by ``weight`` (K,)."""
+    """Channel-wise medians (``num``, 3) of each owner's ``values`` (K, 3), with weights ``weight`` (K,)."""
     order = np.argsort(owner, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=num))]).astype(np.int64)
     return weighted_medians(start, values[order].astype(np.float32), weight[order].astype(np.float32))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Emitters of a room: emissive triangles, their photographed radiance, and their sampling.
 
-The capture's geometry may mark emitters; others are found where the radiance of a surface exceeds what an
-albedo of 1 could reflect (``model.reconstruction.light.lamps``). The triangles of one smooth region form one
+The capture's geometry may mark emitters; others are detected where the radiance of a surface exceeds that of
+a white surface (``model.reconstruction.light.lamps``). The emissive triangles of one smooth region form one
 emitter with the median radiance of its pixels.
 """
 
@@ -61,7 +61,7 @@ def photographed_emitters(
 ) -> Emitters:
     """Emitters of the triangles in the mask ``emits`` (M,), one per smooth region of ``region_of_face`` (M,).
 
-    The radiance is 0 if the views show less than :data:`MIN_PIXELS` pixels of the emitter.
+    The radiance is 0 if the views show fewer than :data:`MIN_PIXELS` pixels of the emitter.
     """
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
@@ -88,7 +88,7 @@ def photographed_emitters(
 
 
 class EmitterSampler:
-    """Samples points on emitters in proportion to their power, inside kernels."""
+    """Samples points on emitters in Dr.Jit kernels, in proportion to power."""
 
     def __init__(self, emitters: Emitters):
         import drjit as dr
@@ -124,7 +124,7 @@ class EmitterSampler:
         dr.eval(self._corner, self._edge_u, self._edge_v, self._normal, self._radiance, self._area_pdf)
 
     def sample(self, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """Sample a point on an emitter: its position, normal, radiance and density by area [1/m^2]."""
+        """Sample a point of an emitter; return its position, normal, radiance and density by area [1/m^2]."""
         import drjit as dr
         import mitsuba as mi
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Fits gains of estimated light to the surfaces that it illuminates.
 
-Rays that leave the room outside all photographs, or that hit unphotographed surfaces, have estimated
+Rays that leave the room in unphotographed directions, or that hit unphotographed surfaces, have estimated
 radiance. Estimates of similar position and direction form K groups with one unknown gain each. The irradiance
-of surfel i is E_i + sum_k g_k F_ik, with E_i its known part and F_ik the estimate of group k. The albedo of a
+of surfel i is E_i + sum_k g_k F_ik, with E_i its known part and F_ik the estimate of group k. The albedo in a
 smooth region r is nearly constant. With residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik), ln g minimises
 
     sum_i huber(e_i - mean of e in r(i)) + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
@@ -26,18 +26,17 @@ from datagen.light.cells import side_of
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 MAX_SURFELS, RAYS = 16_000, 96
-"""Number of surfels used in the fit, and of rays per surfel."""
+"""Approximate maximum number of surfels used in the fit, and number of rays per surfel."""
 ROOM_PARTS = 5
-"""Number of parts of the room along its longest side; surfaces in one part and of one orientation share a
-gain."""
+"""Number of parts of the room along its longest side; surfaces of one part and orientation share a gain."""
 MIN_SHARE, MAX_GROUPS = 0.002, 96
-"""Minimum mean share of the surfels' irradiance for fitting a group's gain, and maximum number of fitted
-groups."""
+"""Minimum mean share of the surfels' irradiance that a group with a fitted gain contributes, and maximum
+number of such groups."""
 SURFELS_A_SAMPLE = 10.0
 """Number of neighbouring surfels that count as one sample, since their errors are correlated."""
 PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
-"""Strengths of the priors, in samples: a gain equals the mean of its kind (outside or inside); that mean is
-1; a region's albedo equals the room's."""
+"""Strengths, in samples, of the priors that a gain equals the mean of its kind (outside or inside), that this
+mean is 1, and that a region's albedo equals the room's."""
 MAX_LOG_GAIN = 2.5
 HIDDEN_GAIN = 4.0
 """Estimates with a larger gain are attributed to an unphotographed lamp."""
@@ -45,7 +44,7 @@ MAX_REFLECTED = 1.1
 """Maximum ratio of radiance to Ld of a white surface, including noise."""
 _HUBER = 0.25  # threshold, in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
-_MIN_REST = 0.02  # share of the irradiance, whose separately sampled parts need not add up to it
+_MIN_REST = 0.02  # minimum known share of the irradiance: separately sampled parts may exceed the whole
 NUM_OUTSIDE = max(layout.num_gains for layout in (NEAR, FAR))
 NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 
@@ -75,7 +74,7 @@ def background_groups(layout: Layout) -> NDArray[np.int64]:
 
 
 def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> NDArray[np.int64]:
-    """Group (N,), from :data:`NUM_OUTSIDE` on, of surface positions (N, 3) with normals (N, 3)."""
+    """Gain groups (N,), at least :data:`NUM_OUTSIDE`, of surface positions (N, 3) with normals (N, 3)."""
     grid = surfels.grid
     side_m = grid.cell_m * float(grid.shape.max()) / ROOM_PARTS
     part = np.floor((position_m - grid.low) / side_m).astype(np.int64)
@@ -122,7 +121,7 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGai
 
 
 def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Mean (N,) of samples (K,) in each surfel's ``region`` (N,); without samples the overall mean."""
+    """Mean (N,) of ``values`` (K,) in each surfel's ``region`` (N,), or of all values where it has none."""
     num = int(region.max()) + 1
     count = np.bincount(sampled_region, minlength=num)
     total = np.bincount(sampled_region, values, num)
@@ -174,7 +173,7 @@ def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np
 
 
 def with_gains(background: Background, gains: NDArray) -> Background:
-    """The background with its estimated, not its photographed, radiance multiplied by ``gains`` by group."""
+    """Multiply the estimated, not the photographed, radiance of ``background`` by the ``gains`` by group."""
     is_estimated = background.is_known & ~background.is_photographed
     factor = np.where(is_estimated, gains[background_groups(background.layout)], 1.0)[:, None]
     return replace(background, radiance=(background.radiance * factor).astype(np.float32))

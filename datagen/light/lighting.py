@@ -22,19 +22,20 @@ from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1
-"""Minimum share of known light for extrapolation to all light."""
+"""Lower bound of the known share of light, by which known light is divided to extrapolate to all light."""
 MIN_SHADING = 1e-3
 """Share of the room's median shading below which a diffuse albedo is undetermined."""
 MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
-"""Number of surfels whose rays search for unphotographed surfaces, and of rays per surfel."""
+"""Approximate maximum number of surfels, and number of rays per surfel, that search for unphotographed
+surfaces."""
 MAX_RATIO_SURFELS = 8000
-"""Number of surfels from whose reflectance the room's mean is computed."""
+"""Approximate maximum number of surfels from which the room's typical reflectance is computed."""
 MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
-"""Rays per mixed surfel for the bound on its radiance, and known shares of its light below which the bound
-has no effect and above which it has its full effect."""
+"""Rays per mixed surfel for the bound on its radiance, and the known shares of its incident light at which
+the bound starts to act and acts fully."""
 ESTIMATE_ROUNDS = 5
-"""Number of bounces between unphotographed surfaces, one per round. The first round assumes unknown light to
-be as bright as known light; from the fifth on, the mean changes by less than 2 %."""
+"""Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
+light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""
 _MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
 
 
@@ -44,7 +45,7 @@ class GatherOptions:
 
     Rays per surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, and ``estimate_rays``
     for unphotographed surfaces. ``smoothing_neighbours``: number of surfels over which shading is smoothed.
-    ``estimates_unseen``: whether unphotographed surfaces get the mean reflectance; ``fits_estimates``:
+    ``estimates_unseen``: whether the radiance of unphotographed surfaces is estimated; ``fits_estimates``:
     whether gains of the estimates are fitted. ``bounds_mixed``: whether the radiance of mixed surfels is
     bounded by their incident light.
     """
@@ -85,8 +86,8 @@ def light_surfels(
     """Compute the surfels of the views and their incident light.
 
     ``emits`` (M,): mask of the emissive triangles; ``region_of_face`` (M,): smooth region of each triangle.
-    ``step`` returns a context manager for each stage by name. ``unseen`` returns all emitters from the light
-    without unphotographed ones.
+    ``step`` returns a context manager for the stage of a given name. ``unseen`` determines all emitters from
+    the light of the photographed ones. Raises ``ValueError`` if the views show no extended surface.
     """
     with step("surfels"):
         surfels = build_surfels(views)
@@ -116,9 +117,9 @@ def light_surfels(
 
 
 def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
-    """Bound the radiance of mixed surfels by their incident light, to the degree to which that is known.
+    """Bound the radiance of mixed surfels by their incident light; the bound weakens with its unknown share.
 
-    Otherwise a slat of a blind that is one pixel wide would have the radiance of the sky behind it.
+    Otherwise, a blind's slat that is one pixel wide would have the radiance of the sky behind it.
     ``unmixed`` computes light in the field without mixed surfels.
     """
     mixed = np.flatnonzero(surfels.is_mixed)
@@ -166,10 +167,10 @@ def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
 def _estimated(
     scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
 ) -> tuple[RadianceField, NDArray[np.float64]]:
-    """Radiance field with estimates for unphotographed surfaces, and the share (N,) of each surfel's light
-    that is due to unphotographed lamps.
+    """Return the radiance field with estimates for unphotographed surfaces, and the share (N,) of each
+    surfel's light that comes from unphotographed lamps.
 
-    The estimate is the room's mean reflectance times the incident light times the fitted gain.
+    The estimate is the room's typical reflectance times the incident light times the fitted gain.
     """
     position, facing = _unknown_surface(scene_field, surfels, size_m)
     extended = scene_field
@@ -193,7 +194,7 @@ def _estimated(
 
 
 def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:
-    """A position and normal (K, 3) for each cell without radiance that the surfels' rays hit."""
+    """Find a position and normal (K, 3) in each cell of unknown radiance that the surfels' rays hit."""
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
     origin, normal = surfels.position_m[::step], surfels.normal[::step]
     ray = cosine_rays(origin, normal, ESTIMATE_RAYS_A_SURFEL, Baker(scene_field, size_m).start_m, seed=0)
@@ -204,7 +205,7 @@ def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float
 
 
 def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) -> NDArray[np.float64]:
-    """Median reflectance (3,), pi L / E, of surfels in mostly photographed light; 0.4 without any."""
+    """Median reflectance pi L / E (3,) of surfels in mostly photographed light; 0.4 if there are none."""
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)
     used = (lit.photographed > 0.8) & (lit.diffuse.min(axis=1) > 0)
@@ -215,7 +216,7 @@ def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) ->
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
-    """Weighted means (N, K) of ``values`` (N, K) over ``neighbours`` near surfels with similar normals."""
+    """Gaussian means (N, K) of ``values`` (N, K) over the nearest ``neighbours`` with similar normals."""
     distance, index = near_surfels(surfels, neighbours)
     weight = np.exp(-0.5 * (distance / 1.5) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Incident radiance of a photographed room, as one Dr.Jit function of a ray.
+"""Radiance along rays in a photographed room, evaluated by Dr.Jit kernels on CPU and CUDA.
 
 A ray that hits an emitter returns the emitter's radiance. A ray that hits another surface returns the
-radiance of the surfel there or, if there is none, of the enclosing cell of twice or four times the size. A
+radiance of the surfel there or, without a surfel, of the enclosing cell of twice or four times the size. A
 ray that leaves the mesh returns the background in its direction. Unphotographed radiance is estimated
 (:meth:`RadianceField.extended`) or unknown. At detected metals, whose radiance towards the cameras differs
-from that along the ray, rays are reflected once (:meth:`RadianceField.with_metals`). Everything runs on CPU
-and CUDA from one source.
+from that along the ray, rays are reflected once (:meth:`RadianceField.with_metals`).
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 MIN_COSINE = 0.02
-"""Minimum cosine of the angle between normal and direction to the viewer; smaller ones are raised to it."""
+"""Lower bound to which the cosine between normal and view direction is clamped."""
 
 
 class Met(NamedTuple):
-    """Result of a ray: ``radiance``, 0 unless ``is_known``; ``is_photographed`` is False for estimates.
+    """Result of tracing a ray: ``radiance`` is 0 unless known; ``is_photographed`` is False for estimates.
 
-    If ``is_front_of_emitter``, then ``face`` is the emitter's triangle, and ``cosine`` that of the angle
-    between its normal and the ray.
+    ``face`` is the triangle hit; ``distance_m`` is infinite for a miss. ``cosine``, between the emitter's
+    normal and the reversed ray, is valid only if ``is_front_of_emitter``.
     """
 
     radiance: Any
@@ -56,7 +55,7 @@ class Met(NamedTuple):
 
 @dataclass(frozen=True)
 class Metals:
-    """Metals of the field. Arrays have a row for each of the K rows of ``Cells.radiance``.
+    """Specular parameters of a field's metals, for each of the K rows of ``Cells.radiance``.
 
     ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). ``start_m`` is the offset of reflected
     rays from the surface.
@@ -83,8 +82,8 @@ class Estimated(NamedTuple):
 
 
 class _End(NamedTuple):
-    """End of a ray: result, row of the cell's radiance or -1, position, normal towards the ray, and whether
-    the ray leaves the mesh.
+    """Endpoint of a ray: its result ``met``, the ``row`` of the cell's radiance (-1 for none), position,
+    normal facing the ray's origin, and whether the ray ``leaves`` the mesh.
     """
 
     met: Met
@@ -97,7 +96,8 @@ class _End(NamedTuple):
 class RadianceField:
     """Radiance along rays in ``scene``, from ``surfels``, ``emitters`` and ``background``.
 
-    ``cells`` (default: those of the surfels) may include estimates; ``outer``: larger cells beyond them.
+    ``cells`` (default: those of the surfels) may include estimates; ``outer`` are larger cells outside their
+    grid. ``metals`` reflect rays once.
     """
 
     def __init__(
@@ -142,8 +142,8 @@ class RadianceField:
         )
 
     def _lookup(self, position: Any, normal: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """Radiance of the surface at ``position`` on the side of ``normal``, whether it is known and
-        photographed, and the row of the finest cell (-1 for none).
+        """Look up the radiance of the surface at ``position`` with ``normal``, whether it is known, whether
+        it is photographed, and the row of the finest cell (-1 for none).
         """
         import drjit as dr
         import mitsuba as mi
@@ -169,8 +169,8 @@ class RadianceField:
     def meet(self, ray: Any, active: Any, sample: Any = None, guide: BrightGuide | None = None) -> Met:
         """Trace ``ray`` into the field.
 
-        ``sample`` is needed with metals only: a point in [0, 1)^2 for the half vector of the reflection, and
-        the random numbers of :meth:`BrightGuide.sample` for ``guide``.
+        Only a field with metals needs ``sample``: a point in [0, 1)^2 that selects the half vector, and the
+        random numbers of ``guide``, which samples further reflected rays towards bright surfaces.
         """
         import drjit as dr
         import mitsuba as mi
@@ -245,7 +245,7 @@ class RadianceField:
         return _End(met, row, si.p, normal, missed)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray]:
-        """Positions (K, 3) and normals (K, 3), towards the rays, of hits on surfaces of unknown radiance."""
+        """Return positions (K, 3) and ray-facing normals (K, 3) of hits on surfaces of unknown radiance."""
         import drjit as dr
         import mitsuba as mi
 
@@ -259,7 +259,7 @@ class RadianceField:
         return position, normal
 
     def estimated(self, ray: Any) -> Estimated:
-        """Rays among ``ray`` whose radiance is an estimate."""
+        """Select the rays whose radiance is estimated."""
         import drjit as dr
         import mitsuba as mi
 
@@ -278,8 +278,8 @@ class RadianceField:
     def extended(
         self, position_m: NDArray, normal: NDArray, surfels: Surfels, radiance: NDArray
     ) -> RadianceField:
-        """Return a field with estimated ``radiance`` (K, 3) of unphotographed surfaces added, at positions
-        (K, 3) with normals (K, 3), also outside the surfels' grid."""
+        """Return a field that adds the estimated ``radiance`` (K, 3) of unphotographed surfaces at positions
+        (K, 3) with normals (K, 3), inside or outside the grid of the surfels."""
         keys = cell_keys(surfels.grid, position_m, normal)
         inside = keys >= 0
         outer = outer_cells(surfels.grid, position_m[~inside], normal[~inside], radiance[~inside])
@@ -304,7 +304,7 @@ class RadianceField:
         is_metal: NDArray[np.bool_],
         start_m: float,
     ) -> RadianceField:
-        """Return a field that reflects rays at the metals among the ``surfels``.
+        """Return a field in which metallic ``surfels`` reflect rays.
 
         Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,). ``start_m`` offsets
         the origins of reflected rays.
@@ -321,7 +321,7 @@ class RadianceField:
 
 
 def schlick_weight(cosine: Any) -> Any:
-    """(1 - ``cosine``)^5 of Schlick's Fresnel term, where ``cosine`` is wi.h."""
+    """Schlick's Fresnel weight (1 - ``cosine``)^5, where ``cosine`` is wi.h."""
     import drjit as dr
 
     m = dr.clip(1.0 - cosine, 0.0, 1.0)
@@ -337,7 +337,7 @@ def lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:
 
 
 def _side(normal: Any) -> Any:
-    """Cell side of a normal, consistent with :func:`surfels.cell_of`."""
+    """Index, from 0 to 5, of the cell side of a normal, consistent with :func:`surfels.cell_of`."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Surfels: the photographed surfaces of a room as cells of about 2.5 cm, with all observations of each.
 
-Letters: V views, N surfels, M observations (a surfel in a view), C cells. Space is divided into cubic cells,
-each split into six sides by the axis nearest to the normal, which separates the two faces of a wall. A surfel
-is an occupied side of a cell. Its observation in a view is the weighted mean of the view's pixels in it; its
-radiance is the weighted median over the views. Surfels are numbered by cell, whatever the order of the views.
-Colours are linear and share one exposure.
+There are V views, N surfels, M observations (a surfel in a view) and C cells. Space is divided into cubic
+cells, each with six sides, one for each signed axis nearest to a normal, to separate the two faces of a wall.
+A surfel is an occupied side of a cell. Its observation in a view is the weighted mean of the view's pixels in
+it; its radiance is the weighted median over the views. Surfels are numbered by cell, independently of the
+order of the views. Colours are linear and share one exposure.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ CELLS_ACROSS = 300
 MIN_CELL_PIXELS = 1.0
 """Minimum side of a cell in pixels at the median depth; many views would have no pixel in smaller cells."""
 MAX_EDGE_SHARE = 0.5
-"""Share of a surfel's pixels at depth edges above which it is mixed. Not higher, since no edge is detected
-between two slats of a blind, which are in one plane."""
+"""Share of pixels at depth edges above which a surfel is mixed. A higher share would miss slats of a blind,
+between which no edge is detected since they are coplanar."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
-"""Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
-1."""
+"""Weight of a pixel at a crease, at a depth edge, where surfaces mix, or clipped; others have weight 1."""
 _MAX_EXTENT = 1.25  # of the grid, relative to the central 98 % of the pixels; pixels beyond are ignored
 
 
@@ -40,8 +39,8 @@ _MAX_EXTENT = 1.25  # of the grid, relative to the central 98 % of the pixels; p
 class CellGrid:
     """Grid of cubic cells.
 
-    ``low`` (3,) corner in metres, ``cell_m`` side, ``shape`` (3,) cells along the axes, and ``surfel`` (C *
-    6,) index of the surfel in each cell and side, -1 for none.
+    ``low`` (3,): lower corner in metres; ``cell_m``: side of a cell; ``shape`` (3,): cells along each axis;
+    ``surfel`` (6 C,): index of the surfel at each cell side, -1 for none.
     """
 
     low: NDArray[np.float64]
@@ -59,9 +58,9 @@ class CellGrid:
 class Observations:
     """M observations of the surfels, ordered by surfel and then by view.
 
-    The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight``
-    (M,), the number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`; ``normal`` (M, 3),
-    the mean over the pixels: on a chair leg or a tap, views from different sides show different normals.
+    The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``view`` (M,): index; ``radiance``
+    (M, 3); ``weight`` (M,): sum of the pixels' weights (:data:`EDGE_WEIGHT`); ``normal`` (M, 3): mean over
+    the pixels, since views from different sides of a chair leg or a tap show different normals.
     """
 
     start: NDArray[np.int64]
@@ -75,10 +74,10 @@ class Observations:
 class Surfels:
     """Surfels of a room.
 
-    ``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,) triangle,
-    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether most of its pixels are at depth edges,
-    where other surfaces contribute to the radiance, ``camera_m`` (V, 3) positions of the cameras. Per
-    view: ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
+    ``position_m`` (N, 3): point on the surface; ``normal`` (N, 3): unit, facing the cameras; ``face`` (N,):
+    triangle; ``radiance`` (N, 3): median over views; ``is_mixed`` (N,): whether most of its pixels are at
+    depth edges, where other surfaces contribute to the radiance; ``camera_m`` (V, 3): camera positions.
+    Per view: ``pixel_surfel`` (P,), index of each pixel's surfel, -1 for none, and ``pixel_weight`` (P,).
     """
 
     grid: CellGrid
@@ -100,7 +99,7 @@ class Surfels:
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.observations.start))
 
     def directions(self, surfel: NDArray, view: NDArray) -> Floats32:
-        """Unit directions (K, 3) from the surfels of indices ``surfel`` (K,) to the cameras ``view`` (K,)."""
+        """Unit directions (K, 3) from surfels to cameras, with indices ``surfel`` (K,) and ``view`` (K,)."""
         toward = self.camera_m[view] - self.position_m[surfel]
         return toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9)
 
@@ -231,8 +230,8 @@ def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
 
 @compiled
 def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
-    """Cell side (P,) of each pixel, -1 for none, its weight (P,), and whether it is at a depth edge (P,);
-    ``clipped`` is (P,) or empty.
+    """Return the cell side (P,) of each pixel, -1 for none, its weight (P,), and whether it is at a depth
+    edge (P,); ``clipped`` is (P,) or empty.
     """
     width, height = int(camera[16]), int(camera[17])
     cell = np.full(width * height, -1, np.int32)
@@ -272,9 +271,9 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
 
 @compiled
 def _observe_view(cell, weight, at_edge, color, normal, depth, camera, low, cell_m, shape, surfel, num):
-    """Surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), the pixel (K,)
-    nearest to the cell centre with its squared distance (K,), the numbers (K, 2) of all pixels and of those
-    at depth edges, and the unit mean normal (K, 3).
+    """Return the surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), the pixel
+    (K,) nearest to the cell centre with its squared distance (K,), the numbers (K, 2) of all pixels and of
+    those at depth edges, and the normalised mean normal (K, 3).
     """
     sums = np.zeros((num, 6), np.float32)
     total = np.zeros(num, np.float32)
@@ -331,7 +330,7 @@ def _gathered(
     pixel_surfel: tuple[NDArray[np.int32], ...],
     pixel_weight: tuple[Floats32, ...],
 ) -> Surfels:
-    """Observations of all views ordered by surfel, and a surface point of each surfel."""
+    """Merge the observations of all views, ordered by surfel, and choose a surface point of each surfel."""
     num = int(grid.surfel.max()) + 1
     surfel, radiance, weight, pixel, distance, pixels, facing = map(np.concatenate, zip(*seen, strict=True))
     view = np.repeat(np.arange(len(views), dtype=np.int32), [len(part[0]) for part in seen])
@@ -363,7 +362,7 @@ def _gathered(
 def weighted_medians(start, values, weight):
     """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
 
-    It is the value at which the cumulative weight exceeds one half; if one half is met exactly, the mean of
+    It is the value at which the cumulative weight exceeds half of the total; if it equals half, the mean of
     that value and the next.
     """
     num = len(start) - 1
@@ -386,9 +385,9 @@ def weighted_medians(start, values, weight):
 
 
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distances in cells, and indices, (N, min(num, N)) each, of the nearest surfels with similar normals.
+    """Distances, in cells, and indices of the nearest surfels with similar normals, (N, min(num, N)) each.
 
-    The first is the surfel itself.
+    The first neighbour is the surfel itself.
     """
     cell = surfels.grid.cell_m
     tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Light recorded by the views of a room, per pixel, as input of networks.
 
-Letters: N surfels, M observations. All values derive from the views' colours and the mesh, never from the
-ground truth, so they agree between datasets (``datagen run --only stats``) and captures (``materials
+N is the number of surfels, M of observations. All values derive from the views' colours and the mesh, never
+from the ground truth, so they agree between datasets (``datagen run --only stats``) and captures (``materials
 infer``). Irradiance is computed per surfel and mirror reflections per observation; pixels interpolate between
 the surfels around them on their side of the surface.
 """
@@ -22,16 +22,16 @@ from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, s
 from datagen.multiview.compiled import compiled
 
 GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24, fits_estimates=False)
-"""Fewer rays than in the reconstruction and no fitted gains, since inputs of a network may be noisy."""
+"""Fewer rays than in the reconstruction and no fitted gains, since network inputs may be noisy."""
 MIRROR_RAYS = 6
 """Rays per observation and roughness; few, since pixels average several observations."""
 _MIRROR_SEED = 23
 
 
 class ViewLight:
-    """Light of all views; :meth:`buffers` evaluates one view.
+    """Computes the light of all views; :meth:`buffers` returns that of one view.
 
-    ``emits`` (M,): mask of the emissive triangles. The result does not depend on the order of the views.
+    ``emits``: mask of the emissive triangles. The result does not depend on the order of the views.
     Raises ``ValueError`` if the views show no extended surface.
     """
 
@@ -47,7 +47,7 @@ class ViewLight:
         self._min_diffuse = MIN_SHADING * float(np.median(self._lit.diffuse))
 
     def _mirrored(self, roughness: float) -> NDArray[np.float32]:
-        """Ls0 (M, 3) of every observation at ``roughness``."""
+        """Specular term Ls0 (M, 3) of every observation at ``roughness``, extrapolated to all light."""
         surfels = self._lit.surfels
         owner = surfels.surfel_of_observation()
         position, normal = surfels.position_m[owner], surfels.normal[owner]
@@ -57,10 +57,10 @@ class ViewLight:
         return shading.ls0 / np.maximum(shading.known, MIN_KNOWN)[:, None]
 
     def buffers(self, index: int, color_median: NDArray) -> dict[str, NDArray[np.float32]]:
-        """:data:`~datagen.foundation.buffers.LIGHT_BUFFERS` of view ``index``, (H, W, 3 or 1); 0 without
-        surface.
+        """Return the :data:`~datagen.foundation.buffers.LIGHT_BUFFERS` (H, W, 3 or 1) of view ``index``.
 
-        ``color_median`` (H, W, 3) is the median over views of each pixel's point.
+        They are 0 without a surface. ``color_median`` (H, W, 3) is the median colour of each pixel's surface
+        point over all views.
         """
         place = self._place[index]
         view, surfels = self._views[place], self._lit.surfels
@@ -84,7 +84,7 @@ class ViewLight:
 def _interpolated(
     depth, normal, own, camera, low, cell_m, shape, surfel, row_of, of_surfel, of_observation
 ):  # fmt: skip
-    """Values (P, K + J) at P pixels, interpolated from those of surfels (N, K) and observations (M, J); 0
+    """Interpolate values of surfels (N, K) and observations (M, J) to P pixels; the result (P, K + J) is 0
     without a surfel.
     """
     num_first, num_second = of_surfel.shape[1], of_observation.shape[1]

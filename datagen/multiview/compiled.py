@@ -4,8 +4,8 @@
 Compiled functions release Python's global interpreter lock, and a thread pool runs them in parallel on
 separate parts of the data; Numba thus needs no threading layer in addition to torch's and Mitsuba's.
 Compilation takes seconds. Its result is cached next to the source or, if that folder is read-only, in the
-user's cache (``NUMBA_CACHE_DIR`` sets another folder). Numba compiles a function again if its module changes,
-but not if a function changes that it calls in another module; in that case, remove the ``__pycache__``.
+user's cache (``NUMBA_CACHE_DIR`` sets another folder). Numba recompiles a function if its module changes, but
+not if a function that it calls in another module changes; in that case, remove ``__pycache__``.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Multi-view colour statistics of every pixel: minimum, median and maximum over the best views.
 
-One Dr.Jit source runs on CPU and GPU and is compiled once for all views. For each pixel with a surface, its
+The Dr.Jit kernel runs on CPU and GPU and is compiled once for all views. For each pixel with a surface, the
 point p is unprojected from the view's depth, the views in which p is visible are ranked (``view_selection``),
-the colours of the best are fetched at p's projections, and each channel is sorted by a sorting network. The
-median of an even number of colours is the mean of the middle two. Pixels without a surface (nothing hit, an
-emitter, or less than half covered by reflecting surface), and pixels whose point is visible in no view, get
-their own colour and the count 0.
+the colours in the best views are fetched at p's projections, and each channel is sorted by a sorting network.
+The median of an even number of colours is the mean of the middle two. Pixels without a surface (nothing hit,
+an emitter, or less than half covered by reflecting surface), and pixels whose point is visible in no view,
+get their own colour and the count 0.
 
 Functions marked *traced* take and return Dr.Jit arrays.
 """
@@ -84,8 +84,8 @@ class StatisticsOptions:
     """Options of the statistics. Raises :class:`InputError` for invalid values.
 
     ``best_views``: maximum number k of views used for a pixel, in [4, 24]. ``include_self``: whether the
-    pixel's own view is one of the candidates. ``color_fetch``: whether the colour at a projection is that of
-    the nearest pixel, or interpolated between those of the nearest four pixels whose depths match.
+    pixel's own view is a candidate. ``color_fetch``: whether the colour at a projection is that of the
+    nearest pixel, or interpolated from those of the four nearest pixels whose depths match.
     """
 
     best_views: int = 12
@@ -116,12 +116,12 @@ def compute_statistics(
     progress: Callable[[int, int], Any] | None = None,
     only: Sequence[int] | None = None,
 ) -> Iterator[dict[str, NDArray[np.float32]]]:
-    """Iterate over the statistics of all views, or of those with indices ``only``: arrays by buffer name.
+    """Iterate over the statistics of all views, or of those with indices ``only``, as arrays by buffer name.
 
     ``color_min``, ``color_median``, ``color_max`` (H, W, 3) are scene-linear; ``observation_count`` is
     (H, W, 1). ``scene`` is needed only for visibility by ``trace``: a ``mi.Scene``, or any object whose
     ``ray_test(ray, active=mask)`` returns whether a ray is occluded. ``progress(done, total)`` is called
-    after each view. Input is checked at once; all faults are raised in one :class:`InputError`.
+    after each view. Input is checked before iteration; all faults are raised in one :class:`InputError`.
     """
     options = options or StatisticsOptions()
     problems = [problem for view in views for problem in view.problems()]
@@ -213,7 +213,7 @@ def choose_for_pixels(
     options: StatisticsOptions,
     scene: mi.Scene | None = None,
 ) -> tuple[mi.UInt32, mi.Point3f, Selection]:
-    """Packed indices, world points and chosen views of all pixels of view ``index``, by row (*traced*)."""
+    """Packed indices, world points and chosen views of the pixels of view ``index``, row-major (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -238,8 +238,7 @@ def _unproject(packed: PackedViews, view: mi.UInt32, pixel: mi.UInt32, depth: mi
     import mitsuba as mi
 
     at = project(packed, view, mi.Point3f(0, 0, 0))
-    # The last SIMD packet of a kernel has idle lanes, whose gathers return 0: dividing an integer by it
-    # crashes.
+    # In idle lanes of a kernel's last SIMD packet, gathers return 0, and an integer division by 0 crashes.
     width = dr.maximum(at.layout[1], 1)
     row = pixel // width
     x = (mi.Float(pixel - row * width) + 0.5 - at.intrinsics[2]) / at.intrinsics[0]
@@ -282,7 +281,7 @@ def _fetch_colors(
 def _fetch_bilinear(
     packed: PackedViews, at: Any, colors: mi.Float, options: VisibilityOptions, active: mi.Bool
 ) -> mi.Vector4f:
-    """Interpolate the colour between those of the four pixels around the projection that match its depth."""
+    """Interpolate the colours of those of the four pixels around the projection whose depths match."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Selects the views for the statistics of a point: the k of least cost in which it is visible.
+"""Selection of the views for a point's statistics: the k views of least cost in which it is visible.
 
-cost_i = -n . omega_i + d_ip / max_j d_jp, with j over all cameras and the letters of ``visibility``. Of views
-of equal cost, the lower index comes first, so the result does not depend on the scheduling of the kernel.
+cost_i = -n . omega_i + d_ip / max_j d_jp, with j over all cameras and the symbols of ``visibility``. Among
+views of equal cost, the lower index comes first, so the result does not depend on the kernel's scheduling.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OwnView:
-    """The view whose pixels the points are: chosen like a visible one if ``is_included``, else never."""
+    """The view whose pixels define the points: always a candidate if ``is_included``, else never."""
 
     index: mi.UInt32
     is_included: bool = True

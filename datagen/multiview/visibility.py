@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Visibility of points in views: kernels for projection and occlusion, and the views as packed arrays.
 
-Letters: p a world point with unit normal n, i a view, o_i its centre, omega_i the unit direction from p to
+Symbols: p is a world point with unit normal n, o_i the centre of view i, omega_i the unit direction from p to
 o_i, d_ip = |o_i - p|, (x, y, z) the point in view i's camera space, (u, v) its projection in pixels.
 
 Point p is visible in a view if it projects inside the image, n . omega_i > 0 and nothing occludes
 it. Occlusion is tested in one of two ways:
 
-- ``depth`` compares with the view's own depth buffer at the pixel that p projects into. With n' the normal in
-  camera space, one pixel along the image changes the depth of p's tangent plane by
+- ``depth`` compares z with the view's depth buffer at the pixel that p projects into. With n' the normal in
+  camera space, a step of one pixel changes the depth of p's tangent plane by
   z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)|, and p counts as visible if
   |z_buffer - z| <= tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
   The test is two-sided: if the buffer's depth is far *beyond* p, the pixel's centre misses p's surface, and
@@ -45,7 +45,7 @@ _MIN_TRACE_COSINE = 0.05  # otherwise, shadow rays at grazing angles would end f
 
 @dataclass(frozen=True)
 class VisibilityOptions:
-    """The occlusion test ``mode`` and its tolerances; the module's docstring has the formulas.
+    """The occlusion test ``mode`` and its tolerances; see the module's docstring for the formulas.
 
     ``depth_tolerance`` and ``slope_limit`` are relative to depth, ``slope_tolerance_px`` is in pixels,
     ``trace_tolerance`` is relative to the distance between camera and point. Raises :class:`InputError` for
@@ -73,7 +73,7 @@ class Projection(NamedTuple):
     """Projection of points into a view, and the view's camera (*traced*)."""
 
     rotation: mi.Matrix3f
-    """camera_from_world."""
+    """Rotation from world to camera space."""
     centre: mi.Point3f
     intrinsics: mi.Vector4f
     """fx, fy, cx, cy in pixels."""
@@ -87,7 +87,7 @@ class Projection(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """Visibility and projection of points in a view (*traced*); undefined unless ``is_visible``."""
+    """Visibility and projection of points in a view (*traced*); the pixel is defined only if visible."""
 
     is_visible: mi.Bool
     cosine: mi.Float
@@ -135,8 +135,8 @@ class PackedViews:
 def aligned_empty(size: int, dtype: Any) -> NDArray:
     """Flat, uninitialised array (``size``,) in memory aligned for packet loads, which Dr.Jit can share.
 
-    On the CPU, Dr.Jit uses NumPy's memory directly. If that is not aligned, Dr.Jit compiles another kernel
-    with scalar gathers instead of packet loads; the allocator would determine which kernel runs.
+    On the CPU, Dr.Jit uses NumPy's memory directly. If it is not aligned, Dr.Jit compiles another kernel with
+    scalar gathers instead of packet loads, so the allocator would determine which kernel runs.
     """
     num_bytes = size * np.dtype(dtype).itemsize
     memory = np.empty(num_bytes + _ALIGNMENT, dtype=np.uint8)
@@ -267,7 +267,7 @@ def _agrees_with_depth(
 
 
 def vectors_from_rows(rows: NDArray) -> Any:
-    """Convert an array (N, 3) to a ``mi.Vector3f``, such that kernels are the same for every N.
+    """Convert an array (N, 3) to a ``mi.Vector3f`` without a separate kernel for each N.
 
     ``mi.Vector3f(array)`` would make N a literal of the kernels.
     """
@@ -282,7 +282,7 @@ class PointObservations(NamedTuple):
     """Visibility and projections of N points in V views, as NumPy arrays."""
 
     visible_mask: NDArray[np.bool_]
-    """(V, N)."""
+    """(V, N), True where the point is visible."""
     pixels: NDArray[np.float32]
     """(V, N, 2), projections in pixels; NaN where not visible."""
     cosine: NDArray[np.float32]

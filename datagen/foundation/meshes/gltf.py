@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reader of glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree.
 
-Buffers and images may be files in the document's folder, data URIs or parts of the binary. Other files, Draco
-and unknown required extensions are refused.
+Buffers and images may be files in the document's folder, data URIs or parts of the binary chunk. Other files,
+Draco and unknown required extensions are refused.
 """
 
 from __future__ import annotations
@@ -394,7 +394,7 @@ def _indices(value: object) -> list[Any]:
 
 
 def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
-    """Return a node's (4, 4) transform: its matrix (stored by column), or translation x rotation x scale."""
+    """Return a node's (4, 4) transform: its column-major matrix, or translation x rotation x scale."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))

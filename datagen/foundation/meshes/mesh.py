@@ -17,7 +17,7 @@ LYING_COSINE = 0.01  # a normal within 0.6 degrees of its triangle's plane canno
 
 
 def area_vectors(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the normals (M, 3) of triangles, of twice their area in length, from corners (M, 3, 3)."""
+    """Return the normals (M, 3), with a length of twice the area, of triangles with corners (M, 3, 3)."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
@@ -266,7 +266,7 @@ def without_degenerate(mesh: Mesh) -> Mesh:
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
-    """Concatenate meshes to one, with normals and UVs only if every mesh has them."""
+    """Concatenate meshes into one, with normals and UVs only if every mesh has them."""
     starts = np.cumsum([0] + [len(m.positions) for m in meshes[:-1]])
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]).astype(np.int32)
     normals = [m.normals for m in meshes if m.normals is not None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reader of a Wavefront OBJ file as one mesh; polygons are split into fans of triangles.
+"""Reader of Wavefront OBJ files, each as one mesh; polygons are split into fans of triangles.
 
 Groups, materials and lines are ignored, as by Mitsuba's loader. Texture coordinate v points up.
 """
@@ -16,11 +16,14 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
 
-_BLOCK = 1 << 16  # lines split into words at once, which take ten times the memory of the lines
+_BLOCK = 1 << 16  # number of lines split into words at once; words take ten times the memory of lines
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read an OBJ file; vertices are distinct (position, uv, normal). Raises :class:`InputError` if bad."""
+    """Read an OBJ file; each distinct (position, uv, normal) becomes a vertex.
+
+    Raises :class:`InputError` for an invalid file.
+    """
     budget = budget or Budget(path)
     data = budget.read_file(path, "a readable OBJ file")
     positions: list[bytes] = []
@@ -70,7 +73,7 @@ def _block(lines: list[bytes], width: int, is_padded: bool) -> NDArray[np.float6
 
 
 def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.int64]:
-    """Split faces into triangles, and return their indices (M, 3 corners, 3) as :func:`corner_indices`."""
+    """Split faces into triangles; return their indices (M, 3 corners, 3) as in :func:`corner_indices`."""
     triangles: list[bytes] = []
     for face in faces:
         if len(face) < 3:
@@ -83,7 +86,7 @@ def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.in
 def corner_indices(corners: list[bytes], counts: tuple[int, ...]) -> NDArray[np.int64]:
     """Parse corners of faces (``7/8/9``) to zero-based indices (C, 3) of position, uv and normal; -1: none.
 
-    ``counts`` are the numbers of positions, uvs and normals. Raises ``ValueError`` for other indices.
+    ``counts`` are the numbers of positions, uvs and normals. Raises ``ValueError`` for invalid indices.
     """
     if not corners:
         return np.zeros((0, 3), np.int64)

@@ -49,7 +49,7 @@ def encode_ply(mesh: Mesh) -> bytes:
 
 
 def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read a PLY file. Raises :class:`InputError` as :func:`decode_ply` and for an unreadable file."""
+    """Read a PLY file. Raises :class:`InputError` if it is unreadable, or as :func:`decode_ply` does."""
     budget = budget or Budget(path)
     return decode_ply(budget.read_file(path, "a readable PLY file"), path, budget)
 
