@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks an asset package thoroughly: meshes, textures, lights and regions, beyond the schema.
+"""Thorough checks of an asset package, beyond the schema: meshes, textures, lights and regions.
 
 Errors make a package unusable. Warnings (non-manifold edges, flipped triangles) are errors only in strict
 mode, since most published scenes have some.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The library: asset packages in folders, by id, with kind, classes, category, licence and hash.
+"""The library: asset packages in folders, indexed by id, with kind, classes, category, licence and hash.
 
 Opening a library reads only descriptions (``asset.json``), neither meshes nor images.
 """
@@ -198,7 +198,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A row in the table of assets; ``detail`` is category, classes, time of day or a room's counts."""
+    """A row in the table of assets; ``detail``: category, classes, time of day, or counts of a room."""
 
     id: str
     kind: AssetKind

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommands ``plan``, ``run`` and ``estimate`` of ``datagen``; heavy modules are imported in them."""
+"""The subcommands ``plan``, ``run`` and ``estimate`` of ``datagen``; heavy modules are imported on use."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RecipeChanges:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run; without ``only``, all stages are run, and without ``unit``, all units."""
+    """Options of a run; without ``only``, all stages run; without ``unit``, all units."""
 
     only: Annotated[
         Literal["render", "stats", "pack", "index"] | None,
@@ -178,7 +178,7 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 
 
 def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    """Plan ``recipe`` into ``out`` and print a summary; ``base`` is the folder of its relative paths."""
+    """Plan ``recipe`` into ``out`` and print a summary; its paths are relative to the folder ``base``."""
     from datagen.farm.planning import create_plan, read_configurations
     from datagen.inspection.plan_summary import plan_summary
 

@@ -181,7 +181,7 @@ class PinholeFields(StrictModel):
 
 
 def lens_of(camera: Camera) -> dict[str, Any]:
-    """Image size and intrinsics of a camera as values of the fields of :class:`PinholeFields`."""
+    """Image size and intrinsics of a camera, as keyword arguments of :class:`PinholeFields`."""
     return {field: getattr(camera, field) for field in PinholeFields.model_fields if field != "name"}
 
 
@@ -216,7 +216,7 @@ class _AssetBase(StrictModel):
 class MaterialAsset(_AssetBase):
     """A material that can be assigned to any slot of a suitable class.
 
-    ``surfaces``: surfaces on which the material is usual; empty if its class alone decides.
+    ``surfaces``: surfaces on which the material is common; empty if only its class matters.
     """
 
     kind: Literal["material"] = "material"

@@ -44,7 +44,7 @@ def _check_slug(value: str) -> str:
 def _check_relative_path(value: str) -> str:
     parts = value.replace("\\", "/").split("/")
     if (
-        not value.isprintable()  # a NUL ends a name for the system, not for Python
+        not value.isprintable()  # the operating system ends a name at a NUL, Python does not
         or value.startswith(("/", "\\"))
         or ":" in value
         or any(p in ("", ".", "..") for p in parts)
@@ -97,7 +97,7 @@ Location = tuple[int | str, ...]
 """Keys and indices from the root of a file to a field."""
 
 
-# Bounded: nested YAML aliases give a small file a repr that could fill the memory.
+# Bounded, since the repr of a small file with nested YAML aliases could fill the memory.
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 120, 120
 
@@ -192,7 +192,7 @@ def read_yaml(model: type[ModelT], path: Path) -> ModelT:
 
 
 def differences(old: Any, new: Any, field: str = "") -> list[tuple[str, str, str]]:
-    """List each leaf in which two trees of plain data differ as short texts (field, old, new value)."""
+    """List the leaves that differ between two trees of plain data, as texts (field, old value, new value)."""
     if isinstance(old, dict) and isinstance(new, dict):
         found = []
         for key in dict.fromkeys((*old, *new)):
@@ -255,7 +255,7 @@ def quantized(value: float, digits: int = 9) -> float:
 
 
 def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
-    """Round the rows of a (4, 4) affine matrix to 12 significant digits; the last becomes exact."""
+    """Round a (4, 4) affine matrix to 12 significant digits, with an exact last row 0 0 0 1."""
     rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
     return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Captures: one representation for the views of a rendered configuration and of a photographed room.
 
-A capture is cameras, images and geometry. In memory it is a :class:`Capture`, whose images are read on
-demand; on disk ``capture.json`` (:class:`CaptureFile`) names images, cameras with their distortion, and the
+A capture consists of cameras, images and geometry. In memory it is a :class:`Capture`, whose images are read
+on demand; on disk, ``capture.json`` (:class:`CaptureFile`) lists images, cameras with distortion, and the
 mesh. World: metres, right-handed, Z up; ``foundation.cameras`` defines the other conventions. Images are (H,
 W, 3), linear Rec.709, row 0 at the top; all views of a capture share one exposure.
 """
@@ -31,7 +31,7 @@ class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
     ``brown``: k1 k2 p1 p2 k3 k4 k5 k6; ``polynomial``: k1 k2 p1 p2 k3 k4 without a denominator, where k4 is
-    the coefficient of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. Missing ones are 0.
+    the coefficient of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. The default is 0.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]
@@ -48,8 +48,8 @@ class Distortion(StrictModel):
 class PhotographRecord(StrictModel):
     """One photograph and its calibrated camera, before undistortion.
 
-    ``image``: path, absolute or relative to ``capture.json``. ``exposure_scale``: factor of the linear image
-    that brings it to the common exposure of all views.
+    ``image``: path, absolute or relative to ``capture.json``. ``exposure_scale``: factor that scales the
+    linear image to the common exposure of all views.
     """
 
     camera: ViewCamera
@@ -149,7 +149,7 @@ class CaptureGeometry:
             raise ValueError("expected the parts to contain every face once")
 
     def emitter_mask(self) -> NDArray[np.bool_]:
-        """Mask (M,) of the emitting triangles."""
+        """Mask (M,) of the emissive triangles."""
         mask = np.zeros(len(self.mesh.faces), dtype=bool)
         for part in self.parts:
             mask[part.first_face : part.first_face + part.num_faces] = part.emission is not None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Configurations: one room with objects, materials, lights and cameras, ready to render; readable JSON.
+"""Configurations: one room with objects, materials, lights and cameras, ready to render, as readable JSON.
 
 A configuration names every asset by id and content hash and contains all decisions: the renderer makes no
 random choice of content. A configuration is a pure function of (recipe, index, library).
@@ -96,7 +96,7 @@ class ViewCamera(PinholeFields):
 METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3
 """S (largest channel) above which a surface pixel counts as metal, and R below which it counts as glossy."""
 MIN_METAL_SHARE, MIN_GLOSS_SHARE = 0.06, 0.15
-"""Minimum shares of metal and of glossy surface pixels that training needs."""
+"""Minimum shares of metal and of glossy surface pixels, as required for training."""
 
 
 class ViewCoverage(StrictModel):

@@ -51,7 +51,7 @@ class SpotLight(StrictModel):
 class DirectionalLight(StrictModel):
     """Sunlight of ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``.
 
-    ``angular_diameter_rad``: diameter of the sun's disk; 0 gives sharp shadows.
+    ``angular_diameter_rad``: diameter of the sun's disk; 0 produces sharp shadows.
     """
 
     type: Literal["directional"] = "directional"

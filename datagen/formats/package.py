@@ -46,7 +46,7 @@ _MODELS: dict[str, type[AnyAsset]] = {
     "panorama": PanoramaAsset,
 }
 ZIP_SUFFIX = ".zip"
-_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can store; constant for deterministic bytes
+_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest time of the zip format; constant for deterministic bytes
 _MESH_SUFFIXES = (".ply",)
 _TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
@@ -84,7 +84,7 @@ class Package:
         return tuple(sorted({name for _, name in referenced_files(self.asset)}))
 
     def local_file(self, name: str) -> Path:
-        """Path on disk of a file of the package; a zip's member is unpacked on demand, until :meth:`close`.
+        """Path on disk of a file of the package; a zip's member is unpacked, and removed by :meth:`close`.
 
         Raises :class:`InputError` if the zip's member cannot be read.
         """
@@ -292,7 +292,7 @@ FileSource = bytes | Path
 def package_in_memory(asset: AnyAsset, files: Mapping[str, bytes]) -> tuple[bytes, Package]:
     """Zip an asset and its files in memory; returns the zip's bytes and the package opened from them.
 
-    Equal content gives equal bytes. Raises :class:`InputError` if a file that the asset names is missing.
+    Equal content produces equal bytes. Raises :class:`InputError` if a file that the asset names is missing.
     """
     sink = io.BytesIO()
     _write_zip(sink, {ASSET_FILE: canonical_json(asset), **files})
@@ -314,11 +314,11 @@ def write_package(
     overwrite: bool = False,
     validate: Callable[[Package], None] | None = None,
 ) -> Package:
-    """Write a package atomically and open it. A path that ends in ``.zip`` makes a zip.
+    """Write a package atomically and open it. If the path ends in ``.zip``, the package is a zip.
 
     ``files`` maps names inside the package to bytes or to files on disk; it must contain every file that the
     asset names and may contain more (a licence text, a preview). ``validate`` is called with the package
-    before it gets its final path, and may raise. Equal content gives equal zip bytes. Raises
+    before it gets its final path, and may raise. Equal content produces equal zip bytes. Raises
     :class:`InputError` if ``path`` exists and ``overwrite`` is not set, or if a named file is missing from
     ``files``.
     """
@@ -381,7 +381,7 @@ def _write_zip(target: Path | io.BytesIO, content: Mapping[str, FileSource]) -> 
         for name in sorted(content):
             info = zipfile.ZipInfo(name, _ZIP_TIME)
             info.external_attr = (stat.S_IFREG | 0o644) << 16
-            info.create_system = 3  # Unix: otherwise the field depends on the system that made the zip
+            info.create_system = 3  # Unix: otherwise the field depends on the system that writes the zip
             # images are compressed already
             stored = name.lower().endswith(_TEXTURE_SUFFIXES)
             info.compress_type = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED

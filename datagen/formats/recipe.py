@@ -66,10 +66,10 @@ class EnvironmentRecipe(AssetFilter):
 class ObjectRecipe(AssetFilter):
     """Objects to place, ``count`` per configuration. ``category_weights`` default to 1 for each category.
 
-    ``library_weights``: relative probability (default 1) that an object is from a folder of ``library``, by
-    the folder's name there, to draw a few custom objects often despite a large library. If empty, all folders
-    form one pool. ``min_gap_m``: minimum distance between objects; ``max_attempts``: maximum number of
-    candidate placements per object.
+    ``library_weights``: relative probability (default 1) that an object is drawn from a folder of
+    ``library``, by its entry there, so that a few custom objects are drawn often despite a large library. If
+    empty, all folders form one pool. ``min_gap_m``: minimum distance between objects; ``max_attempts``:
+    maximum number of candidate placements per object.
     """
 
     count: CountRange = (8, 20)
@@ -82,7 +82,7 @@ class ObjectRecipe(AssetFilter):
 class Variation(StrictModel):
     """Weights of two modes of assigning materials, one of which is drawn for each configuration.
 
-    ``likely``: combinations of materials and colours that such surfaces have in real rooms.
+    ``likely``: combinations of materials and colours that are common in real rooms.
     ``wild``: any material of a class that suits the slot, in any colour that the class may have.
     """
 

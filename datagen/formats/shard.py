@@ -2,8 +2,8 @@
 """Shards: WebDataset tar files with deterministic bytes, one configuration each, and the dataset's index.
 
 A shard contains ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order,
-after ``__meta__/configuration``: WebDataset skips names in such folders, Hugging Face's `datasets` skips
-names without a suffix. Headers are USTAR with fixed owner, mode and time. Before result revision 8 that
+after ``__meta__/configuration``: WebDataset skips names in such folders, and Hugging Face's `datasets` skips
+names without a suffix. Headers are USTAR with fixed owner, mode and time. Before result revision 8, the first
 member was called ``__meta__/configuration.json``; such shards can still be read.
 """
 
@@ -29,7 +29,7 @@ from datagen.foundation.paths import inside
 
 CONFIGURATION_MEMBER = "__meta__/configuration"
 CONFIGURATION_MEMBERS = (CONFIGURATION_MEMBER, "__meta__/configuration.json")
-"""The member's current name, and its name in older shards."""
+"""Current name of the member that contains the configuration, and its name in older shards."""
 INDEX_FILE = "index.json"
 MAX_MEMBER_BYTES = 2 << 30
 _REMEDY = "make the shard again (remove it and rerun), or restore the file"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Configuration of an environment package alone, with its materials, lights and cameras."""
+"""Configuration made of a single environment package, with its materials, lights and cameras."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 
 
 def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Configuration:
-    """Configuration of an environment package alone; its cameras are named ``view_000`` onwards, in order.
+    """Configuration made of a single environment package; its cameras are named ``view_000``, ``view_001``...
 
     ``content_hash``: the package's SHA-256. Raises :class:`InputError` if it has no camera.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Format of ``<view>.json``, the metadata of a view's EXR file: camera, buffers, names of ids, and rendering.
+"""Format of ``<view>.json``, the metadata of a view's EXR file: camera, buffers, names by id, and rendering.
 
 It contains nothing that depends on the machine's speed or the clock, so a view has the same bytes on every
 machine; timings are in the unit's manifest.

@@ -15,7 +15,7 @@ _REMEDY = "make the shard again"
 
 @dataclass(frozen=True)
 class ViewPlace:
-    """Offsets and sizes in bytes of a view's two members in a tar."""
+    """Offset and size, in bytes, of each of a view's two members in a shard's tar."""
 
     shard: Path
     name: str

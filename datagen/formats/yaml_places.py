@@ -13,7 +13,7 @@ _MERGE = "<<"
 
 
 class YamlPlaces:
-    """Function from a field's location in a validation error to its position in a YAML document."""
+    """Callable that maps a field's location in a validation error to its position in a YAML document."""
 
     def __init__(self, path: Path, text: str):
         self.path = path
@@ -22,7 +22,7 @@ class YamlPlaces:
     def __call__(self, location: tuple[int | str, ...]) -> str:
         """``FILE:LINE:COLUMN`` of a field, or of its parent if it is missing.
 
-        Parts that are no keys are skipped: pydantic adds the chosen type of a union to locations.
+        Parts that are not keys are skipped, since pydantic adds the chosen type of a union to locations.
         """
         mark, node = (self._root.start_mark if self._root is not None else None), self._root
         for part in location:
@@ -61,7 +61,7 @@ def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
 
 
 def _merged(node: MappingNode) -> Iterator[Node]:
-    """The mappings merged by ``<<``."""
+    """Mappings that ``<<`` merges into ``node``."""
     for key, value in node.value:
         if key.value == _MERGE:
             yield from value.value if isinstance(value, SequenceNode) else (value,)

@@ -21,8 +21,8 @@ class TracedView:
     """A view of a capture, with the surfaces at its pixel centres (``geometry``).
 
     ``color`` (H, W, 3), linear radiance; ``valid_mask`` (H, W), False at pixels without a photographed value;
-    ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None if there is no such pixel;
-    ``limit``, the radiance at which the sensor clips, None if unknown.
+    ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None without a known limit; ``limit``,
+    the radiance at which the sensor clips, None if unknown.
     """
 
     camera: Camera

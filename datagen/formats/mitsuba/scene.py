@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Parser of Mitsuba XML scenes (versions 0.5 to 3.x) into plain nodes: variables, includes, aliases and
-references are resolved, camelCase names of old files converted to snake_case, transforms become matrices.
+references are resolved, camelCase names of old files converted to snake_case, and transforms to matrices.
 
 Plugins are interpreted by the modules that use the nodes. DOCTYPE, entities, circular includes and includes
-outside the scene's folder are refused. References turn the tree into a graph, whose expanded size is counted
-before any of it is expanded.
+outside the scene's folder are refused. References turn the tree into a graph, whose expanded size is checked
+before it is expanded.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def parse_scene(
 ) -> MitsubaScene:
     """Parse a scene file; includes may come from its folder and from the ``allowed`` folders.
 
-    ``defines``: values of variables (``$name``), which override the file's. Raises :class:`InputError` with
-    every problem.
+    ``defines``: values of variables (``$name``), which override the file's defaults. Raises
+    :class:`InputError` with every problem.
     """
     return _Parser(path, dict(defines or {}), budget or Budget(path), allowed).parse()
 
@@ -223,9 +223,7 @@ class _Parser:
         self.check_graph(scene)
 
     def check_graph(self, scene: SceneNode) -> None:
-        """Refuse circular references, and graphs whose expanded size is too large. Each node is visited once,
-        however often it is referenced.
-        """
+        """Refuse circular references and graphs whose expanded size is too large; visit each node once."""
         sizes: dict[int, int] = {}
         depths: dict[int, int] = {}
         for start in (scene, *self.by_id.values()):

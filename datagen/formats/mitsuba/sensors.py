@@ -23,7 +23,7 @@ MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
-    """Up axis of a scene: the axis closest to its first sensor's up direction; y without a sensor."""
+    """Up axis of a scene: y or z, whichever is closer to the first sensor's up vector; y without a sensor."""
     for sensor in scene.all_of("sensor"):
         up = np.asarray(sensor.get("to_world", np.eye(4)))[:3, 1]
         return "z" if abs(up[2]) > abs(up[1]) else "y"
@@ -33,7 +33,7 @@ def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
 def camera_of(
     node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
 ) -> AssetCamera:
-    """Pinhole camera of a sensor; aperture, crop and mirroring are dropped and added to ``findings``."""
+    """Pinhole camera of a sensor; ``findings`` collects the dropped aperture, crop and mirroring."""
     film = next(iter(node.children_of("film")), SceneNode("film", "hdrfilm"))
     width, height = int(film.get("width", 768)), int(film.get("height", 576))
     name = node.id or f"camera_{number}"
