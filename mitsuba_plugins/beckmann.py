@@ -26,14 +26,13 @@ import mitsuba as mi
 MIN_ALPHA = 1e-3
 """Minimum slope width: narrower lobes exceed the precision of float32."""
 MAX_TAN2 = 1e3
-"""Beyond this tan^2 the density is below exp(-985) for every alpha <= 1: zero in float32."""
+"""Upper bound of tan^2; beyond it, the density is below exp(-985) for all alpha <= 1: zero in float32."""
 MAX_EXPONENT = 100.0
 """Cap of the exponent, which keeps 0 * inf out of the derivatives; exp(-100) is negligible in float32."""
 MAX_COTANGENT = 10.0
-"""1 + erf(a) is 2 to the last bit of float32 for a > 4; this bound avoids a division by zero at the normal.
-"""
+"""Upper bound of cotangents, which avoids a division by zero at the normal; 1 + erf(a) is 2 for a > 4."""
 NEWTON_STEPS = 3
-"""Newton steps for sampling slopes: errors of 3e-6 in the variate; a fourth step would reach float32's limit.
+"""Newton steps for sampling slopes, with an error of 3e-6 in the variate; four would reach float32 precision.
 """
 # Dr.Jit arrays have no useful common static type: their class depends on the variant chosen at run time.
 Array = Any

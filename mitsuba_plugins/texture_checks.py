@@ -94,7 +94,9 @@ _gathered: list[Problem] | None = None
 
 
 def check_parameter(material: str, name: str, texture: Any) -> None:
-    """Raise :class:`InputError` for a parameter's faults, or at the end of :func:`gathering_problems`."""
+    """Raise :class:`InputError` for a parameter's faults, at once or at the end of an enclosing
+    :func:`gathering_problems`.
+    """
     problems = parameter_problems(material, name, texture)
     if _gathered is None:
         raise_problems(problems)

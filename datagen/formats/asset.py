@@ -100,7 +100,7 @@ class SlotMaterial(Material):
     """The material of a slot of an object or environment; its key in ``materials`` names the slot.
 
     ``replaceable_by``: classes of the materials that may replace it; empty = fixed. ``baked_from``: name of
-    the source material, if this slot contains its bake for one mesh; slots of the same source are varied and
+    the source material, if this one was baked from it for a mesh; slots of the same source are varied and
     replaced together. ``surface``: the slot's role in a room; None: derived from names and shape.
     """
 

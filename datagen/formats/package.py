@@ -134,7 +134,7 @@ class Package:
         return sha256_hex("".join(lines).encode())
 
     def close(self) -> None:
-        """Close the zip and remove unpacked files; no effect on a folder or when repeated."""
+        """Close the zip and remove unpacked files; do nothing for a folder or a closed package."""
         if self._unpacked is not None:
             shutil.rmtree(self._unpacked, ignore_errors=True)
             self._unpacked = None

@@ -126,7 +126,7 @@ class Budget:
         return int(getattr(self.limits, what) + _PER_BYTE.get(what, 0.0) * self._held)
 
     def spend(self, what: LimitName, amount: int = 1, at: str = "") -> None:
-        """Charge ``amount``; ``at``: position in the file. Raises :class:`InputError` beyond the limit."""
+        """Charge ``amount`` of ``what``, at position ``at``. Raises :class:`InputError` beyond the limit."""
         total = self._spent.get(what, 0) + amount
         self._spent[what] = total
         if total > self.allowed(what):

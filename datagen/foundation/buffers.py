@@ -179,8 +179,7 @@ def split_channels(values: NDArray[Any], names: Sequence[str]) -> dict[str, NDAr
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Return the mask (H, W) of a view's surface pixels, from its buffers (H, W, C) by name.
 
-    Their ``depth_z_m`` is positive and their ``surface_mask`` at least ``MIN_COVERAGE``; a missing buffer is
-    not tested.
+    Their ``depth_z_m`` is positive and their ``surface_mask`` at least ``MIN_COVERAGE``, if present.
     """
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)

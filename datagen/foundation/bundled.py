@@ -37,7 +37,7 @@ def is_bundled(package: Path) -> bool:
 
 
 def bundled_library() -> Path:
-    """Return the folder of the bundled library. Raises as :func:`bundled_folder`."""
+    """Return the folder of the bundled library; raises like :func:`bundled_folder`."""
     return bundled_folder() / "library"
 
 

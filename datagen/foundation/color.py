@@ -52,7 +52,7 @@ def linear_from_log(encoded: NDArray[Any]) -> NDArray[Any]:
 def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
     """Return the factor that maps the 95th percentile of an image's luminance to 0.9.
 
-    ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for ignored pixels. Black or empty images return 1.0.
+    ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for ignored pixels. The factor is 1 without light.
     """
     values = luminance(np.asarray(linear_rgb, dtype=np.float64))
     if valid_mask is not None:
@@ -95,7 +95,7 @@ def photographic_exposure(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | N
 def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray[Any] | None = None) -> float:
     """Return the share of pixels of ``linear_rgb`` (..., 3) with a channel above 1 at ``exposure``.
 
-    ``valid_mask`` (...): False for ignored pixels; 0 if all are ignored.
+    ``valid_mask`` (...): False for ignored pixels. The share is 0 if all are ignored.
     """
     brightest = np.asarray(linear_rgb, dtype=np.float64).max(axis=-1)
     chosen = brightest[valid_mask] if valid_mask is not None else brightest
@@ -103,7 +103,7 @@ def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray
 
 
 def color_of_temperature(kelvin: float) -> tuple[float, float, float]:
-    """Return a black body's linear Rec.709 colour of luminance 1; clamps to 1667 to 25000 K (Kim 2002)."""
+    """Return a black body's linear Rec.709 colour of luminance 1 (Kim 2002), clamped to 1667 to 25000 K."""
     t = min(max(kelvin, 1667.0), 25000.0)
     if t < 4000:
         x = -0.2661239e9 / t**3 - 0.2343589e6 / t**2 + 0.8776956e3 / t + 0.179910

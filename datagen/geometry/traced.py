@@ -130,8 +130,7 @@ def reachable_faces(
 def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
     """Return a sign (M,) per triangle: 1 if more pixels show its front than its back, -1 if fewer.
 
-    The sign times the normal points to the visible side. A triangle without a majority gets the sign of most
-    triangles.
+    The sign times the normal points to the visible side. Triangles without a majority get the sign of most.
     """
     balance = np.zeros(num_faces, dtype=np.int64)
     for view in views:

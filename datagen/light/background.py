@@ -84,7 +84,7 @@ class Layout:
         return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
     def bins_of(self, origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
-        """Bin indices (N,) of rays (N, 3) that start inside the box of corners ``low`` and ``high`` (3,)."""
+        """Bin indices (N,) of rays (N, 3) that start inside the box with corners ``low``, ``high`` (3,)."""
         azimuth = np.arctan2(direction[:, 1], direction[:, 0]) * (self.azimuths / (2 * np.pi))
         column = np.clip(azimuth + 0.5 * self.azimuths, 0, self.azimuths - 1).astype(np.int64)
         row = np.clip((direction[:, 2] * 0.5 + 0.5) * self.heights, 0, self.heights - 1).astype(np.int64)
@@ -103,7 +103,8 @@ FAR = Layout(1, 1, 128, 64, photographed_reach=0.15, gain_blocks=(1, 4, 8))
 class Background:
     """Radiance of rays that leave the box with corners ``low`` and ``high`` (3,), in metres.
 
-    Per bin of the ``layout``: ``radiance`` (B, 3), ``is_known`` and ``is_photographed`` (B,).
+    Per bin of the ``layout``: ``radiance`` (B, 3), ``is_known`` (B,) and ``is_photographed`` (B,); radiance
+    is estimated if it is known but not photographed.
     """
 
     low: NDArray[np.float64]
@@ -144,7 +145,7 @@ class Background:
 def box_squares(
     origin: NDArray, direction: NDArray, low: NDArray, high: NDArray, across: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Face (N,) of the box through which rays (N, 3) leave it, and the square (N, 2) hit on that face.
+    """Return the face (N,) through which rays (N, 3) leave the box, and the square (N, 2) hit on that face.
 
     The face index is twice the axis, plus 1 for the upper face; the square is (row, column) in a grid of
     ``across`` x ``across`` squares.
@@ -211,7 +212,7 @@ def photographed_background(
 ) -> Background:
     """Estimate the background outside the box with corners ``low`` and ``high`` (3,) from ``views``.
 
-    If ``layout`` is None, :func:`is_far` chooses it."""
+    If ``layout`` is None, :func:`is_far` decides between :data:`NEAR` and :data:`FAR`."""
     pixels = outside_pixels(views)
     if layout is None:
         layout = FAR if is_far(pixels, low, high) else NEAR

@@ -138,7 +138,7 @@ class Baker:
         return SpecularShading(_rows(ls0), _rows(ls1), *shares)
 
     def meet(self, ray: Any, active: Any, sample: Any) -> Met:
-        """Trace ``ray`` into the field; reflections at metals sample bright surfaces directly."""
+        """Trace ``ray`` by :meth:`RadianceField.meet`; reflections at metals also sample bright surfaces."""
         return self.field.meet(ray, active, sample, self.guide)
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
@@ -201,7 +201,7 @@ def _rows(values: Any) -> NDArray[np.float32]:
 
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Return five numbers in [0, 1) for sample ``index`` of ``count`` at point ``lane``, from its lattice."""
+    """Return the five coordinates, in [0, 1), of sample ``index`` of ``count`` in the lattice of a point."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed)

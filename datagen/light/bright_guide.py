@@ -75,7 +75,7 @@ class BrightGuide:
         return [share / total for share in found]
 
     def sample(self, p: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any]:
-        """Sample a direction from ``p`` and its density [1/sr] by random numbers in [0, 1) and [0, 1)^2."""
+        """Draw a direction from ``p`` by numbers in [0, 1) and [0, 1)^2; return it and its density [1/sr]."""
         import drjit as dr
         import mitsuba as mi
 

@@ -44,7 +44,7 @@ def surfel_cells(surfels: Surfels) -> Cells:
 
 
 def unmixed_cells(surfels: Surfels) -> Cells:
-    """Cells of all surfels except the mixed ones."""
+    """Cells of all surfels except mixed ones, most of whose pixels are at depth edges."""
     cells = surfel_cells(surfels)
     is_mixed = (cells.index >= 0) & surfels.is_mixed[cells.index]
     return replace(cells, index=np.where(is_mixed, -1, cells.index).astype(np.int32))
@@ -71,8 +71,8 @@ def side_of(normal: NDArray) -> NDArray[np.int64]:
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Keys (N,) of the cell sides at points (N, 3) with normals (N, 3), -1 outside all cells; the keys of the
-    larger cells around the surfels' grid follow those of the grid.
+    """Keys (N,) of the cell sides at points (N, 3) with normals (N, 3): in the surfels' ``grid``, or in the
+    larger cells around it, whose keys follow those of the grid; -1 outside both.
     """
     keys = cell_keys(grid, position_m, normal)
     around = cell_keys(_outer_grid(grid), position_m, normal)
@@ -103,7 +103,7 @@ def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: 
 
 
 def pyramid(cells: Cells) -> list[Cells]:
-    """Return ``cells`` and grids with cells of two and four times the side, with the mean radiance inside."""
+    """Return ``cells`` and grids of cells of two and four times the side, with the mean radiance inside."""
     levels = [cells]
     occupied = np.flatnonzero(cells.index >= 0)
     at, side = cell_indices(occupied, cells.shape)

@@ -121,7 +121,7 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGai
 
 
 def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Mean (N,) of ``values`` (K,) in each surfel's ``region`` (N,), or of all values where it has none."""
+    """Mean (N,) of ``values`` (K,) in each surfel's ``region`` (N,), or of all values if it has none."""
     num = int(region.max()) + 1
     count = np.bincount(sampled_region, minlength=num)
     total = np.bincount(sampled_region, values, num)
@@ -173,7 +173,7 @@ def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np
 
 
 def with_gains(background: Background, gains: NDArray) -> Background:
-    """Multiply the estimated, not the photographed, radiance of ``background`` by the ``gains`` by group."""
+    """Multiply the estimated, not the photographed, radiance of ``background`` by its groups' ``gains``."""
     is_estimated = background.is_known & ~background.is_photographed
     factor = np.where(is_estimated, gains[background_groups(background.layout)], 1.0)[:, None]
     return replace(background, radiance=(background.radiance * factor).astype(np.float32))

@@ -117,10 +117,10 @@ def light_surfels(
 
 
 def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
-    """Bound the radiance of mixed surfels by their incident light; the bound weakens with its unknown share.
+    """Bound the radiance of mixed surfels by their incident light, less strictly where less of it is known.
 
-    Otherwise, a blind's slat that is one pixel wide would have the radiance of the sky behind it.
-    ``unmixed`` computes light in the field without mixed surfels.
+    Otherwise, a blind's slat that is one pixel wide would have the radiance of the sky behind it. ``unmixed``
+    computes light in the field without mixed surfels, most of whose pixels are at depth edges.
     """
     mixed = np.flatnonzero(surfels.is_mixed)
     if not len(mixed):

@@ -2,10 +2,10 @@
 """Surfels: the photographed surfaces of a room as cells of about 2.5 cm, with all observations of each.
 
 There are V views, N surfels, M observations (a surfel in a view) and C cells. Space is divided into cubic
-cells, each with six sides, one for each signed axis nearest to a normal, to separate the two faces of a wall.
-A surfel is an occupied side of a cell. Its observation in a view is the weighted mean of the view's pixels in
-it; its radiance is the weighted median over the views. Surfels are numbered by cell, independently of the
-order of the views. Colours are linear and share one exposure.
+cells. Points in a cell are assigned to one of its six sides by the signed axis nearest to their normal, which
+separates the two faces of a wall. A surfel is an occupied side. Its observation in a view is the weighted
+mean of its pixels there; its radiance is the weighted median over the views. Surfels are numbered by cell,
+independently of the order of the views. Colours are linear and share one exposure.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MAX_EDGE_SHARE = 0.5
 between which no edge is detected since they are coplanar."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
-"""Weight of a pixel at a crease, at a depth edge, where surfaces mix, or clipped; others have weight 1."""
+"""Weight of a pixel that is clipped or at a crease or depth edge, where surfaces mix; others weigh 1."""
 _MAX_EXTENT = 1.25  # of the grid, relative to the central 98 % of the pixels; pixels beyond are ignored
 
 
@@ -189,7 +189,7 @@ def cell_of(position, normal, low, cell_m, shape):
 
 @compiled
 def place_pixel(index, depth, width, camera, out):
-    """Write the world position of a pixel centre to ``out`` (3,); ``camera`` is a :func:`camera_row`."""
+    """Write the world position of the centre of pixel ``index`` to ``out`` (3,); see :func:`camera_row`."""
     u = (index % width + 0.5 - camera[14]) / camera[12] * depth
     v = (index // width + 0.5 - camera[15]) / camera[13] * depth
     for axis in range(3):

@@ -28,10 +28,10 @@ class OwnView:
 
 
 class Selection(NamedTuple):
-    """The chosen views of each point (*traced*)."""
+    """The chosen views of each point, at most k = ``num_best`` (*traced*)."""
 
     num_chosen: mi.UInt32
-    """Number of chosen views: min(k, number of views in which the point is visible)."""
+    """Number of chosen views, at most k."""
     costs: dr.Local
     """(k,) costs in increasing order, Inf after the chosen views."""
     views: dr.Local

@@ -78,7 +78,7 @@ class Projection(NamedTuple):
     intrinsics: mi.Vector4f
     """fx, fy, cx, cy in pixels."""
     offset: mi.Vector3f
-    """p - o_i in world space."""
+    """Vector p - o_i from the camera to the point, in world space."""
     z_m: mi.Float
     u_px: mi.Float
     v_px: mi.Float
@@ -87,13 +87,13 @@ class Projection(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """Visibility and projection of points in a view (*traced*); the pixel is defined only if visible."""
+    """Visibility and projection of points in a view (*traced*); ``u_px``, ``v_px`` are valid if visible."""
 
     is_visible: mi.Bool
     cosine: mi.Float
-    """n . omega_i."""
+    """Cosine n . omega_i between normal and direction to the camera."""
     distance_m: mi.Float
-    """d_ip."""
+    """Distance d_ip between camera and point."""
     u_px: mi.Float
     v_px: mi.Float
 
@@ -286,7 +286,7 @@ class PointObservations(NamedTuple):
     pixels: NDArray[np.float32]
     """(V, N, 2), projections in pixels; NaN where not visible."""
     cosine: NDArray[np.float32]
-    """(V, N), n . omega_i; 0 where not visible."""
+    """(V, N), cosine between normal and direction to the camera; 0 where not visible."""
     distance_m: NDArray[np.float32]
     """(V, N), distance between camera and point, whether visible or not."""
 

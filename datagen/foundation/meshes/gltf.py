@@ -234,7 +234,7 @@ class GltfFile:
     def weight(self, primitive: dict[str, Any], user: str) -> int:
         """Return the number of triangles that a primitive charges to a budget, without reading its data.
 
-        This is the number of its faces or, if more, a third of its vertices. Raises :class:`InputError`
+        This is at least the number of its faces and a third of its vertices. Raises :class:`InputError`
         unless its attributes have one entry per vertex.
         """
         attributes = primitive.get("attributes", {})

@@ -61,7 +61,7 @@ class Mesh:
         return areas
 
     def uv_per_m(self) -> float | None:
-        """Return the area-weighted median of UV units per metre on the triangles; None without UVs."""
+        """Return the area-weighted median of UV units per metre; None without any area in UV space."""
         if self.uv is None:
             return None
         corners = self.uv.astype(np.float64)[self.faces]
