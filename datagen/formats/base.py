@@ -21,7 +21,7 @@ from datagen.formats.yaml_places import YamlPlaces, syntax_error
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem
 
-MAX_TEXT_BYTES = 256 * 1024 * 1024  # more than any valid JSON or YAML file has
+MAX_TEXT_BYTES = 256 * 1024 * 1024  # larger than any valid JSON or YAML file
 _MAX_YAML_BYTES = 512 * 1024  # YAML files are hand-written; parsing this size takes 5 s
 _MAX_SLUG = 200  # leaves room for a suffix in a file name
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-_UNBOUNDED = 100_000  # characters; tables and lines use as much of it as they need
+_UNBOUNDED = 100_000  # characters; tables and lines use only the width that they need
 
 
 def table_console() -> Console:

@@ -32,7 +32,7 @@ FAR_GAIN = 0.8
 """Light counts as far if the error by direction is below this share of the error by position."""
 JUDGED_PLACES = 24
 """Number of squares along each side of a box face in :func:`is_far`."""
-_MIN_GAIN = 1e-3  # in ln radiance; rounding must not determine the result
+_MIN_GAIN = 1e-3  # in ln radiance; without it, rounding errors could decide
 _MAX_PIXELS = 6000  # per view
 
 

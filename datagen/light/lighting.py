@@ -36,7 +36,7 @@ the bound starts to act and acts fully."""
 ESTIMATE_ROUNDS = 5
 """Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
 light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""
-_MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
+_MEAN_REFLECTANCE = (0.05, 0.9)  # lower and upper bound
 
 
 @dataclass(frozen=True)

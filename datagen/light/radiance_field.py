@@ -309,7 +309,7 @@ class RadianceField:
         Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,). ``start_m`` offsets
         the origins of reflected rays.
         """
-        rest = len(self.cells.radiance) - len(surfels)  # estimated surface
+        rest = len(self.cells.radiance) - len(surfels)  # rows of estimated surfaces
         metals = Metals(
             np.pad(specular_albedo, ((0, rest), (0, 0))).astype(np.float32),
             np.pad(roughness, (0, rest), constant_values=1.0).astype(np.float32),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SINGULAR = 1e-15  # smaller determinants belong to flattening transforms
+SINGULAR = 1e-15  # transforms with smaller determinants flatten the mesh
 LYING_COSINE = 0.01  # a normal within 0.6 degrees of its triangle's plane cannot be used for shading
 
 
