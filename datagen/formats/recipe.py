@@ -66,8 +66,8 @@ class EnvironmentRecipe(AssetFilter):
 class ObjectRecipe(AssetFilter):
     """Objects to place, ``count`` per configuration. ``category_weights`` default to 1 for each category.
 
-    ``library_weights``: relative probability (default 1) that an object is drawn from a folder of
-    ``library``, by its entry there, so that a few custom objects are drawn often despite a large library. If
+    ``library_weights``: relative probability (default 1) that an object is drawn from a folder, by the
+    folder's entry in ``library``, so that a few custom objects are drawn often despite a large library. If
     empty, all folders form one pool. ``min_gap_m``: minimum distance between objects; ``max_attempts``:
     maximum number of candidate placements per object.
     """
@@ -242,8 +242,8 @@ class RenderRecipe(StrictModel):
     Give one of
 
     * ``path_samples``: number of light paths per pixel (the default, 8);
-    * ``max_rel_mse``: render until the estimated relMSE of the finished beauty image against convergence is
-      at most this (exposed, see :mod:`datagen.rendering.error`), or ``max_path_samples`` are reached;
+    * ``max_rel_mse``: render until the estimated relMSE of the finished beauty image (see
+      :mod:`datagen.rendering.error`) is at most this, or ``max_path_samples`` are reached;
     * ``quality``: the name of such a target in :data:`QUALITIES`. ``max_path_samples``, ``firefly_clamp``,
       ``auxiliary_samples`` and ``irradiance_cache`` may override it. The name is replaced by its numbers when
       the recipe is read, so saved recipes keep their meaning in later versions.
@@ -323,7 +323,7 @@ class SplitRecipe(StrictModel):
 
 
 class OutputRecipe(StrictModel):
-    """Lossless EXR compression of views; ``zip`` gives the smallest files that every reader supports."""
+    """Lossless EXR compression of views; ``zip`` produces the smallest files that every reader supports."""
 
     compression: Literal["none", "rle", "zips", "zip", "piz"] = "zip"
 

@@ -66,7 +66,7 @@ def unmixed(
     emits: NDArray[np.bool_],
     region_of_face: NDArray[np.int32],
 ) -> list[TracedView]:
-    """Return the views with other surfaces' radiance removed from edge pixels of mixed surfels.
+    """Return the views with the radiance of other surfaces removed from edge pixels of mixed surfels.
 
     ``emits`` (M,) and ``region_of_face`` (M,) are as in :func:`~datagen.light.lighting.light_surfels`.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fits gains of estimated light to the surfaces that it illuminates.
+"""Fit of the gains of estimated light to the surfaces that it illuminates.
 
 Rays that leave the room in unphotographed directions, or that hit unphotographed surfaces, have estimated
 radiance. Estimates of similar position and direction form K groups with one unknown gain each. The irradiance
@@ -39,7 +39,7 @@ PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
 mean is 1, and that a region's albedo equals the room's."""
 MAX_LOG_GAIN = 2.5
 HIDDEN_GAIN = 4.0
-"""Estimates with a larger gain are attributed to an unphotographed lamp."""
+"""Gain above which an estimate is attributed to an unphotographed lamp."""
 MAX_REFLECTED = 1.1
 """Maximum ratio of radiance to Ld of a white surface, including noise."""
 _HUBER = 0.25  # threshold, in ln L
