@@ -169,7 +169,7 @@ def _edge_pixels(surfels: Surfels, index: int, view: TracedView) -> NDArray[np.i
 def _parts(
     field: RadianceField, view: TracedView, pixel: NDArray[np.int64], region_of_face: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Shares a_p (K,) and radiances b_p (K, 3) of the pixels with flat indices (K,) (module docstring).
+    """Shares a_p (K,) and radiances b_p (K, 3), see the module's docstring, of pixels with flat indices (K,).
 
     Surfaces of unknown radiance count as the pixel's own.
     """

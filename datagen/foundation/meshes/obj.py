@@ -20,7 +20,7 @@ _BLOCK = 1 << 16  # number of lines split into words at once; words take ten tim
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read an OBJ file, with a vertex per distinct (position, uv, normal). Raises :class:`InputError`."""
+    """Read an OBJ file; equal (position, uv, normal) are one vertex. Raises :class:`InputError` if bad."""
     budget = budget or Budget(path)
     data = budget.read_file(path, "a readable OBJ file")
     positions: list[bytes] = []
