@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Support surfaces, camera regions and slots of ceiling lamps, derived from a room's triangles.
+"""Support surfaces, camera regions and ceiling light slots, derived from a room's triangles.
 
 docs/importing.md describes the heuristics; a YAML file of :class:`Annotations` overrides their results.
-Frame: metres, Z up. Surfaces are rasterised in squares of side ``square_m``.
+Frame: metres, Z up. Surfaces are rasterised on a horizontal grid of squares of side ``square_m``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from datagen.foundation.meshes.mesh import Mesh, area_vectors
 from datagen.importers.room_grid import MIN_CELL_M, RoomGrid, rectangles, short_vector, surface_points
 
 _STANDING_ROOM_M = 0.12  # minimum free height above a support
-_LEVEL_M = 0.012  # horizontal triangles within this height belong to one surface
+_LEVEL_M = 0.012  # height tolerance within which horizontal triangles form one surface
 _MIN_SIDE_M = 0.15
 _MAX_SURFACES = 40
 
@@ -41,7 +41,7 @@ _MAX_SURFACES = 40
 class Annotations(StrictModel):
     """The user's annotations of an imported environment; each given list replaces the derived one.
 
-    ``classes`` and ``replaceable_by`` correct the guesses for material slots, by slot name.
+    ``classes`` and ``replaceable_by`` override the guesses for the material slots that they name.
     """
 
     support_surfaces: tuple[SupportSurface, ...] | None = None
@@ -52,7 +52,7 @@ class Annotations(StrictModel):
     replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
 
     def over(self, places: RoomPlaces, openings: tuple[Opening, ...]) -> dict[str, Any]:
-        """Return fields of an environment by name: the user's, else those of ``places`` and ``openings``."""
+        """Return fields of an environment by name: the user's values, if given, else the derived ones."""
         derived = {
             "support_surfaces": places.support_surfaces,
             "camera_regions": places.camera_regions,
@@ -63,13 +63,13 @@ class Annotations(StrictModel):
         return {name: derived[name] if value is None else value for name, value in given.items()}
 
     def corrected(self, slot: str, material: SlotMaterial) -> SlotMaterial:
-        """Return the material of a slot with the user's classes, where given."""
+        """Return the material of a slot with the user's ``classes`` and ``replaceable_by``, if given."""
         given = {"classes": self.classes, "replaceable_by": self.replaceable_by}
         return material.model_copy(update={k: v[slot] for k, v in given.items() if slot in v})
 
 
 def read_annotations(path: Path | None) -> Annotations:
-    """Read annotations from a YAML file; None: empty. Raises :class:`InputError` for an invalid file."""
+    """Read annotations from a YAML file (None: no annotations). Raises :class:`InputError` if invalid."""
     return Annotations() if path is None else read_yaml(Annotations, path)
 
 
@@ -91,15 +91,15 @@ def find_places(
 ) -> RoomPlaces:
     """Derive the annotations of a room from its ``triangles`` (M, 3, 3).
 
-    ``classes`` (M,): class index of each triangle; those in ``seat_classes`` are upholstery. ``seeds``
-    (K, 3): points inside the room, such as cameras; K may be 0.
+    ``classes`` (M,): integer label of each triangle; labels in ``seat_classes`` mark upholstery. ``seeds``
+    (K, 3): points inside the room, such as camera positions; K may be 0.
     """
     points, owner, spacing = surface_points(triangles)
     grid = RoomGrid.build(points, seeds, max(MIN_CELL_M, 1.4 * spacing))
     if grid is None:
         return RoomPlaces(None)
     near = [h for h in _levels(triangles, grid) if abs(h - grid.floor_m) < 0.15]
-    if near:  # the largest horizontal surface, rather than a skirting board or carpet
+    if near:  # use the largest horizontal surface, not a skirting board or carpet
         grid = replace(grid, floor_m=near[0])
     soft = np.isin(classes, list(seat_classes))[owner] if seat_classes else np.zeros(len(owner), bool)
     surfaces = tuple(without_stairs(list(_support_surfaces(triangles, points, soft, grid, 1.25 * spacing))))
@@ -114,9 +114,9 @@ def places_of_parts(
     cameras: Sequence[AssetCamera],
     findings: Findings,
 ) -> RoomPlaces:
-    """Call :func:`find_places` for the parts of an environment, with its cameras as seeds.
+    """Derive the annotations of an environment by :func:`find_places`, with its cameras as seeds.
 
-    ``meshes`` are those of the parts in the asset's frame. Fabric and leather are upholstery.
+    ``meshes`` are the parts' meshes in the asset's frame. Fabric and leather are upholstery.
     """
     triangles = [mesh.triangles() for mesh in meshes]
     owners = np.repeat(np.arange(len(meshes)), [len(t) for t in triangles])
@@ -129,14 +129,14 @@ def places_of_parts(
 
 
 def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
-    """Return whether an opening is vertical and larger than ``min_area_m2``."""
+    """Return whether an opening is within 30 degrees of vertical and larger than ``min_area_m2``."""
     normal = np.cross(opening.edge_u_m, opening.edge_v_m)
     area = float(np.linalg.norm(normal))
     return area > min_area_m2 and bool(abs(normal[2]) < 0.5 * area)
 
 
 def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
-    """Return openings at vertical rectangular lights over 0.4 m², which are usually in windows and doors."""
+    """Return an opening at each vertical rectangular light over 0.4 m², usually at a window or door."""
     found = []
     for light in lights:
         if isinstance(light, AreaLight) and light.shape == "rectangle" and is_window_sized(light, 0.4):
@@ -161,7 +161,7 @@ def _support_surfaces(
     grid: RoomGrid,
     square_m: float,
 ) -> Iterator[SupportSurface]:
-    """Yield axis-aligned rectangles with free space above, by level, the largest of each level first."""
+    """Yield axis-aligned rectangles with free space above, level by level, the largest of a level first."""
     from scipy import ndimage
 
     found: list[tuple[float, NDArray, NDArray]] = []  # height, origin, size
@@ -214,15 +214,15 @@ def _is_same(
     other_origin: NDArray,
     other_size: NDArray,
 ) -> bool:
-    """Return whether two horizontal rectangles overlap within 5 cm of height (a floor and its tiles)."""
+    """Return whether two horizontal rectangles overlap and are less than 5 cm apart in height."""
     common = np.minimum(origin + size, other_origin + other_size) - np.maximum(origin, other_origin)
     return abs(height - other_height) < 0.05 and bool((common > 0.1).all())
 
 
 def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
-    """Return the surfaces except treads of stairs, which have a neighbour one step higher and one lower.
+    """Return the surfaces except stair treads, which adjoin surfaces one step above and one step below.
 
-    Other levels of shelves are not neighbours, since they are directly above or below.
+    Boards of a shelf are not adjoining, since they are directly above each other.
     """
 
     def is_step(low: SupportSurface, high: SupportSurface) -> bool:
@@ -256,7 +256,7 @@ def _kind_of(above_floor_m: float, is_soft: bool) -> SupportKind:
 
 
 def _levels(triangles: NDArray[np.float64], grid: RoomGrid) -> list[float]:
-    """Return the heights of the room's horizontal surfaces, by decreasing total area."""
+    """Return the heights of the room's horizontal surfaces, in order of decreasing total area."""
     cross = area_vectors(triangles)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     # facing up or down, since windings are unreliable
@@ -286,7 +286,7 @@ def _raster(
 
 
 def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
-    """Return the vertical bounding rectangle of a mesh (a window pane), facing ``inside_m`` (3,)."""
+    """Return the vertical rectangle that bounds a mesh such as a window pane and faces ``inside_m`` (3,)."""
     points = mesh.positions.astype(np.float64)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     flat = points[:, :2] - points[:, :2].mean(axis=0)

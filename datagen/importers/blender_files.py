@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Import of files that Blender reads (FBX, USD, .blend, glTF with Draco).
 
-Blender's module converts them in a separate process to glTF, whose import uses the budget of any glTF file.
+Blender's module converts them to glTF in a separate process; the import has the budget of any glTF file.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def import_by_blender(
 ) -> list[ImportedAsset]:
     """Convert a file that Blender reads to packages below ``out_library``, and return their records.
 
-    Images outside the file's folder and ``options.allowed`` are left out. Raises :class:`InputError`
-    if Blender's module is not installed or cannot read the file, and as :func:`import_gltf` does.
+    Images outside the file's folder and ``options.allowed`` are omitted. Raises :class:`InputError` if
+    Blender's module is not installed or cannot read the file, or if :func:`import_gltf` refuses the result.
     """
     options = options or ImportOptions()
     if importlib.util.find_spec("bpy") is None:

@@ -34,7 +34,7 @@ ChannelName = Literal["rgb", "r", "g", "b", "a"]
 
 @dataclass(frozen=True)
 class ImageSource:
-    """A channel of an image file; the other fields are as in :class:`datagen.formats.asset.Texture`."""
+    """A channel of an image file, with fields as in :class:`datagen.formats.asset.Texture`."""
 
     file: Path
     encoding: Literal["srgb", "linear"]
@@ -50,7 +50,7 @@ class ImageSource:
 
 @dataclass(frozen=True)
 class BakedSource:
-    """Computed linear values, (H, W, 3) colours or (H, W) scalars; ``label``: name for their file."""
+    """Computed linear values, (H, W, 3) colours or (H, W) scalars; ``label``: base name of their file."""
 
     values: NDArray[np.float32]
     label: str
@@ -68,7 +68,7 @@ def is_constant(value: Value) -> bool:
 
 
 class ImageCache:
-    """Decoded images of an import, each of which is read once."""
+    """Cache of an import's decoded images."""
 
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
@@ -100,8 +100,8 @@ class ImageCache:
     ) -> ColorValue:
         """Compute a colour by ``function`` from arrays of ``colors`` (..., 3), then ``scalars`` (..., 1).
 
-        The result has the resolution of the largest image and is baked under the name ``label``; a result
-        that varies by less than half an 8-bit step is a constant.
+        The result is clipped to [0, 1], has the resolution of the largest image and is baked under the name
+        ``label``. If it varies by less than half an 8-bit step, a constant is returned.
         """
         inputs = [*((value, False) for value in colors), *((value, True) for value in scalars)]
         return cast(ColorValue, self._combined(label, function, inputs, is_scalar=False))
@@ -140,7 +140,7 @@ class ImageCache:
 
 
 def num_pixels(file: Path) -> int:
-    """Return the number of pixels in an image's header; 0 if it is unreadable, which decoding reports."""
+    """Return the number of pixels stated in an image's header; 0 if unreadable, which decoding reports."""
     if file.suffix.lower() in (".hdr", ".pic"):
         with file.open("rb") as stream:
             match = _HDR_SIZE.search(stream.read(4096))
@@ -153,7 +153,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Read pixels as :func:`read_image` does, also of BMP, TGA, TIFF and HDR files."""
+    """Read an image as :func:`read_image` does, or a BMP, TGA, TIFF or HDR file, to pixels (H, W, C)."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2
@@ -179,7 +179,7 @@ def _resized(array: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.fl
 
 
 class TextureFiles:
-    """Texture files of a package that is being made, by name; an image is added once."""
+    """Texture files of a new package, by name; each image is added only once."""
 
     def __init__(self, cache: ImageCache) -> None:
         self.files: dict[str, FileSource] = {}
@@ -196,7 +196,7 @@ class TextureFiles:
         return name
 
     def add_file(self, file: Path) -> str:
-        """Add an image file, converted to PNG or EXR if need be, and return its name in the package."""
+        """Add an image file, converted to PNG or EXR if necessary, and return its name in the package."""
         key = file.resolve()
         if key not in self._names:
             suffix = file.suffix.lower()
@@ -212,7 +212,7 @@ class TextureFiles:
         return self._names[key]
 
     def add_baked(self, source: BakedSource) -> Texture:
-        """Add baked values as an 8-bit PNG in their encoding, and return its texture."""
+        """Add baked values as an 8-bit PNG in their encoding, and return the texture."""
         values = source.values
         encoded: NDArray = (
             srgb_from_linear(values.astype(np.float64)) if source.encoding == "srgb" else values
@@ -227,7 +227,7 @@ class TextureFiles:
         return Texture(texture=self._baked[digest], encoding=source.encoding, channel=channel)
 
     def color(self, value: ColorValue) -> Color | Texture:
-        """Convert a colour to a material channel, and add its image if it has one."""
+        """Convert a colour to a material channel, and add its image, if any."""
         return self._channel(value) if not isinstance(value, tuple) else _color(np.clip(value, 0, 1))
 
     def scalar(self, value: ScalarValue) -> float | Texture:

@@ -24,11 +24,11 @@ UpAxis = Literal["auto", "y", "z"]
 ImportKind = Literal["auto", "environment", "object", "material"]
 
 EVALUATION_SCENES = {"veach-ajar": "Veach, Ajar", "dining-room": "The Breakfast Room"}
-"""Test scenes of the reconstruction method's paper, by folder: title; they are ``evaluation_only``."""
+"""Titles of the test scenes of the reconstruction paper, by folder; they are ``evaluation_only``."""
 
 RESTORE_IT = "restore it, or import with --missing replace"
 OPAL_ALBEDO = 0.7
-"""D of the opal glass that replaces clear glass, which is about as bright as a room behind the glass."""
+"""D of the opal glass that replaces clear glass, about as bright as a room seen through the glass."""
 _LICENSE_FILES = ("LICENSE.txt", "LICENSE", "LICENSE.md", "license.txt", "README.txt", "README.md")
 _MAX_LICENSE_CHARACTERS = 1 << 20
 _LICENSE_PATTERNS = (
@@ -47,15 +47,14 @@ _SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", r
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import.
+    """Options of an import; for empty strings, values are detected or derived.
 
-    ``dielectric``: transparent materials are refused, or replaced: flat panes and thin dielectrics are
+    ``dielectric``: ``refuse`` transparent materials, or ``replace`` them: flat panes and thin dielectrics are
     removed, solid bodies become opal glass; ``dielectric_as`` overrides this by material name. ``missing``:
-    absent files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file;
-    None: 1, or a plausible value for formats that state no unit. ``defines``: values of the variables of a
-    Mitsuba scene. Empty strings: values are detected or derived. ``allowed``: folders, in addition to the
-    source's, from which files may be read. ``limits`` apply to each source; None:
-    :meth:`Limits.from_environment`.
+    ``refuse`` missing files, or ``replace`` them with grey or omit them. ``unit_scale``: metres per unit of
+    the file; None: 1, or a plausible value for formats without a unit. ``defines``: values of a Mitsuba
+    scene's variables. ``allowed``: folders, in addition to the source's, from which files may be read.
+    ``limits`` apply to each source; None: :meth:`Limits.from_environment`.
     """
 
     kind: ImportKind = "auto"
@@ -82,7 +81,7 @@ class ImportOptions:
 
     @property
     def unit_m(self) -> float:
-        """Metres per unit of a file whose format states its unit."""
+        """Metres per unit of the file: ``unit_scale`` or, by default, 1."""
         return 1.0 if self.unit_scale is None else self.unit_scale
 
 
@@ -188,5 +187,5 @@ def part_of(name: str, slot: str, mesh: Mesh) -> Part:
 
 
 def mended_note(num_normals: int, num_meshes: int) -> str:
-    """Return the note of an import that replaced unusable normals."""
+    """Return the note that ``num_normals`` unusable normals in ``num_meshes`` meshes were replaced."""
     return f"{num_normals} normals of {num_meshes} meshes were missing or in the surface's plane, replaced"

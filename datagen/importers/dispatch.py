@@ -33,7 +33,7 @@ class Source:
 
 
 def find_sources(path: Path) -> list[Source]:
-    """Return the sources at a path: files that an importer reads, texture folders, or a folder of these.
+    """Return the sources at a path, which is an importable file, a texture folder or a folder of these.
 
     Raises :class:`InputError` if no importer recognises a source there.
     """
@@ -67,7 +67,7 @@ def find_sources(path: Path) -> list[Source]:
 
 
 def _is_folder(path: Path, child: Path) -> bool:
-    """Return whether ``child`` is a folder. Raises :class:`InputError` for a link out of ``path``."""
+    """Return whether ``child`` is a folder. Raises :class:`InputError` if it is a link out of ``path``."""
     if not child.is_dir():
         return False
     _, fault = fault_of(path, child.name, is_folder=True)
@@ -107,9 +107,9 @@ def import_asset(
     """Import all sources at a path into the library folder ``out_library``, and return their records.
 
     ``split`` makes an object of each separate group in a glTF file; ``on_done`` is called after each asset,
-    except for pieces of a furniture library, which are reported to ``watch``. An ``asset_id`` is allowed with
-    a single source only. With several sources, all valid sources are imported, then one :class:`InputError`
-    lists the invalid ones.
+    except for pieces of a furniture library, which are reported to ``watch``. An ``asset_id`` requires a
+    single source. Invalid sources do not stop the import; one :class:`InputError` at the end lists all their
+    problems.
     """
     options = options or ImportOptions()
     sources = find_sources(Path(path))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Fresnel reflectances and lobe widths for converting other renderers' materials to D, S and R.
 
-F0 is the reflectance at normal incidence, in air. ``ALPHA_BECKMANN_PER_GGX`` is the ratio of lobe widths at
-which a Beckmann lobe differs least from a GGX lobe in total variation: with x = tan^2(theta_h) / alpha^2 of
-the GGX lobe and s the squared ratio, the cosine-weighted densities are 1 / (1 + x)^2 and exp(-x / s) / s. The
-least distance is 0.180, at s = 1.3123 (0.204 at s = 1); the medians are equal at a ratio of 1.2011.
+F0 is the reflectance at normal incidence, in air. ``ALPHA_BECKMANN_PER_GGX`` is the ratio of alphas at which
+the total variation distance between a Beckmann and a GGX lobe is least: with x = tan^2(theta_h) / alpha^2 of
+the GGX lobe and s the squared ratio, the cosine-weighted densities are exp(-x / s) / s and 1 / (1 + x)^2. The
+minimum is 0.180, at s = 1.3123 (0.204 at s = 1); the medians are equal at a ratio of 1.2011.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ def conductor_mean(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
 
 
 def schlick_s_of_mean(mean: NDArray) -> NDArray[np.float64]:
-    """Return S in [0, 1] whose reflectance under diffuse light, S + (1 - S) / 21 by Schlick, is ``mean``.
+    """Return S in [0, 1] whose Schlick reflectance under diffuse light, S + (1 - S) / 21, equals ``mean``.
 
-    Schlick's reflectance is 1 at grazing angles for any S, that of a dimmed metal is not; equal means
-    preserve the light of a room, equal F0 would not.
+    Schlick's reflectance, unlike that of a dimmed metal, rises to 1 at grazing angles; an equal mean
+    preserves the brightness of a room, whereas an equal F0 would not.
     """
     return np.clip((np.asarray(mean, dtype=np.float64) - 1 / 21) * 21 / 20, 0.0, 1.0)
 
@@ -87,7 +87,7 @@ def diffuse_fresnel(ior: float) -> float:
 
 
 def perceptual_roughness(alpha: float | NDArray, distribution: str) -> NDArray[np.float64]:
-    """Return R = sqrt(alpha) in [0, 1], with alpha of a ``ggx`` lobe converted to a Beckmann lobe's."""
+    """Return R = sqrt(alpha) in [0, 1]; a ``ggx`` lobe is first replaced by the nearest Beckmann lobe."""
     factor = ALPHA_BECKMANN_PER_GGX if distribution == "ggx" else 1.0
     return np.sqrt(np.clip(np.asarray(alpha, dtype=np.float64) * factor, 0.0, 1.0))
 
@@ -107,7 +107,7 @@ def plastic_diffuse_albedo(reflectance: NDArray, ior: float, nonlinear: bool) ->
 
 
 def conductor_preset_mean(material: str) -> tuple[float, float, float]:
-    """Return :func:`conductor_mean` of one of Mitsuba's conductors (``Au``, ...); ``none`` is a mirror.
+    """Return :func:`conductor_mean` (RGB) of one of Mitsuba's conductors, such as ``Au``; 1 for ``none``.
 
     Raises ``ValueError`` for other names.
     """

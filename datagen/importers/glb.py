@@ -30,7 +30,7 @@ class GlbMaterial:
 
 
 def encode_glb(surfaces: Sequence[tuple[str, Mesh]], materials: Mapping[str, GlbMaterial]) -> bytes:
-    """Encode a .glb file with a node for each (material name, mesh); v of the meshes' UVs points up."""
+    """Encode a .glb file with one node for each pair (material name, mesh); v of the UVs points up."""
     return _Writer(materials).encode(surfaces)
 
 

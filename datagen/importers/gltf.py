@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Import of glTF 2.0 files as object or environment packages: metres, Z up, D, S and R.
+"""Import of glTF 2.0 files as object or environment packages in metres, Z up, with D, S and R.
 
-glTF is Y up with its front along +Z, which becomes Z up with the front along -Y. An object is centred on the
-origin and put on the plane z = 0. Texture coordinates are flipped so that v points up.
+glTF's +Y (up) becomes +Z, and its +Z (front) becomes -Y. An object is centred in x and y and placed on the
+plane z = 0. Texture coordinates are flipped so that v points up.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish
 
 LUMENS_PER_WATT = 683.0
-"""Factor by which exporters such as Blender's convert radiometric lights to glTF's photometric units."""
+"""Luminous efficacy by which exporters such as Blender's convert radiometric to photometric units."""
 _ROOM_SIDE_M, _ROOM_HEIGHT_M = 2.5, 2.0
 _TOUCH_M = 0.005
 DRACO_REMEDY = "export it without, or install Blender's module, which decodes it (extra `blender`)"
@@ -53,7 +53,7 @@ _OPENING_AREA_M2 = 0.3
 
 @dataclass
 class _Piece:
-    """One primitive of a placed node; ``root``: index of the root node; ``mesh``: in the asset's frame."""
+    """A primitive of a glTF node. ``root``: index of the node's root node; ``mesh``: in the asset's frame."""
 
     name: str
     root: int
@@ -70,13 +70,12 @@ def import_gltf(
     origin: Path | None = None,
     findings: Findings | None = None,
 ) -> list[ImportedAsset]:
-    """Convert a .gltf or .glb file to packages below ``out_library``: one, or with ``split`` one for each
-    group of touching root nodes.
+    """Convert a .gltf or .glb file to a package below ``out_library``, or to several if ``split``.
 
-    If ``path`` was converted from another format, ``origin`` is the original file, which provides the licence
-    and the name in errors, and ``findings`` contains those of the conversion. Raises :class:`InputError`
-    with every problem: unknown extensions, missing files, transparent materials if the policy is to refuse
-    them, an unknown licence.
+    ``split`` makes a package for each group of touching root nodes. If ``path`` was converted from another
+    format, ``origin`` is the original file, to which licence and errors refer, and ``findings`` contains the
+    findings of that conversion. Raises :class:`InputError` that lists all problems, such as unknown
+    extensions, missing files, refused transparent materials and an unknown licence.
     """
     options = options or ImportOptions()
     budget = Budget(origin or path, options.limits)
@@ -105,7 +104,7 @@ class _GltfImporter:
         self.nodes = list(file.placed_nodes())
         self.names = {placed.index: placed.name for placed in self.nodes}
         file.placed_primitives(self.nodes)
-        self.num_mended: list[int] = []  # replaced normals per primitive
+        self.num_mended: list[int] = []  # number of replaced normals per repaired primitive
         self.pieces = self._collect()
         if self.num_mended:
             self.findings.note(mended_note(sum(self.num_mended), len(self.num_mended)))
@@ -192,10 +191,10 @@ class _GltfImporter:
             if num_mended:
                 self.num_mended.append(num_mended)
             return mesh
-        return flat_shaded(Mesh(positions, faces, None, uv))  # as the format requires without normals
+        return flat_shaded(Mesh(positions, faces, None, uv))  # required by glTF without normals
 
     def groups(self) -> list[list[_Piece]]:
-        """Group pieces by root node; roots with touching bounding boxes (a pot and its lid) are one group."""
+        """Group pieces by root node, and merge groups with touching bounding boxes (a pot and its lid)."""
         by_root: dict[int, list[_Piece]] = {}
         for piece in self.pieces:
             by_root.setdefault(piece.root, []).append(piece)
@@ -318,7 +317,7 @@ class _GltfImporter:
         return finish(asset, files, out_library / "environments", self.options, self.findings)
 
     def _cameras(self) -> tuple[AssetCamera, ...]:
-        """Convert perspective cameras, at a height of 720 pixels, since glTF states no resolution."""
+        """Convert perspective cameras to images 720 pixels high, since glTF states no resolution."""
         found = []
         for placed in self.nodes:
             if "camera" not in placed.node:
@@ -348,7 +347,7 @@ class _GltfImporter:
         return tuple(found)
 
     def _lights(self) -> list[Light]:
-        """Convert KHR_lights_punctual, which emit along -Z; candela and lux become W/sr and W/m^2."""
+        """Convert KHR_lights_punctual lights, which emit along -Z, from candela and lux to W/sr and W/m^2."""
         entries = self.file.json.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
         found: list[Light] = []
         names: set[str] = set()

@@ -48,7 +48,7 @@ class GltfMaterial:
 
 @dataclass
 class GltfMaterialConverter:
-    """Converts the materials of a document; the caller raises its ``problems``."""
+    """Converter of a glTF file's materials, which collects ``problems`` for the caller to raise."""
 
     file: GltfFile
     options: ImportOptions
@@ -64,7 +64,7 @@ class GltfMaterialConverter:
         self.problems = Problems(self.file.path)
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
-        """Convert material ``index`` (None: glTF's default); its name or ``hints`` imply its class."""
+        """Convert material ``index`` (None: glTF's default); its name and ``hints`` determine its class."""
         key = -1 if index is None else index
         if key not in self._done:
             entry = {} if index is None else self.file.item("materials", index, "primitive.material")
@@ -230,7 +230,7 @@ class GltfMaterialConverter:
     def _image(
         self, info: dict[str, Any] | None, name: str, encoding: str, instead: str = "only its factor is used"
     ) -> ImageSource | None:
-        """Return the image of a texture reference, if any, and record its UV set and transform."""
+        """Return the image of a texture reference, if available, and record its UV set and transform."""
         if info is None:
             return None
         texture = self.file.item("textures", info.get("index"), f"material {name!r}")
@@ -258,7 +258,7 @@ class GltfMaterialConverter:
 
 
 def _uv_matrix(transform: dict[str, Any]) -> NDArray[np.float64]:
-    """Return the (3, 3) matrix of KHR_texture_transform, which acts on UVs with v downwards."""
+    """Return the (3, 3) matrix of a KHR_texture_transform, which acts on UVs whose v points down."""
     angle = float(transform.get("rotation", 0.0))
     su, sv = transform.get("scale", (1.0, 1.0))
     ou, ov = transform.get("offset", (0.0, 0.0))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Import of PBR texture folders with the file names of ambientCG or Poly Haven as material packages.
 
-``Wood051_1K_Color.jpg``, ``Wood051_1K-JPG_NormalGL.jpg``; ``oak_diff_1k.jpg``, ``oak_arm_1k.jpg``.
+Examples: ``Wood051_1K_Color.jpg``, ``Wood051_1K-JPG_NormalGL.jpg``, ``oak_diff_1k.jpg``, ``oak_arm_1k.jpg``.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def role_of(name: str) -> str:
 
 
 def find_maps(folder: Path) -> dict[str, list[Path]]:
-    """Return the images of a folder by role, in order of name; symbolic links are not resolved."""
+    """Return the images of a folder by role, sorted by name; symbolic links are not resolved."""
     maps: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in _IMAGES and (path.is_file() or path.is_symlink()):
@@ -98,7 +98,7 @@ class _MaterialImporter:
         self.problems: list[Problem] = []
 
     def one(self, role: str) -> Path | None:
-        """Return the permitted image of a role, or None; refused or several images become problems."""
+        """Return the image of a role, or None; forbidden or multiple images are recorded as problems."""
         found = []
         for path in self.maps.get(role, []):
             file, fault = fault_of(self.folder, path.name, self.options.allowed)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Import of OBJ (with MTL), PLY and STL files, by conversion to glTF.
 
-Such files state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL (``--up``). The unit is a metre if
-that gives a plausible size, else the first of centimetre, millimetre and inch that does, which a note reports
-(``--unit-scale``).
+These formats state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL, unless ``--up`` is given. The
+unit is ``--unit-scale`` or the first of metre, centimetre, millimetre and inch with which the size is
+plausible; any but the metre is reported in a note.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _MAX_EXPONENT = 1000.0
 
 @dataclass(frozen=True)
 class MeshSource:
-    """Content of a mesh file: (material name, mesh) of its surfaces, and its materials by name."""
+    """Content of a mesh file: its surfaces as pairs (material name, mesh), and its materials by name."""
 
     surfaces: list[tuple[str, Mesh]]
     materials: dict[str, GlbMaterial]
@@ -69,7 +69,7 @@ def import_mesh_file(
 
 
 def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, findings: Findings) -> float:
-    """Return the first unit, in metres, for which the longest side is plausible; 1 if none is."""
+    """Return the first unit, in metres, for which the longest side is plausible; 1 if there is none."""
     points = [mesh.positions for _, mesh in source.surfaces]
     low, high = np.min([p.min(0) for p in points], 0), np.max([p.max(0) for p in points], 0)
     longest = float((high - low).max())
@@ -111,7 +111,7 @@ def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 def _material_of(
     name: str, phong: PhongMaterial, path: Path, options: ImportOptions, findings: Findings, budget: Budget
 ) -> GlbMaterial:
-    """Convert an MTL material: roughness is from the exponent, mirrors (``illum`` 3) are metals."""
+    """Convert an MTL material; R is from the Phong exponent, and dark mirrors (``illum`` 3) become metals."""
     image: tuple[str, bytes] | None = None
     for keyword, text in phong.maps.items():
         if keyword != "map_kd":
@@ -193,4 +193,4 @@ READERS: dict[str, Callable[[Path, ImportOptions, Findings, Budget], MeshSource]
     ".ply": _read_ply,
     ".stl": _read_stl,
 }
-"""Reader of a file by its suffix."""
+"""Readers by file suffix."""

@@ -43,7 +43,7 @@ MITSUBA_FROM_ENVIRONMENT = np.array(
 
 @dataclass
 class LightConverter:
-    """Collects the lights and problems of a scene; ``matrix``: (4, 4) ``asset_from_source``."""
+    """Converter that collects a scene's lights and problems; ``matrix``: ``asset_from_source`` (4, 4)."""
 
     scene: Path
     matrix: NDArray[np.float64]
@@ -63,7 +63,7 @@ class LightConverter:
         return name
 
     def emission_of(self, shape: SceneNode) -> tuple[float, float, float] | None:
-        """Return the RGB radiance of a shape's area emitter; None if it has none."""
+        """Return the RGB radiance of a shape's area emitter; None if missing or refused."""
         emitters = shape.children_of("emitter")
         if not emitters:
             return None
@@ -79,7 +79,7 @@ class LightConverter:
         return rgb_of(emitters[0].get("radiance", 1.0))
 
     def add(self, node: SceneNode) -> None:
-        """Convert an emitter without a shape and append it to ``lights``."""
+        """Convert an emitter that is not attached to a shape, and append it to ``lights``."""
         converter = _CONVERTERS.get(node.type)
         if converter is None:
             expected = f"area, {', '.join(_CONVERTERS)}"
@@ -153,7 +153,7 @@ class LightConverter:
         )
 
     def _daylight(self, node: SceneNode) -> Light | None:
-        """Convert a ``sky``, ``sun`` or ``sunsky``; ``scale`` is an old parameter of the first two."""
+        """Convert a ``sky``, ``sun`` or ``sunsky``; the first two may state the older parameter ``scale``."""
         scale = None if node.type == "sunsky" else node.get("scale")
         sky_scale, sun_scale = (
             float(node.get(f"{part}_scale", 1.0) if scale is None else scale) if part in node.type else 0.0
@@ -196,10 +196,10 @@ _CONVERTERS: dict[str, Callable[[LightConverter, SceneNode], Light | None]] = {
 def emitter_shape_light(
     node: SceneNode, name: str, asset_from_shape: NDArray[np.float64], radiance: tuple[float, float, float]
 ) -> Light | None:
-    """Return the light of an emitting rectangle, disk or sphere; None for other shapes.
+    """Return the light of an emitting rectangle, disk or sphere; None if a light cannot represent the shape.
 
-    A rectangle or disk emits along its local +Z; if the transform mirrors, the edges are swapped, so edge_u x
-    edge_v still has this direction.
+    A rectangle or disk emits along its local +Z. If ``asset_from_shape`` (4, 4) is a reflection, the edges
+    are swapped so that edge_u x edge_v keeps this direction.
     """
     linear, center = asset_from_shape[:3, :3], asset_from_shape[:3, 3]
     if node.type in ("rectangle", "disk"):

@@ -2,7 +2,7 @@
 """Conversion of Mitsuba BSDFs to D, S and R; docs/importing.md describes the mapping and its errors.
 
 A BSDF is converted to a :class:`Draft` of channel values. The scene importer applies the user's policy to
-drafts with a ``transparency``. BSDFs without a mapping are refused.
+transparent drafts. Unsupported BSDFs are refused.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from datagen.importers.mitsuba_values import NodeValues, rgb_of
 
 @dataclass(frozen=True)
 class Draft:
-    """A material before its files are written.
+    """A converted material whose textures are not yet written.
 
-    ``uv_matrix`` (3, 3) acts on UVs with v downwards. ``transparency``: ``thin`` transmits light without
-    refraction, ``body`` refracts it, ``null`` is invisible. ``height``: bump map in scene units.
+    ``uv_matrix`` (3, 3) acts on UVs whose v points down. ``transparency``: ``thin`` transmits light without
+    refraction, ``body`` refracts it, ``null`` is invisible. ``height``: bump map, in scene units.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Draft:
 
 
 class MaterialConverter(NodeValues):
-    """Converts a scene's BSDF nodes; the caller raises the collected ``problems``."""
+    """Converter of a scene's BSDF nodes, which collects ``problems`` for the caller to raise."""
 
     def __init__(
         self,
@@ -106,7 +106,7 @@ class MaterialConverter(NodeValues):
     # opaque BSDFs
 
     def _diffuse(self, node: SceneNode, name: str) -> Draft:
-        """Convert to S = 0 and R = 1; D is reduced by the specular albedo at S = 0."""
+        """Convert to S = 0 and R = 1; D is reduced by the albedo that the specular lobe has even at S = 0."""
         reflectance = self.color(node, "reflectance", 0.5)
         if isinstance(reflectance, ImageSource):
             return Draft(name, diffuse=replace(reflectance, offset=-fresnel.DIFFUSE_SHEEN))
@@ -114,7 +114,7 @@ class MaterialConverter(NodeValues):
         return Draft(name, diffuse=lowered)
 
     def _lobe_width(self, node: SceneNode, name: str) -> ScalarValue:
-        """Return R of a BSDF type with a smooth variant (R = 0) and a ``rough`` one."""
+        """Return R of a BSDF: 0 for a smooth type, the converted ``alpha`` for a ``rough`` type."""
         return self.roughness(node, name) if node.type.startswith("rough") else 0.0
 
     def _plastic(self, node: SceneNode, name: str) -> Draft:
@@ -232,7 +232,7 @@ class MaterialConverter(NodeValues):
         return replace(draft, normal=replace(source, encoding="linear"))
 
     def _blendbsdf(self, node: SceneNode, name: str) -> Draft:
-        """Blend the channels of two BSDFs by the weight, and alpha instead of R."""
+        """Blend the channels of two BSDFs linearly by the weight, with roughness blended as alpha."""
         first, second = self._nested(node, name, 0), self._nested(node, name, 1)
         weight = self.scalar(node, "weight", 0.5)
         if (

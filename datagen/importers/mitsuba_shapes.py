@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Conversion of Mitsuba shapes to meshes in the shapes' frames, with UVs whose v points up.
+"""Conversion of Mitsuba shapes to meshes in local coordinates, with UVs whose v points up.
 
-Mitsuba's images and analytic shapes have v downwards; its OBJ loader flips v by default, its PLY loader does
-not.
+In Mitsuba, v of images and analytic shapes points down; the OBJ loader flips v by default, the PLY loader
+does not.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _ROUND_SEGMENTS = 64
 
 
 def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh, int]:
-    """Return the mesh of a shape before its ``to_world``, and the number of normals that were replaced.
+    """Return the mesh of a shape before its ``to_world``, and the number of replaced normals.
 
-    ``file``: mesh file of ``obj`` and ``ply`` shapes. Normals are those of the file, else smooth, or flat for
-    ``face_normals``. Raises :class:`InputError` for an unreadable file.
+    ``file``: mesh file of an ``obj`` or ``ply`` shape. Normals are those of the file or, if it has none,
+    smooth; with ``face_normals``, they are flat. Raises :class:`InputError` for an unreadable file.
     """
     if node.type in FILE_SHAPES:
         if file is None:
@@ -52,12 +52,12 @@ def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh
 
 
 def local_transform(node: SceneNode) -> NDArray[np.float64]:
-    """Return ``to_world`` of a shape, (4, 4)."""
+    """Return the ``to_world`` matrix (4, 4) of a shape; identity if not stated."""
     return np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
 
 
 def transformed_uv(uv: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Apply a texture transform (3, 3) for v downwards to UVs (N, 2) with v upwards."""
+    """Apply a texture transform (3, 3), defined for v pointing down, to UVs (N, 2) whose v points up."""
     down = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1).astype(np.float64)
     moved = down @ matrix[:2, :2].T + matrix[:2, 2]
     return np.stack([moved[:, 0], 1 - moved[:, 1]], axis=1).astype(np.float32)
@@ -74,7 +74,7 @@ def _rectangle(_: SceneNode) -> Mesh:
 
 
 def _disk(_: SceneNode) -> Mesh:
-    """Return a disk with Mitsuba's UVs, (radius, angle / 2 pi)."""
+    """Return the unit disk with Mitsuba's UVs, (radius, angle / 2 pi)."""
     angle = np.arange(_ROUND_SEGMENTS + 1) / _ROUND_SEGMENTS * 2 * math.pi
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     positions = _f32(np.concatenate([rim, np.zeros((_ROUND_SEGMENTS, 3))]))

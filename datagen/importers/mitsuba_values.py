@@ -27,7 +27,7 @@ from datagen.importers.channels import (
 )
 from datagen.importers.common import RESTORE_IT, ImportOptions
 
-CHECKER_TILE_PX = 128  # a checker edge then blurs over 1/128 of a tile under bilinear filtering
+CHECKER_TILE_PX = 128  # bilinear filtering blurs the edges over 1/128 of a tile
 MISSING_GREY = 0.5
 INSIDE_SCENE = "a file inside the scene's folder"
 COPY_IT = "copy it there, or name its folder with --allow"
@@ -35,7 +35,7 @@ _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 
 class NodeValues:
-    """Reads parameters of a scene's BSDF nodes; the caller raises the collected ``problems``."""
+    """Reader of the parameters of BSDF nodes, which collects ``problems`` for the caller to raise."""
 
     def __init__(self, scene_file: Path, options: ImportOptions, findings: Findings, cache: ImageCache):
         self.scene_file = scene_file
@@ -65,7 +65,7 @@ class NodeValues:
         return sides[0] / sides[1]
 
     def roughness(self, node: SceneNode, name: str) -> ScalarValue:
-        """Return the perceptual roughness R of a BSDF, or of the nearest Beckmann lobe if it is GGX."""
+        """Return the roughness R of a BSDF; a GGX lobe is replaced by the nearest Beckmann lobe."""
         distribution = str(node.get("distribution", "beckmann"))
         if node.get("alpha_u") is not None or node.child("alpha_u") is not None:
             pair = self.scalar(node, "alpha_u", 0.1), self.scalar(node, "alpha_v", 0.1)
@@ -91,7 +91,7 @@ class NodeValues:
         return rgb_of(node.get(key, default))
 
     def scalar(self, node: SceneNode, key: str, default: float) -> ScalarValue:
-        """Return the scalar parameter ``key``: a colour's luminance, a checkerboard's channel mean."""
+        """Return the scalar parameter ``key``: luminance of a colour, mean of a checkerboard's channels."""
         texture = node.child(key)
         if texture is None:
             value = node.get(key, default)
@@ -147,7 +147,7 @@ class NodeValues:
         self._uv_matrices.append(None if matrix is None else flat)
 
     def common_matrix(self, node: SceneNode) -> NDArray[np.float64] | None:
-        """Return the UV transform (3, 3) of all textures of the material; None if none has ``to_uv``."""
+        """Return the UV transform (3, 3) that the material's textures share; None if none has ``to_uv``."""
         first = next((m for m in self._uv_matrices if m is not None), None)
         if first is None:
             return None
@@ -166,7 +166,7 @@ def rgb_of(value: Any) -> Color:
 
 
 def checkerboard(color0: Color, color1: Color) -> BakedSource:
-    """Return a tile of Mitsuba's checkerboard: ``color0`` if u, v are in the same half, else ``color1``."""
+    """Return a tile of Mitsuba's checkerboard: ``color0`` if u and v are in equal halves, else ``color1``."""
     side = CHECKER_TILE_PX
     half = np.arange(side) >= side // 2
     is_first = half[:, None] == half[None, :]
@@ -177,7 +177,7 @@ def checkerboard(color0: Color, color1: Color) -> BakedSource:
 def normal_from_height(height: NDArray[np.float32], uv_per_m: float) -> NDArray[np.float32]:
     """Return tangent-space unit normals (H, W, 3), +Y up, of a tiling height map (H, W) in metres.
 
-    The slope along u is dh/du * uv_per_m; +v is opposite to the rows.
+    The slope along u is dh/du times ``uv_per_m``; v increases as the row index decreases.
     """
     rows, columns = height.shape
     slope_u = (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) * (0.5 * columns) * uv_per_m

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Import of a Mitsuba scene (XML) as an environment package: one part per shape, metres, Z up.
 
-docs/importing.md lists the conversions and their errors. Content without a conversion is refused or, if an
-option allows it, replaced or removed, which the record of the import states.
+docs/importing.md lists the conversions and their errors. Unsupported content is refused or, if an option
+permits it, replaced or removed, which ``import.json`` records.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE, normal_from_
 from datagen.importers.packaging import finish
 
 _PANE_RATIO = 0.05  # maximum thickness of a pane relative to its second-largest extent
-_SlotKey = tuple[int, tuple[float, float, float] | None]  # BSDF, emission
+_SlotKey = tuple[int, tuple[float, float, float] | None]  # id() of the BSDF node, RGB radiance
 
 
 @dataclass
 class _Shape:
-    """A shape that will be a part; ``mesh`` is in the shape's frame, with v upwards."""
+    """A shape that becomes a part; ``mesh``: before ``to_world``, with UVs whose v points up."""
 
     node: SceneNode
     label: str
@@ -70,8 +70,8 @@ def import_mitsuba_scene(
 ) -> ImportedAsset:
     """Convert a scene file to an environment package in ``out_library/environments/<id>``.
 
-    Raises :class:`InputError` with every problem: unknown plugins, missing files, transparent materials if
-    the policy is to refuse them, an unknown licence.
+    Raises :class:`InputError` that lists all problems: unknown plugins, missing files, refused transparent
+    materials, an unknown licence.
     """
     return _SceneImporter(path, options or ImportOptions()).run(out_library)
 
@@ -89,7 +89,7 @@ class _SceneImporter:
         self.scene: MitsubaScene = parse_scene(self.path, options.defines, self.budget, options.allowed)
         self.materials = MaterialConverter(self.path, options, self.findings, self.cache, self.budget)
         self.problems = self.materials.problems
-        self.num_mended: list[int] = []  # replaced normals per shape
+        self.num_mended: list[int] = []  # number of replaced normals per repaired shape
         self.meshes: dict[Any, tuple[Mesh, int]] = {}
         up = guess_up(self.scene) if options.up == "auto" else options.up
         self.asset_from_source = asset_from_source(up, options.unit_m)
@@ -141,7 +141,7 @@ class _SceneImporter:
         return shapes
 
     def placed_shapes(self) -> Iterator[tuple[SceneNode, str, NDArray[np.float64]]]:
-        """Yield every shape with its label and the (4, 4) transform of its instance, or identity."""
+        """Yield every shape, its label and the (4, 4) transform of its instance (identity if none)."""
         for number, node in enumerate(self.scene.all_of("shape")):
             label = node.id or f"shape_{number:04d}"
             if node.type == "instance":
@@ -197,7 +197,7 @@ class _SceneImporter:
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
 
     def mesh_of(self, node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
-        """Return a shape's mesh and number of replaced normals; a mesh is read once, but always charged."""
+        """Return a shape's mesh, read once but budgeted on each use, and its number of replaced normals."""
         key = _source_of(node, file)
         if key in self.meshes:
             self.budget.spend("triangles", self.meshes[key][0].weight, node.where)
@@ -206,7 +206,7 @@ class _SceneImporter:
         return self.meshes[key]
 
     def apply_dielectric_policy(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Refuse transparent materials or, by option, remove panes and convert bodies to opal glass."""
+        """Refuse transparent materials or, by option, remove panes and convert solids to opal glass."""
         kept: list[_Shape] = []
         refused: dict[str, str] = {}
         removed: dict[str, int] = {}
@@ -239,7 +239,7 @@ class _SceneImporter:
         return kept
 
     def take_out_lights(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Convert emitting rectangles, disks and spheres to lights of the package; return the others."""
+        """Convert emitting rectangles, disks and spheres to lights, and return the other shapes."""
         kept = []
         for shape in shapes:
             light = None
@@ -255,10 +255,10 @@ class _SceneImporter:
     # parts and materials
 
     def build_parts(self, shapes: list[_Shape]) -> tuple[list[Part], list[Mesh]]:
-        """Add mesh files, and return the parts and every part's mesh in the asset's frame.
+        """Add the mesh files, and return the parts and their meshes in the asset's frame.
 
-        A mesh of several shapes is stored once, in the shapes' frame, others in the asset's frame. Shapes
-        without a surface are removed from ``shapes``, the others get their slots.
+        A mesh shared by several shapes is stored once, in its local frame, others in the asset's frame.
+        Shapes without a surface are removed from ``shapes``; the others are assigned slots.
         """
         parts: list[Part] = []
         placed: list[Mesh] = []
@@ -308,7 +308,7 @@ class _SceneImporter:
         )
 
     def slot_name(self, shape: _Shape, slots: dict[_SlotKey, str]) -> str:
-        """Return a shape's slot, one for each pair of BSDF and emission; add it to ``slots`` if new."""
+        """Return the slot for a shape's pair of BSDF and emission; add it to ``slots`` if new."""
         key = (shape.bsdf, shape.emission)
         if key not in slots:
             base = shape.draft.name + ("_emitter" if shape.emission else "")
@@ -381,7 +381,7 @@ class _SceneImporter:
 
 
 def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
-    """Return a key of a shape's mesh: shapes with equal keys have equal meshes."""
+    """Return a key that is equal for shapes with the same mesh."""
     return (
         str(file) if file else node.type,
         None if file else tuple(sorted((k, str(v)) for k, v in node.values.items() if k != "to_world")),
@@ -391,7 +391,7 @@ def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
 
 
 def is_pane(mesh: Mesh) -> bool:
-    """Return whether every connected piece of a mesh is thin relative to its second-largest extent."""
+    """Return whether each connected piece of a mesh is at most 5% as thick as its second-largest extent."""
     points, index = welded(mesh)
     faces = index[mesh.faces]
     labels = _pieces(faces, len(points))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reader of OBJ models: one mesh per material, polygons triangulated, missing normals computed.
 
-C is the number of corners of polygons, P of polygons, M of triangles. Texture coordinate v points up.
+In shapes, C is the number of polygon corners, P of polygons, M of triangles. Texture coordinate v points up.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from datagen.foundation.meshes.mesh import Mesh, area_vectors, compacted
 from datagen.foundation.meshes.obj import corner_indices, number_table
 
 CREASE_COSINE = 0.5
-"""Cosine of the crease angle: edges of less than 60 degrees are smooth within a smoothing group."""
+"""Cosine of the crease angle, 60 degrees, below which edges within a smoothing group are smooth."""
 MIRROR_GROUP = "sweethome3d_window_mirror"
 _MAX_PAIRS = 1 << 22  # corner pairs in memory at once
-_NORMAL_DIGITS = 5  # equal normals of shared corners must be bit-identical for vertices to be shared
+_NORMAL_DIGITS = 5  # rounding, without which numerical error would prevent corners from sharing vertices
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -38,7 +38,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class ObjModel:
-    """Surfaces in the order of the file, in the file's frame, and the names of its material libraries."""
+    """Surfaces in the file's order and frame, and the file names of the material libraries."""
 
     surfaces: tuple[Surface, ...]
     libraries: tuple[str, ...]
@@ -46,7 +46,7 @@ class ObjModel:
 
 @dataclass
 class _Statements:
-    """Lines of an OBJ file by kind; for each polygon its number of corners, smoothing group and surface."""
+    """Statements of an OBJ file; ``counts``, ``smoothing`` and ``owners`` have one entry per polygon."""
 
     positions: list[bytes] = field(default_factory=list)
     uvs: list[bytes] = field(default_factory=list)
@@ -60,7 +60,7 @@ class _Statements:
 
 
 def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
-    """Parse the faces of an OBJ file. Raises :class:`InputError` if it is damaged or has none."""
+    """Parse the faces of an OBJ file. Raises :class:`InputError` if it is damaged or has no faces."""
     found = _sort_lines(data, budget)
     budget.spend("triangles", max(sum(found.counts) - 2 * len(found.counts), len(found.positions) // 3))
     try:
@@ -103,7 +103,7 @@ def _sort_lines(data: bytes, budget: Budget) -> _Statements:
             if owner < 0:
                 owner = found.keys.setdefault((material, is_mirror), len(found.keys))
             corners = line.split()
-            if len(corners) > 3:  # some files have faces of two corners, without a surface
+            if len(corners) > 3:  # some files contain faces of two corners, which have no area
                 found.corners += corners[1:]
                 found.counts.append(len(corners) - 1)
                 if len(found.corners) > most:
@@ -127,9 +127,9 @@ def _sort_lines(data: bytes, budget: Budget) -> _Statements:
 
 
 def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, Ints]:
-    """Return triangles as indices of corners (M, 3), and the index (M,) of the polygon of each.
+    """Return the triangles (M, 3) as corner indices, and the polygon index (M,) of each.
 
-    ``points`` (C, 3): positions of the corners; ``counts`` (P,): corners of each polygon.
+    ``points`` (C, 3): positions of the corners; ``counts`` (P,): number of corners of each polygon.
     """
     starts = np.cumsum(counts) - counts
     threes, fours = np.flatnonzero(counts == 3), np.flatnonzero(counts == 4)
@@ -163,7 +163,7 @@ def triangulate(points: Floats, budget: Budget) -> Ints:
     normal = np.cross(points - points[0], following - points[0]).sum(axis=0)  # Newell's method
     axis = int(np.abs(normal).argmax())
     flat = np.delete(points, axis, axis=1)
-    if (normal[axis] < 0) != (axis == 1):  # makes the winding positive; x-z is mirrored
+    if (normal[axis] < 0) != (axis == 1):  # makes the winding positive; dropping y mirrors the plane
         flat = flat * [1.0, -1.0]
     before, after = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -210,7 +210,7 @@ def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
 def _corner_normals(
     positions: Floats, normals: Floats, corner: Ints, smoothing: Ints, budget: Budget
 ) -> Floats:
-    """Return corner normals (M, 3 corners, 3): the file's if it states one, else those of :func:`creased`."""
+    """Return corner normals (M, 3 corners, 3), from the file if valid, else from :func:`creased`."""
     cross = area_vectors(positions[corner[:, :, 0]])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
@@ -229,10 +229,10 @@ def _corner_normals(
 
 
 def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
-    """Return normals (M, 3 corners, 3) for ``faces`` (M, 3) with unit normals ``unit`` (M, 3).
+    """Return corner normals (M, 3 corners, 3) of ``faces`` (M, 3) with unit normals ``unit`` (M, 3).
 
-    They are angle-weighted means over the faces at the vertex whose normals differ by less than 60 degrees
-    and which have the same smoothing group, in ``smoothing`` (M,); group 0 is flat.
+    Each is the angle-weighted mean of the normals of the faces at the vertex that differ by less than 60
+    degrees and have the same smoothing group (``smoothing``, (M,)); faces of group 0 are flat.
     """
     made = np.repeat(unit[:, None], 3, axis=1)
     chosen = np.flatnonzero(smoothing > 0)
@@ -273,7 +273,7 @@ def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budge
 
 
 def _mesh(positions: Floats, uvs: Floats, corner: Ints, normals: Floats) -> Mesh:
-    """Return a surface as a mesh, with texture coordinates only if every corner has finite ones."""
+    """Return a surface as a mesh, with texture coordinates only if those of all corners are finite."""
     flat = corner.reshape(-1, 3)
     uv = None
     if len(uvs) and (flat[:, 1] >= 0).all():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The last step of every import: writing, checking and recording of the package.
+"""Last step of every import, which writes, checks and records the package.
 
 ``import.json`` in the package contains the approximations and notes of the import, and is not hashed.
 """
@@ -25,7 +25,7 @@ def finish(
 ) -> ImportedAsset:
     """Write, check and record the package ``folder/<id>`` (or ``.zip``); warnings become notes.
 
-    Raises :class:`InputError` for faults of the package, and if it exists without ``options.overwrite``.
+    Raises :class:`InputError` for an invalid package, or one that exists if ``options.overwrite`` is off.
     """
     record: dict[str, Any] = {
         "approximations": list(findings.approximations),
@@ -57,7 +57,7 @@ def finish(
 
 
 def _contents(asset: AnyAsset) -> str:
-    """Return an asset's size and numbers of parts and materials; or its classes, or its time of day."""
+    """Describe an object or room by size and contents, a material by classes, a panorama by time of day."""
     if isinstance(asset, PanoramaAsset):
         return asset.daytime
     if isinstance(asset, MaterialAsset):

@@ -51,7 +51,7 @@ def metallic_roughness(
 
 
 def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
-    """Return the scalar ``value``, or 0 or 1 if all pixels of its image differ by at most 0.02 from it."""
+    """Return 0 or 1 if all pixels of ``value``'s image are within 0.02 of that number, else ``value``."""
     if is_constant(value):
         return value
     pixels = cache.values(value, is_scalar=True)
@@ -65,9 +65,9 @@ def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
 def green_points_up(pixels: NDArray, height: NDArray | None = None) -> bool:
     """Return whether the ``pixels`` (H, W, 3) of a normal map imply +Y up (OpenGL), not down (DirectX).
 
-    If a ``height`` image of the same size correlates with the normals, the sign of the correlation is used.
-    Otherwise, the curl is: slopes p = nx / nz and q = ny / nz of a height field are free of curl, dp/dv =
-    dq/du. With rows downwards, that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow - dq/dcolumn = 0 for
+    If a ``height`` image of the same size correlates with the normals, the sign of the correlation decides.
+    Otherwise, the curl decides: the slopes p = nx / nz and q = ny / nz of a height field satisfy dp/dv =
+    dq/du. With rows downwards, this is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow - dq/dcolumn = 0 for
     DirectX; the convention with the smaller residual is assumed. Columns and rows wrap around.
     """
     values = pixels[..., :3].astype(np.float64) / np.iinfo(pixels.dtype).max * 2 - 1

@@ -28,12 +28,12 @@ from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from mitsuba_plugins.variant import select_variant
 
-BLUR_SHARE = 0.01  # sigma of the comparison's blur, as a share of the image's width
+BLUR_SHARE = 0.01  # standard deviation of the blur, as a share of the image's width
 _DARK_SHARE = 0.01  # pixels below this share of the mean are too dark for a ratio
 
 
 def load_original(path: Path, *, optimize: bool = False) -> Any:
-    """Load a scene file with Mitsuba and its BSDFs; without ``optimize``, each shape keeps its mesh."""
+    """Load the original scene with Mitsuba's BSDFs; ``optimize``: whether Mitsuba may merge shapes."""
     import mitsuba as mi
 
     file = path / "scene.xml" if path.is_dir() else path
@@ -41,7 +41,7 @@ def load_original(path: Path, *, optimize: bool = False) -> Any:
 
 
 def original_camera(path: Path) -> AssetCamera:
-    """Return a scene file's first camera, in the scene's frame. Raises :class:`InputError` without any."""
+    """Return a scene file's first camera, in the scene's frame. Raises :class:`InputError` if none."""
     file = path / "scene.xml" if path.is_dir() else path
     sensors = parse_scene(file).all_of("sensor")
     if not sensors:
@@ -50,10 +50,10 @@ def original_camera(path: Path) -> AssetCamera:
 
 
 def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) -> Camera:
-    """Return an asset's camera at another width; without a height, the aspect is kept to the nearest pixel.
+    """Return an asset's camera for an image of another width, by default of the same aspect ratio.
 
     With ``height_px``, the image is cropped or extended vertically about its centre, and the horizontal field
-    of view is unchanged: some reference images are square although the scene file's camera is not.
+    of view is unchanged, since some reference images are square although the scene's camera is not.
     """
     if height_px is not None:
         scale = width_px / camera.width_px
@@ -104,7 +104,7 @@ def render_original(
 def native_configuration(
     package: Package, width_px: int, seed: int = 0, height_px: int | None = None
 ) -> Configuration:
-    """Return the configuration of an environment alone, with its lights, and cameras of another width.
+    """Return a configuration of an environment alone, with its own lights, and its cameras at ``width_px``.
 
     Raises :class:`InputError` if it has no camera; ``height_px`` is as in :func:`camera_at`.
     """
@@ -126,7 +126,7 @@ def render_converted(
     seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
-    """Render the imported environment (H, W, 3) from its first camera by this project, not denoised."""
+    """Render the imported environment (H, W, 3) from its first camera with this project, not denoised."""
     configuration = native_configuration(library.package(asset_id), width_px, seed, height_px)
     recipe = RenderRecipe(
         variant=select_variant(),  # type: ignore[arg-type]
@@ -141,11 +141,11 @@ def render_converted(
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of an image with its reference.
+    """Agreement of an image with its reference, computed from blurred luminance.
 
-    ``correlation``: Pearson correlation of blurred luminance. ``median_ratio``: median over pixels of blurred
-    luminance over the reference's. ``mean_ratio``: ratio of the means. ``rel_l1``: sum of absolute
-    differences of the blurred images over the reference's sum.
+    ``correlation``: Pearson correlation. ``median_ratio``: median ratio of pixels to those of the reference,
+    without dark pixels. ``mean_ratio``: ratio of the means. ``rel_l1``: sum of absolute differences over the
+    sum of the reference.
     """
 
     correlation: float

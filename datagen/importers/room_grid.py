@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The free space of a room on a grid of cubes, from points on its surfaces: floor, camera regions, ceiling.
+"""Grid of cubes that locates a room's free space, floor, camera regions and ceiling from surface points.
 
 Frame: metres, Z up. Grids are indexed [x, y, z].
 """
@@ -18,7 +18,7 @@ from datagen.formats.base import Vector3, quantized
 
 SQUARE_M = 0.025
 MIN_CELL_M = 0.06
-_MAX_POINTS = 6_000_000  # sampled surface points; above this, coarser sampling keeps the memory below 100 MB
+_MAX_POINTS = 6_000_000  # maximum number of surface samples, which take about 100 MB
 _MAX_GRID_CELLS = 6_000_000
 _CAMERA_BAND_M = (0.7, 1.9)  # heights above the floor at which a camera region must be free
 _CAMERA_MARGIN_M = 0.2
@@ -26,15 +26,15 @@ _SLOT_SIDE_M = 0.6
 
 
 def short_vector(values: NDArray | list[float]) -> Vector3:
-    """Return three numbers, rounded to six significant digits."""
+    """Round three numbers to six significant digits."""
     x, y, z = (quantized(float(v), 6) for v in values)
     return x, y, z
 
 
 def surface_points(triangles: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
-    """Return points (P, 3) on ``triangles`` (M, 3, 3), their triangles (P,), and their spacing in metres.
+    """Sample ``triangles`` (M, 3, 3); return points (P, 3), triangle indices (P,) and the spacing in metres.
 
-    The spacing is ``0.8 * SQUARE_M``, or more if that would give too many points.
+    The spacing is ``0.8 * SQUARE_M``, or larger if this would exceed the maximum number of points.
     """
     lengths = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)  # edge k: corner k to k + 1
     order = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
@@ -57,13 +57,13 @@ def surface_points(triangles: NDArray[np.float64]) -> tuple[NDArray[np.float32],
 
 
 def _counted(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return 0 to counts[0] - 1, 0 to counts[1] - 1, ... in one array."""
+    """Return the concatenation of ``arange(n)`` for each n of ``counts``."""
     return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 @dataclass(frozen=True)
 class RoomGrid:
-    """Masks of ``occupied`` and ``interior`` (free, enclosed) cubes of side ``cell_m`` from ``origin_m``."""
+    """Grid of cubes of side ``cell_m`` from corner ``origin_m``; ``interior``: free and enclosed cubes."""
 
     origin_m: NDArray[np.float64]
     cell_m: float
@@ -75,9 +75,10 @@ class RoomGrid:
     def build(
         cls, points: NDArray[np.float32], seeds: NDArray[np.float64], min_cell_m: float
     ) -> RoomGrid | None:
-        """Return the grid of the room with most ``seeds``, or the largest; None if no space is enclosed.
+        """Return the grid of the room that contains most ``seeds`` (K, 3), or of the largest room if K = 0.
 
-        ``points`` (P, 3) are on surfaces; ``min_cell_m`` must exceed their spacing, or walls have holes.
+        Returns None without an enclosed space. ``min_cell_m`` must exceed the spacing of the surface
+        ``points`` (P, 3), or walls have holes.
         """
         from scipy import ndimage
 
@@ -95,7 +96,7 @@ class RoomGrid:
             walls += np.flip(np.logical_or.accumulate(np.flip(occupied, axis), axis=axis), axis)
         inside = ((seeds - origin) / cell).astype(np.int64) if len(seeds) else np.zeros((0, 3), np.int64)
         inside = inside[((inside >= 0) & (inside < shape)).all(axis=1)]
-        for num_sides in (5, 4):  # of six sides; film sets lack a wall, or a wall and the ceiling
+        for num_sides in (5, 4):  # enclosing sides of six; film sets lack a wall, or a wall and the ceiling
             labels, count = ndimage.label(~occupied & (walls >= num_sides))
             hits = labels[tuple(inside.T)]
             hits = hits[hits > 0]
@@ -111,14 +112,14 @@ class RoomGrid:
         floor_cell = int(levels.argmax())
         edge = origin[2] + floor_cell * cell
         near = points[np.abs(points[:, 2] - edge) < 1.5 * cell][:, 2]
-        if len(near):  # the height of most points, more exact than the edge of a cube
+        if len(near):  # the most frequent height of points, more exact than a cube's face
             bins = np.round(near / 0.005).astype(np.int64)
             values, counts = np.unique(bins, return_counts=True)
             edge = float(near[bins == values[counts.argmax()]].mean())
         return cls(origin, cell, occupied, interior, float(edge))
 
     def is_interior(self, points: NDArray) -> NDArray[np.bool_]:
-        """Return the mask (P,) of the points (P, 3) that are in the free space of the room."""
+        """Return a mask (P,) of the ``points`` (P, 3) in the room's free space."""
         index = ((points - self.origin_m) / self.cell_m).astype(np.int64)
         valid = ((index >= 0) & (index < self.interior.shape)).all(axis=1)
         result = np.zeros(len(points), dtype=bool)
@@ -129,7 +130,7 @@ class RoomGrid:
         return int(np.clip((height_m - self.origin_m[2]) / self.cell_m, 0, self.interior.shape[2] - 1))
 
     def camera_regions(self) -> Iterator[Box]:
-        """Yield up to four boxes that begin at the floor and are free at camera heights, 0.7 to 1.9 m."""
+        """Yield up to four boxes on the floor that are free at camera heights of 0.7 to 1.9 m above it."""
         from scipy import ndimage
 
         low, high = (
@@ -186,10 +187,10 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
     """Return the largest all-True rectangle (x0, x1, y0, y1) with sides of at least ``min_side``, or zeros.
 
-    Computed row by row from the heights of the columns of True above (largest rectangle in a histogram).
+    For each row, it is the largest rectangle in the histogram of the heights of the True columns above.
     """
     best, result = 0, (0, 0, 0, 0)
-    heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0 and closes every open column
+    heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0, which ends every open rectangle
     for row in range(mask.shape[0]):
         heights[:-1] = np.where(mask[row], heights[:-1] + 1, 0)
         if heights.max() * mask.shape[1] <= best:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Import of Sweet Home 3D furniture libraries (.sh3f) as object packages.
 
-A model is rotated and scaled to width, depth and height as the catalogue states, rotated to Z up (the file's
-+Y is up, its front +Z becomes -Y) and put on z = 0. All possible pieces are imported, and the error lists the
-others. Existing packages are kept, so an interrupted import resumes.
+A model is rotated and scaled to the catalogue's width, depth and height, converted from Y up to Z up (its
+front +Z becomes -Y) and placed on z = 0. Invalid pieces are skipped and listed in one error at the end.
+Existing packages are kept, so an interrupted import can be resumed.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from datagen.importers.sweet_home_catalogue import Catalogue, Piece, open_catalo
 from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConverter
 
 _IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")
-_OUTER = 0.02  # share of an extent by which a pane must exceed the rest to be kept
-_STRETCH = 1.05  # models scaled more unequally than this are reported as stretched
-_FLAT = 1e-9  # a side without extent cannot be scaled
+_OUTER = 0.02  # share of the model's extent by which a pane must protrude to be kept
+_STRETCH = 1.05  # ratio of largest to smallest axis scale that is reported as stretched
+_FLAT = 1e-9  # relative extent below which a model is flat along an axis, which cannot be scaled
 _Surface = tuple[str, ConvertedMaterial, Mesh]  # part name, material, mesh in the asset's frame
 _CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
 _PAGE = re.compile(r"https?://(?:www\.)?blendswap\.com/blends?/(?:view/)?\d+")
@@ -52,7 +52,7 @@ _CATEGORIES = {"vehicles": "vehicle", "lights": "lamp", "doors and windows": "do
 
 @dataclass(frozen=True)
 class Step:
-    """The outcome of a catalogue's piece: ``imported``, ``kept`` from an earlier run, or ``refused``."""
+    """Result of importing a catalogue's piece: ``imported``, ``kept`` from an earlier run, or ``refused``."""
 
     name: str
     outcome: Literal["imported", "kept", "refused"]
@@ -62,13 +62,13 @@ class Step:
 
 
 StepObserver = Callable[[Step, int], None]
-"""Function that is called with each step and the number of pieces in the catalogue."""
+"""Callback that receives each step and the number of pieces in the catalogue."""
 
 
 def import_sweet_home(
     path: Path, out_library: Path, options: ImportOptions | None = None, on_step: StepObserver | None = None
 ) -> list[ImportedAsset]:
-    """Import the pieces of a .sh3f file, and return the records of those imported now or earlier.
+    """Import the pieces of a .sh3f file, and return the records of all new and existing packages.
 
     Raises :class:`InputError` if the file is not a catalogue and, at the end, for all refused pieces.
     """
@@ -158,14 +158,14 @@ class _SweetHomeImporter:
     def _import(self, piece: Piece, asset_id: str, category: str) -> ImportedAsset:
         findings = Findings()
         source = self._provenance(piece)
-        # one budget per piece, whose data are released before the next piece
+        # a new budget, since the data of each piece are released before the next one
         budget = Budget(self._label(piece), self.options.limits)
         budget.hold(self.catalogue.size_in_archive(piece.model))
         data = self.catalogue.read(piece.model)
         model = read_obj_model(data, f"{self.catalogue.path}/{piece.model}", budget)
         budget.spend("instances", len(model.surfaces), piece.model)
         num_materials = len({surface.material for surface in model.surfaces})
-        hints = (piece.name, *piece.tags) if num_materials <= 2 else ()  # words for the class of a material
+        hints = (piece.name, *piece.tags) if num_materials <= 2 else ()  # for guessing material classes
         with tempfile.TemporaryDirectory(prefix="sh3f-") as scratch:
             find_image = _ImageFinder(self.catalogue, piece, Path(scratch))
             phongs = self._phong_materials(piece, model, findings)
@@ -227,7 +227,7 @@ class _SweetHomeImporter:
         )
 
     def _phong_materials(self, piece: Piece, model: ObjModel, findings: Findings) -> dict[str, PhongMaterial]:
-        """Return the materials of the MTL files that the model names, by name."""
+        """Return the materials, by name, of the MTL files that the model references."""
         beside = self.catalogue.beside(piece.model)
         found: dict[str, PhongMaterial] = {}
         absent = []
@@ -254,7 +254,7 @@ class _SweetHomeImporter:
         converter: PhongConverter,
         findings: Findings,
     ) -> list[_Surface]:
-        """Return name, material and mesh of each part, in the asset's frame, on the plane z = 0."""
+        """Return name, material and mesh of each part, centred in x and y and standing on z = 0."""
         matrix = self._asset_from_model(piece, model, findings)
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
         pieces: list[_Surface] = []
@@ -293,7 +293,7 @@ class _SweetHomeImporter:
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
 
     def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
-        """Return the (4, 4) transform by the catalogue's rotation and size and to Z up."""
+        """Return the (4, 4) transform that applies the catalogue's rotation and size and makes Z up."""
         rotation = np.eye(3) if piece.rotation is None else piece.rotation
         points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ rotation.T
         extent = points.max(axis=0) - points.min(axis=0)
@@ -327,7 +327,7 @@ class _SweetHomeImporter:
 
 
 class _ImageFinder:
-    """Function from a lower-case name to an image of a model's folder, unpacked into ``scratch``, or None."""
+    """Callable that unpacks a model's image, given by its lower-case name, and returns its path or None."""
 
     def __init__(self, catalogue: Catalogue, piece: Piece, scratch: Path):
         self.catalogue, self.scratch = catalogue, scratch
@@ -359,9 +359,9 @@ def guess_piece_category(piece: Piece) -> str:
 
 
 def _with_outer_panes(pieces: list[_Surface], panes: list[_Surface]) -> tuple[list[_Surface], list[_Surface]]:
-    """Return the surfaces to keep, and the panes to remove.
+    """Return the surfaces to keep and the panes to remove.
 
-    A pane that extends beyond all other surfaces (a table top) is kept, as opal glass.
+    A pane that extends beyond all other surfaces, such as a table top, is kept as opal glass.
     """
     if not pieces or not panes:
         return panes + pieces, []

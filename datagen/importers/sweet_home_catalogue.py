@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Reader of Sweet Home 3D catalogues (.sh3f), zips of ``PluginFurnitureCatalog.properties`` and models.
+"""Reader of Sweet Home 3D catalogues (.sh3f): zips of models and ``PluginFurnitureCatalog.properties``.
 
-A property ``width#12`` belongs to the twelfth piece. Sizes are centimetres: width along x, depth along the
-model's z, height along its y. ``modelRotation`` is a 3 x 3 matrix, row by row, applied to the model's points.
+Property ``width#12`` is the width of the twelfth piece. Sizes are in centimetres: width along the model's x,
+height along y, depth along z. ``modelRotation`` is a row-major 3 x 3 matrix that rotates the model.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _HOLDER = re.compile(r"(?:Copyright\s*)?(?:©|\(C\))\s*(?:Copyrights?\s*)?(?P<ho
 class Piece:
     """An entry of a catalogue. ``size_m``: width, depth, height; ``rotation``: (3, 3) or None.
 
-    ``elevation_m``: height above the floor; a piece with a positive height hangs.
+    ``elevation_m``: height above the floor; a piece with a positive elevation hangs.
     """
 
     id: str
@@ -70,7 +70,7 @@ class Origin:
 
 @dataclass
 class Catalogue:
-    """An open catalogue; ``problems``: errors of invalid entries by name."""
+    """An open catalogue; ``problems``: errors of invalid entries, by piece id or name."""
 
     path: Path
     archive: zipfile.ZipFile
@@ -100,7 +100,7 @@ class Catalogue:
             ) from None
 
     def beside(self, model: str) -> dict[str, str]:
-        """Return the members in the folder of a model, by their base names in lower case."""
+        """Return the archive members in a model's folder, by lower-case base name."""
         if self._folders is None:
             self._folders = {}
             for name in self.archive.namelist():
@@ -147,9 +147,9 @@ def open_catalogue(path: Path, budget: Budget) -> Catalogue:
 
 
 def parse_properties(data: bytes) -> dict[str, str]:
-    """Parse a Java properties file, with comments, continued lines and escapes, to values by key.
+    """Parse a Java properties file, including comments, continuation lines and escapes, to a dictionary.
 
-    Decoded as UTF-8 if possible, else as ISO 8859-1, as in Java.
+    The text is decoded as UTF-8 if valid, else as ISO 8859-1, as in Java.
     """
     try:
         text = data.decode("utf-8-sig")
@@ -166,7 +166,7 @@ def parse_properties(data: bytes) -> dict[str, str]:
             continue
         pending = ""
         match = re.match(r"((?:\\.|[^\\=:\s])*)\s*[=:]?\s*(.*)", line, re.S)
-        assert match is not None  # every part of the pattern may be empty
+        assert match is not None  # the pattern matches every line, since all its parts may be empty
         table[_unescaped(match[1])] = _unescaped(match[2]).strip()
     return table
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Conversion of Phong materials (MTL) to D, S and R. Colours are sRGB, as in Sweet Home 3D.
 
-D is ``Kd`` or, if present, ``map_Kd`` without the factor ``Kd``, as in the program's renderings. The Phong
-model has no F0; ``phong_channels`` derives it by a convention (docs/importing.md).
+As in the program's renderings, D is ``map_Kd``, not multiplied by ``Kd``, or ``Kd`` if there is no map. The
+Phong model has no F0; ``phong_channels`` derives it by a convention (docs/importing.md).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from datagen.importers.obj_materials import PhongMaterial
 F0_PER_SPECULAR = 0.08
 """F0 of a non-metal at Ks = 1; Ks = 0.5, the default in Blender and Disney's model, gives 0.04."""
 MIN_F0, MAX_ALBEDO = 0.02, 0.9
-_METAL_F0 = (0.3, 0.95)  # range of metals; a "metal" below it is painted
-_INVISIBLE = 0.02  # less opaque surfaces are auxiliary and not shown by the program
+_METAL_F0 = (0.3, 0.95)  # range for metals; a darker "metal" is treated as painted
+_INVISIBLE = 0.02  # opacity below which Sweet Home 3D does not show a surface
 _OPAQUE = 0.999
 _MIRROR_F0 = 0.9
 _LEFT_OUT = (
@@ -60,15 +60,15 @@ class ConvertedMaterial:
 
 
 def phong_roughness(exponent: float) -> float:
-    """Return R of the Beckmann lobe with the peak of a Blinn-Phong lobe: alpha^2 = 2 / (exponent + 2)."""
+    """Return R of the Beckmann lobe that has the peak of a Blinn-Phong lobe: alpha^2 = 2 / (exponent + 2)."""
     return float(perceptual_roughness(np.sqrt(2 / (max(exponent, 0.0) + 2)), "beckmann"))
 
 
 def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False) -> PhongChannels:
     """Convert a material without textures to D, S and R.
 
-    Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, 1 without a highlight. Metals:
-    D = 0, S = Kd + Ks (at most 0.95); those below 0.3 are painted, hence non-metals. Mirrors: S = 0.9, R = 0.
+    Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, or 1 without a highlight.
+    Metals: D = 0, S = Kd + Ks (at most 0.95); if S < 0.3, they count as non-metals. Mirrors: S = 0.9, R = 0.
     """
     kd = linear_from_srgb(np.clip(phong.diffuse, 0.0, 1.0))
     ks = np.clip(phong.specular, 0.0, 1.0)
@@ -84,7 +84,7 @@ def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False
 
 
 class PhongConverter:
-    """Converts the materials of one model; the caller raises its ``problems``.
+    """Converter of a model's materials, which collects ``problems`` for the caller to raise.
 
     ``find_file`` returns the path of an image by its lower-case base name, or None. ``hints``: names from
     which a material's class may be guessed.
@@ -162,10 +162,7 @@ class PhongConverter:
         return (guess,)
 
     def _image(self, slot: str, statement: str | None) -> ImageSource | None:
-        """Return the image that a map statement names; its options and the path's folders are ignored.
-
-        None without a statement or a file.
-        """
+        """Return the image named by a map statement, or None; its options and folders are ignored."""
         if not statement:
             return None
         name = _file_name(statement)
@@ -181,7 +178,7 @@ class PhongConverter:
         return None
 
     def _cut_out(self, image: ImageSource, phong: PhongMaterial, slot: str) -> ScalarValue | None:
-        """Return the opacity from the alpha of the colour image or ``map_d``; None if opaque."""
+        """Return the opacity, from the alpha of the colour image or from ``map_d``; None if opaque."""
         mask: ImageSource | None = None
         pixels = self.cache.pixels(image.file)
         if pixels.shape[2] in (2, 4):

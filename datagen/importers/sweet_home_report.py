@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class ImportWatch:
-    """Context that shows a progress bar for each catalogue and, at the end or after an error, a summary.
+    """Context manager that shows a progress bar per catalogue and, at the end or after an error, a summary.
 
     Nothing is shown, and rich is not loaded, until the first step is reported.
     """
