@@ -2,9 +2,9 @@
 """Writes 3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` etc.
 
 Lengths are in millimetres; camera axes are as in this project: x right, y down, z forward. BOP's poses are
-rigid, so each scale of an object is a separate model. ``boxes3d.json`` contains every object's box in the
-world, in metres, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels, ``bbox_obj`` all
-projected vertices.
+rigid, so each scale of an object is a separate model. ``boxes3d.json`` contains the world-space boxes, in
+metres, of all objects, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels,
+``bbox_obj`` all projected vertices.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
 
 
 class BopFiles:
-    """Writer of one scene per room and, by :meth:`finish`, of the models, which it numbers."""
+    """Writer of one BOP scene per room; :meth:`finish` writes the numbered models of all objects."""
 
     def __init__(self, export: Export):
         self.export = export
@@ -112,9 +112,9 @@ class BopFiles:
         objects: dict[str, tuple[NDArray[np.float64], tuple[float, float, float], ModelKey]],
         vertices: dict[str, NDArray[np.float64]],
     ) -> tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]:
-        """Write a view's images, and return its camera, poses and boxes as entries of the scene's tables.
+        """Write view number ``image``, and return its entries of the scene's tables: camera, poses and boxes.
 
-        ``objects``: pose, scale and model by name; ``vertices``: their mesh vertices (N, 3) by name.
+        ``objects``: pose, scale and model by name; ``vertices``: scaled mesh vertices (N, 3) by name.
         """
         camera = view.camera
         buffers = view.read("beauty", "depth_z_m", "instance_id")
@@ -160,7 +160,7 @@ class BopFiles:
         return entry, poses, infos
 
     def finish(self) -> None:
-        """Write the models in millimetres, and their sizes."""
+        """Write the models and ``models_info.json``, in millimetres."""
         infos: dict[str, Any] = {}
         for key, number in self.numbers.items():
             mesh = self.mesh(key).transformed(np.diag([1e3, 1e3, 1e3, 1.0]))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
-Masks are in COCO's compressed run-length encoding: the lengths of runs along the columns, beginning with the
-background, each minus the length two runs before, in groups of five bits.
+Masks are in COCO's compressed run-length encoding, which stores the lengths of runs along the columns,
+background first, minus the length two runs earlier, in groups of five bits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from datagen.formats.asset import ObjectAsset
 
 
 class CocoFiles:
-    """Writer of images and, by :meth:`finish`, of the annotations of all rooms."""
+    """Writer of the images of each room; :meth:`finish` writes the annotations of all rooms."""
 
     def __init__(self, export: Export):
         self.export = export
@@ -36,7 +36,7 @@ class CocoFiles:
         return asset_id
 
     def add(self, room: Room) -> None:
-        """Write the images of a room's views and add their annotations."""
+        """Write the images of a room's views, and collect their annotations."""
         images = self.images.setdefault(room.split, [])
         annotations = self.annotations.setdefault(room.split, [])
         for view in room.views:
@@ -52,7 +52,7 @@ class CocoFiles:
                 annotations.append({"id": len(annotations) + 1, "image_id": image_id, **entry})
 
     def annotations_of(self, room: Room, view: RoomView, ids: NDArray) -> list[dict[str, Any]]:
-        """Return annotations of the objects whose instance ids occur in ``ids`` (H, W), in order of ids."""
+        """Return annotations of the objects whose instance ids occur in ``ids`` (H, W), ordered by id."""
         objects, found = room.objects(), []
         for number in np.unique(ids[ids > 0]):
             name = view.record.instances[str(number)]

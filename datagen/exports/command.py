@@ -80,7 +80,7 @@ _WRITERS = {
     "bop": "BopFiles",
     "flow": "export_flow",
 }
-"""The writer in each format's module: a class with ``add`` and ``finish``, or a function that adds a room."""
+"""Writer in each format's module: a class with ``add`` and ``finish``, or a function for one room."""
 
 
 def _library_paths(folder: Path, library: list[str] | None) -> list[Path]:

@@ -2,8 +2,8 @@
 """Writes exact optical flow between views, from depth and cameras: Middlebury ``.flo`` files and masks.
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
-point is in front of camera b; elsewhere 1e10, the format's value for unknown. The mask is True where b
-shows the point, that is, a surface of the same instance in a plane through the point.
+point is in front of camera b; elsewhere 1e10, the format's value for unknown flow. The mask is True where the
+point is visible in b: where b's surface has the same instance and its plane contains the point.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.images import encode_png
 
 UNKNOWN = 1e10
-_COARSE = 8  # step between pixels for the choice of views
-# relative to distance: half floats store normals to 1e-3, and pixels are 1e-3 to 3e-3 wide
+_COARSE = 8  # pixel step of the coarse flow that selects pairs of views
+# relative to distance, since half-float normals have errors of 1e-3 and pixels are 1e-3 to 3e-3 wide
 _PLANE_TOLERANCE = 4e-3
 _NAMES = ("depth_z_m", "normal_world", "instance_id")
 
@@ -33,7 +33,7 @@ def flow_between(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the flow (h, w, 2) in pixels from view a to b, and the mask (h, w) of points visible in b.
 
-    h and w count every ``step``-th row and column of view a. Buffers are as stored, by name.
+    Only every ``step``-th row and column of view a is used. Buffers (H, W, C) are as stored, by name.
     """
     depth = buffers_a["depth_z_m"][::step, ::step, 0].astype(np.float64)
     pixels = camera_a.pixel_centers()[::step, ::step]
@@ -56,7 +56,7 @@ def flow_between(
 
 
 def encode_flo(flow: NDArray[np.float32]) -> bytes:
-    """Encode flow (H, W, 2) in Middlebury's format: "PIEH", width, height, then u and v by row."""
+    """Encode flow (H, W, 2) in Middlebury's format: ``PIEH``, width, height, then (u, v) row by row."""
     height, width = flow.shape[:2]
     return b"PIEH" + struct.pack("<ii", width, height) + flow.astype("<f4").tobytes()
 
@@ -70,7 +70,7 @@ def decode_flo(data: bytes) -> NDArray[np.float32]:
 
 
 def export_flow(export: Export, room: Room) -> None:
-    """Write each view's flow to the ``neighbours`` views in which most of it is visible."""
+    """Write the flow from each view to the ``export.neighbours`` views that show most of its points."""
     name, views = room.configuration.id, room.views
     read = [view.read(*_NAMES) for view in views]
     cameras = [view.camera for view in views]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Writes folders in the layout of Apple's Hypersim: HDF5 files with one array each, ``dataset``.
+"""Writes folders in the layout of Apple's Hypersim, with one array, ``dataset``, per HDF5 file.
 
 A room is a scene, and its views with the same intrinsics are one camera trajectory (``cam_00``). As in
 Hypersim, cameras look along -z with y up, ``depth_meters`` is the distance from the camera's centre, and
-positions are in asset units, here metres. Hypersim lacks specular albedo and roughness; they are added next
-to ``diffuse_reflectance``.
+positions are in asset units, here metres. Specular albedo and roughness, which Hypersim lacks, accompany
+``diffuse_reflectance``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _BUFFERS = (
 
 
 def encode_hdf5(array: NDArray) -> bytes:
-    """Encode an HDF5 file with the compressed array ``dataset``. Raises :class:`InputError` without h5py."""
+    """Encode ``array`` as the ``dataset`` of an HDF5 file. Raises :class:`InputError` without h5py."""
     try:
         import h5py
     except ImportError:
@@ -40,7 +40,7 @@ def encode_hdf5(array: NDArray) -> bytes:
 
 
 def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
-    """Return the (3, 3) matrix from (u, v, 1), u right and v up in [-1, 1], to a camera ray, -z forward."""
+    """Return the (3, 3) matrix from (u, v, 1), u right and v up in [-1, 1], to rays of a camera along -z."""
     half_width, half_height = camera.width_px / 2, camera.height_px / 2
     x = [half_width / camera.fx_px, 0.0, (half_width - camera.cx_px) / camera.fx_px]
     y = [0.0, half_height / camera.fy_px, (camera.cy_px - half_height) / camera.fy_px]
@@ -48,7 +48,7 @@ def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
 
 
 def projection(camera: Camera) -> NDArray[np.float64]:
-    """Return OpenGL's projection matrix (4, 4) for points in the camera's frame, -z forward."""
+    """Return OpenGL's projection matrix (4, 4) of a camera that looks along -z."""
     width, height, depth = camera.width_px, camera.height_px, _FAR_M - _NEAR_M
     return np.array(
         [
@@ -61,14 +61,14 @@ def projection(camera: Camera) -> NDArray[np.float64]:
 
 
 class HypersimFiles:
-    """Writer of one scene per room and, by :meth:`finish`, of the table of all intrinsics."""
+    """Writer of one scene per room; :meth:`finish` writes the table of all intrinsics."""
 
     def __init__(self, export: Export):
         self.export = export
         self.trajectories: list[tuple[str, str, Camera]] = []  # scene, trajectory, first camera
 
     def add(self, room: Room) -> None:
-        """Write a room as a scene: frames by trajectory, cameras, unit of length."""
+        """Write a room as a scene: frames and cameras of each trajectory, and the unit of length."""
         name = room.configuration.id
         trajectories: dict[tuple[float, ...], list[RoomView]] = {}
         for view in room.views:
@@ -90,7 +90,7 @@ class HypersimFiles:
         self.export.write(f"{name}/_detail/metadata_scene.csv", text.encode())
 
     def frame(self, folder: str, frame: int, view: RoomView) -> None:
-        """Write the quantities of a view as frame number ``frame`` below ``folder``."""
+        """Write the buffers of a view as number ``frame``; ``folder``: prefix of the output folders."""
         camera, buffers = view.camera, view.read(*_BUFFERS)
         depth = buffers["depth_z_m"][..., 0].astype(np.float64)
         points = camera.unproject(camera.pixel_centers(), depth)
@@ -134,6 +134,6 @@ class HypersimFiles:
 
 
 def _with_minus_one(ids: NDArray) -> NDArray[np.int32]:
-    """Return ids (H, W, 1) as (H, W) with -1 instead of 0 for none, as in Hypersim."""
+    """Return ids (H, W, 1) as (H, W), with Hypersim's -1 instead of 0 for pixels without an id."""
     values = ids[..., 0].astype(np.int64)
     return np.where(values == 0, -1, values).astype(np.int32)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Writes a folder per room with ``transforms.json``, for nerfstudio, instant-ngp and Gaussian splatting.
 
-Cameras look along -z with y up (OpenGL); the world has Z up and is in metres. All images of a room have one
-exposure, since a radiance field would reproduce its changes. Depth is along the optical axis, as 16-bit PNG
-in units of ``depth_unit_scale_factor`` metres; ``points.ply`` contains coloured surface points to initialise
-splats.
+Cameras look along -z with y up (OpenGL); the world has Z up and is in metres. All images of a room share one
+exposure, since a radiance field would reproduce exposure changes. Depth is along the optical axis, as 16-bit
+PNG in units of ``depth_unit_scale_factor`` metres; ``points.ply`` contains coloured surface points to
+initialise splats.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _POINTS = 200_000
 
 
 def export_nerfstudio(export: Export, room: Room) -> None:
-    """Write ``<configuration>/transforms.json`` with images, depth and points."""
+    """Write ``transforms.json``, images, depth and points of a room to the folder ``<configuration>``."""
     name = room.configuration.id
     farthest = max(float(view.read("depth_z_m")["depth_z_m"].max()) for view in room.views)
     unit_m = max(1e-3, farthest / 65535)

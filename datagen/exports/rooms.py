@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common parts of the exports: reading rooms and views of a dataset, and writing files of an export.
+"""Code shared by the exports: reading rooms and views of a dataset, and writing files of an export.
 
 A room is a configuration with its shard. Buffers are read view by view, on demand.
 """
@@ -43,7 +43,7 @@ class RoomView:
         return self.record.camera.camera()
 
     def read(self, *names: str) -> dict[str, NDArray]:
-        """Read buffers (H, W, C) as stored, by name."""
+        """Return buffers (H, W, C) as stored, by name."""
         return decode_view(read_member(self.place, self.place.exr), names, num_threads=1)
 
 
@@ -68,17 +68,17 @@ class Room:
 
     @cached_property
     def exposure(self) -> float:
-        """One exposure for all views of the room: the median of the views' exposures."""
+        """Median exposure of the views, as a common exposure for all of them."""
         return float(np.median([view.record.exposure for view in self.views]))
 
     def objects(self) -> dict[str, PlacedAsset]:
-        """Return the placed objects by instance name, as in the views' records."""
+        """Return the placed objects by instance name, which the views' records also use."""
         return {placed.name: placed for placed in self.configuration.objects}
 
 
 @dataclass
 class Export:
-    """One run of ``datagen export``: its source, its target and its options."""
+    """One run of ``datagen export``, with its rooms, output folder and options."""
 
     rooms: Sequence[Room]
     out: Path
@@ -98,7 +98,7 @@ class Export:
         self.num_files += 1
 
     def write_json(self, name: str, value: Any) -> None:
-        """Write JSON with one line per top-level key, which keeps long files readable."""
+        """Write JSON with one line per top-level key, for readability of long files."""
         if isinstance(value, dict):
             lines = (f"{json.dumps(key)}: {json.dumps(item)}" for key, item in value.items())
             text = "{\n" + ",\n".join(lines) + "\n}\n"
@@ -111,7 +111,7 @@ class Export:
         self.write(name, encode_png(picture(beauty, exposure)))
 
     def need_library(self, format_name: str) -> Library:
-        """Return the library. Raises :class:`InputError` for ``format_name`` if there is none."""
+        """Return the library. Raises :class:`InputError` that names ``format_name`` if there is none."""
         if self.library is None:
             remedy = "name the folders of its assets with --library"
             raise input_error(format_name, got="no library", expected="the objects' meshes", remedy=remedy)
@@ -134,7 +134,7 @@ def picture(beauty: NDArray, exposure: float) -> NDArray[np.uint8]:
 def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[Room]:
     """Return a dataset's rooms of ``split`` (None: all) whose configurations are in ``only`` (empty: all).
 
-    Raises :class:`InputError` for unknown ids or if there are no such rooms.
+    Raises :class:`InputError` for unknown ids or if no room matches.
     """
     opened = Dataset(dataset)
     known = {shard.configuration: shard for shard in opened.index.shards}
@@ -154,7 +154,7 @@ def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[
 def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
     """Create ``out`` and mark it as an export; an earlier export to the same format may be overwritten.
 
-    ``command``: options for the marker. Raises :class:`InputError` for a folder with other contents.
+    ``command``: options recorded in the marker. Raises :class:`InputError` for a folder with other contents.
     """
     marker = out / MARKER
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_export(marker, format_name)):
