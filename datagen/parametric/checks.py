@@ -19,8 +19,8 @@ from datagen.parametric.shapes import Floats
 from datagen.parametric.shell import Shell, swing
 
 CELL_M = 0.05
-BODY_M = 0.24  # radius of the free floor that a person needs
-CONTACT_M = 0.004  # an item at most this far from its support rests on it
+BODY_M = 0.24  # radius of the floor area that a person occupies
+CONTACT_M = 0.004  # maximum distance of an item from the support on which it rests
 OVERLAP_M = 0.0015  # smaller overlaps count as contact
 MIN_WALKABLE_M2 = 1.1
 _THRESHOLD_M = 0.5  # distance from a door at which a person must be able to stand
@@ -29,7 +29,7 @@ _LOW_M, _HIGH_M = 0.05, 1.85  # height range of obstacles for a walking person
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault; ``what`` is ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``."""
+    """A room's fault; ``what``: ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``."""
 
     what: str
     item: str
@@ -49,7 +49,7 @@ class Furnished:
 
 
 def faults_of(room: Furnished) -> list[Fault]:
-    """Find all faults of a room; walking is checked only if there are no others."""
+    """Return all faults of a room; walking is checked only if there are no others."""
     boxes = [item.boxes() for item in room.items]
     bounds = [hull_of(b) for b in boxes]
     found = _outside(room, bounds)
@@ -89,11 +89,11 @@ def _floating(room: Furnished, bounds: list[Floats]) -> list[Fault]:
 def _gap(
     shell: Shell, item: Placed, b: Floats, by_name: dict[str, tuple[Placed, Floats]]
 ) -> tuple[float, str]:
-    """Distance (m) of an item with bounds ``b`` (2, 3) from its support (inf if beside it), and its name."""
+    """Return an item's distance in metres from its support (inf if beside it), and the support's name."""
     if item.item.hold == "ceiling":
         return abs(shell.height - float(b[1, 2])), "the ceiling"
     if item.item.hold == "wall":
-        near = [  # gaps between the item and each wall
+        near = [  # distances of the item from each wall
             shell.width / 2 + b[0, 0],
             shell.width / 2 - b[1, 0],
             shell.depth / 2 + b[0, 1],
@@ -130,12 +130,12 @@ def _intersecting(room: Furnished, boxes: list[Floats], bounds: list[Floats]) ->
 
 
 def meets(one: Floats, other: Floats, margin: float = 0.0) -> bool:
-    """Whether the gap between two boxes (2, 3) is below ``margin`` along every axis."""
+    """Return whether the gap between two boxes (2, 3) is below ``margin`` along every axis."""
     return bool((one[0] < other[1] + margin).all() and (other[0] < one[1] + margin).all())
 
 
 def overlap(one: Floats, other: Floats) -> float:
-    """Largest penetration in metres over pairs of boxes (k, 2, 3) of two items; negative if none overlap."""
+    """Return the deepest overlap in metres of boxes (k, 2, 3) of two items; negative if all are disjoint."""
     low = np.maximum(one[:, None, 0], other[None, :, 0])
     high = np.minimum(one[:, None, 1], other[None, :, 1])
     return float((high - low).min(axis=2).max())
@@ -175,7 +175,7 @@ def _window_zone(shell: Shell, k: int) -> Floats:
 
 
 def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
-    """Whether a box (2, 3) overlaps a quarter disc with these corners (hinge first) and radius."""
+    """Return whether a box (2, 3) overlaps the quarter disc with corners ``sector``, hinge first."""
     hinge, rest = sector[0], sector[1:]
     low, high = rest.min(axis=0), rest.max(axis=0)
     low, high = np.minimum(low, hinge) + 1e-3, np.maximum(high, hinge) - 1e-3
@@ -186,7 +186,7 @@ def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
 
 
 def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
-    """Mask (rows along y, columns along x) of the floor's cells where a person can stand."""
+    """Return the mask (rows along y, columns along x) of the floor cells where a person can stand."""
     from scipy.ndimage import distance_transform_edt
 
     columns, rows = int(shell.width / CELL_M), int(shell.depth / CELL_M)
@@ -199,14 +199,14 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
         first = np.floor((boxes[hit, 0, :2] - origin) / CELL_M).astype(int) + 1
         last = np.ceil((boxes[hit, 1, :2] - origin) / CELL_M).astype(int) + 1
         spans = np.maximum(np.concatenate([first, last], axis=1), 0)
-        for x0, y0, x1, y1 in np.unique(spans, axis=0).tolist():  # unique: books in a row share cells
+        for x0, y0, x1, y1 in np.unique(spans, axis=0).tolist():  # unique, since books in a row share cells
             free[y0:y1, x0:x1] = False
     distance = distance_transform_edt(free) * CELL_M
     return np.asarray(distance[1:-1, 1:-1] > BODY_M)
 
 
 def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Mask (rows, columns) of the cells reachable from all doors, and a description of the fault, or ''."""
+    """Return the mask (rows, columns) of the cells reachable from all doors, and a fault or ''."""
     from scipy.ndimage import label
 
     free = free_cells(shell, boxes)
@@ -230,12 +230,12 @@ def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
 
 
 def cell_of(shell: Shell, place: tuple[float, float]) -> tuple[int, int]:
-    """Row and column of the cell at a floor position (x, y)."""
+    """Return the row and column of the cell at a floor position (x, y)."""
     return int((place[1] + shell.depth / 2) / CELL_M), int((place[0] + shell.width / 2) / CELL_M)
 
 
 def front_zone(item: Placed, depth: float) -> Floats:
-    """Corners (2, 2) of the floor area up to ``depth`` in front of an item."""
+    """Return the corners (2, 2) of the floor area up to ``depth`` metres in front of an item."""
     b = item.item.bounds
     corners = np.array([[x, y, 0.0] for x in b[:, 0] for y in (b[0, 1], b[0, 1] - depth)])
     matrix = item.room_from_item
@@ -244,7 +244,7 @@ def front_zone(item: Placed, depth: float) -> Floats:
 
 
 def reaches(shell: Shell, reached: NDArray[np.bool_], item: Placed) -> bool:
-    """Whether a cell of the mask ``reached`` (rows, columns) is in front of an item."""
+    """Return whether the mask ``reached`` (rows, columns) contains a cell in front of an item."""
     zone = front_zone(item, item.item.front_m + 0.35)
     (r0, c0), (r1, c1) = (cell_of(shell, (float(x), float(y))) for x, y in zone)
     return bool(reached[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1].any())

@@ -10,12 +10,12 @@ from datagen.parametric.shapes import box, cylinder
 from datagen.parametric.shell import CASING_M, WALLS
 
 _PLATE_M = 0.082
-_SWITCH_M, _LOW_M, _HIGH_M = 1.05, 0.27, 1.12  # lower edges of switches, sockets, sockets above tables
-_CLEAR_M = 0.02  # distance from frames of doors and windows
+_SWITCH_M, _LOW_M, _HIGH_M = 1.05, 0.27, 1.12  # heights of switches, sockets, sockets above tables
+_CLEAR_M = 0.02  # distance from the casings of doors and windows
 
 
 def switch(gangs: int) -> Item:
-    """A plate with one rocker, or with two side by side (``gangs``); z = 0 is its lower edge."""
+    """Make a switch with ``gangs`` (1 or 2) rockers side by side; z = 0 is its lower edge."""
     item = Item("switch", hold="wall")
     item.add("switch", box((_PLATE_M, 0.009, _PLATE_M), (0, -0.005, 0), 0.002))
     width = 0.06 / gangs - 0.001
@@ -26,7 +26,7 @@ def switch(gangs: int) -> Item:
 
 
 def socket(count: int) -> Item:
-    """``count`` plates in a row with a round face and two holes each; z = 0 is the lower edge."""
+    """Make a row of ``count`` sockets, each with a round face and two holes; z = 0 is its lower edge."""
     item = Item("socket", hold="wall")
     item.add("switch", box((count * _PLATE_M, 0.009, _PLATE_M), (0, -0.005, 0), 0.002))
     for k in range(count):
@@ -40,7 +40,7 @@ def socket(count: int) -> Item:
 
 
 def wire(room: Furnisher, draws: Draws) -> None:
-    """Place a switch at the handle of each door, else at its hinges, and two to five sockets where they fit.
+    """Place a switch at the handle of each door, else at its hinges, and up to five sockets.
 
     Switches and sockets may be behind furniture.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makers of furniture for the walls of many kinds of rooms, by name, with random sizes."""
+"""Makers, by name, of randomly sized furniture that suits the walls of many kinds of room."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makes fittings and small things: radiators, curtains, rugs, pictures, plants; lengths in metres."""
+"""Makes fittings and small items: radiators, curtains, rugs, pictures, plants; lengths in metres."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from datagen.parametric.shapes import (
 
 
 def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
-    """A panel or column radiator on a wall, ``width`` by ``height`` metres."""
+    """Make a panel or column radiator of ``width`` by ``height`` metres, for a wall."""
     item = Item("radiator", hold="wall")
     if draws.chance(0.6):
         item.add("radiator", rounded_box((width, 0.07, height), 0.012, (0, -0.075, 0), 2))
@@ -47,7 +47,7 @@ def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
 
 
 def curtains(style: Style, draws: Draws, window: float, height: float, floor: float, off_wall: float) -> Item:
-    """Two open curtains on a rail ``off_wall`` metres from the wall, at a window ``window`` metres wide.
+    """Make two open curtains on a rail ``off_wall`` metres from the wall, for a window of width ``window``.
 
     ``height`` is the rail's height above the item's z = 0, ``floor`` the length of the curtains.
     """
@@ -92,7 +92,7 @@ def _drape(draws: Draws, x0: float, x1: float, top: float, length: float) -> Sha
 
 
 def roller_blind(style: Style, draws: Draws, window: float, height: float) -> Item:
-    """A blind over the upper part of a ``window`` by ``height`` m window; z = 0 is its lower edge."""
+    """Make a roller blind for a ``window`` by ``height`` m window; z = 0 is the window's lower edge."""
     item = Item("blind", hold="wall")
     drop = draws.uniform(0.15, 0.55) * height
     item.add(
@@ -111,7 +111,7 @@ def roller_blind(style: Style, draws: Draws, window: float, height: float) -> It
 
 
 def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> Item:
-    """Slats over the upper part of a ``window`` by ``height`` m window; z = 0 is its lower edge."""
+    """Make a slatted blind for a ``window`` by ``height`` m window; z = 0 is the window's lower edge."""
     item = Item("blind", hold="wall")
     drop = draws.uniform(0.3, 0.95) * height
     tilt = draws.uniform(-12, 18)
@@ -131,7 +131,7 @@ def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> I
 
 
 def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool = False) -> Item:
-    """A rug 9 mm thick, centred in x, with y from -depth to 0; a round one has the diameter ``width``."""
+    """Make a rug 9 mm thick, centred in x, with y from -depth to 0; a round one has diameter ``width``."""
     item = Item("rug")
     if is_round:
         r = width / 2
@@ -150,7 +150,7 @@ def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool =
 
 
 def picture(style: Style, draws: Draws, width: float, height: float, art: str) -> Item:
-    """A picture with frame, mount, and a print in the slot ``art``; z = 0 is the frame's lower edge."""
+    """Make a framed print with a mount; ``art``: slot of the print; z = 0 is the frame's lower edge."""
     item = Item("picture", hold="wall")
     f = draws.uniform(0.012, 0.035)
     for z in (0.0, height - f):
@@ -168,7 +168,7 @@ def picture(style: Style, draws: Draws, width: float, height: float, art: str) -
 
 
 def mirror(style: Style, draws: Draws, width: float, height: float) -> Item:
-    """A framed mirror of ``width`` by ``height`` metres; z = 0 is its lower edge."""
+    """Make a framed mirror of ``width`` by ``height`` metres; z = 0 is its lower edge."""
     item = Item("mirror", hold="wall")
     f = draws.uniform(0.008, 0.03)
     for z in (0.0, height - f):
@@ -182,7 +182,7 @@ def mirror(style: Style, draws: Draws, width: float, height: float) -> Item:
 
 
 def board(style: Style, draws: Draws, width: float, height: float, slot: str) -> Item:
-    """A board on the wall; ``slot`` is ``white_board`` (with a tray) or ``slate_board``."""
+    """Make a wall board; ``slot`` is ``white_board`` (with a tray) or ``slate_board``."""
     item = Item("board", hold="wall")
     for z in (0.0, height - 0.02):
         item.add(
@@ -206,7 +206,7 @@ def board(style: Style, draws: Draws, width: float, height: float, slot: str) ->
 
 
 def television(style: Style, draws: Draws, width: float) -> Item:
-    """A television ``width`` metres wide on its stand."""
+    """Make a television ``width`` metres wide on its stand."""
     item = Item("television", hold="surface")
     h = width * 0.575
     item.add("machine", box((width, 0.035, h), (0, -0.13, 0.07), 0.006))
@@ -218,7 +218,7 @@ def television(style: Style, draws: Draws, width: float) -> Item:
 
 
 def clock(style: Style, draws: Draws) -> Item:
-    """A round wall clock; z = 0 is its lowest point."""
+    """Make a round wall clock; z = 0 is its lowest point."""
     item = Item("clock", hold="wall")
     r = draws.uniform(0.13, 0.18)
     rim = lathe([(0, 0), (r, 0), (r, 0.035), (r - 0.012, 0.035), (r - 0.014, 0.025)], segments=40)
@@ -232,7 +232,7 @@ def clock(style: Style, draws: Draws) -> Item:
 
 
 def plant(style: Style, draws: Draws) -> Item:
-    """A tall plant in a pot on the floor."""
+    """Make a tall plant in a floor pot."""
     item = Item("plant")
     r, h = draws.uniform(0.14, 0.2), draws.uniform(0.24, 0.36)
     c = -0.42
@@ -284,7 +284,7 @@ def _leaf(tip: tuple[float, float, float], angle: float, reach: float, length: f
 
 
 def pouf(style: Style, draws: Draws) -> Item:
-    """A low upholstered seat, round or square."""
+    """Make a low upholstered seat, round or square."""
     item = Item("pouf")
     r, h = draws.uniform(0.2, 0.28), draws.uniform(0.34, 0.44)
     if draws.chance(0.5):
@@ -300,7 +300,7 @@ def pouf(style: Style, draws: Draws) -> Item:
 
 
 def crates(style: Style, draws: Draws) -> Item:
-    """A stack of cardboard boxes."""
+    """Make a stack of cardboard boxes."""
     item = Item("crates")
     z, w, d = 0.0, draws.uniform(0.4, 0.58), draws.uniform(0.34, 0.46)
     for _ in range(draws.integer(1, 3)):
@@ -314,7 +314,7 @@ def crates(style: Style, draws: Draws) -> Item:
 
 
 def shoes(style: Style, draws: Draws) -> Item:
-    """A pair of shoes."""
+    """Make a pair of shoes."""
     item = Item("shoes")
     slot = draws.choice(("dark", "seat", "grip"))
     for side in (-1, 1):
@@ -326,7 +326,7 @@ def shoes(style: Style, draws: Draws) -> Item:
 
 
 def teepee(style: Style, draws: Draws) -> Item:
-    """A child's tent of fabric on poles."""
+    """Make a child's tent of fabric on poles."""
     item = Item("tent")
     r, h, c = 0.55, 1.45, -0.58
     feet = ring_of(4, r, np.pi / 4)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furnishes many kinds of room: curtains, pictures, plants, rugs, chairs around tables, lamps."""
+"""Furnishing rules for many kinds of room: curtains, pictures, plants, rugs, chairs around tables, lamps."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _SPACING_M = 2.5  # distance between ceiling lamps of one room
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
-    """Place radiators, curtains and blinds at windows; each argument is the probability of its kind.
+    """Place radiators, curtains and blinds at windows, with the given probabilities.
 
-    Curtains or blinds are drawn once per room.
+    Whether a room has curtains, blinds or neither is drawn once; radiators are drawn for each window.
     """
     draws, style = room.draws, room.style
     pick = draws.unit()
@@ -34,7 +34,7 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
             top = min(window.sill + window.height + draws.uniform(0.1, 0.2), room.shell.height - 0.06)
             long = draws.chance(0.7) or window.sill < 0.4
             hem = 0.03 if long else window.sill - 0.2
-            off_wall = 0.165 if below else 0.125  # farther, for a radiator below
+            off_wall = 0.165 if below else 0.125  # leaves space for a radiator
             item = fittings.curtains(style, draws, window.width, top - hem, top - hem - 0.02, off_wall)
             if room.before_window(item, window, hem, below) is not None:
                 continue
@@ -44,7 +44,7 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
 
 
 def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
-    """Place ``along`` chairs at each long side of a table and one at ``ends`` of its ends.
+    """Place ``along`` chairs at each long side of a table and, if ``ends`` is 1, one at each end.
 
     Raises :class:`Unfit` if fewer than two chairs fit.
     """
@@ -72,7 +72,7 @@ def seats(room: Furnisher, count: int) -> list[Placed]:
 
 
 def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
-    """Place a lamp on a table, ``x`` metres from its middle."""
+    """Place a table lamp on a host, ``x`` metres to the right of its middle."""
     support = host.item.supports[0]
     back = max(0.02, support.size[1] / 2 - 0.16)
     return room.on(lamps.table_lamp(room.draws, room.glow()), host, 0, x, back)
@@ -91,7 +91,7 @@ def plant_somewhere(room: Furnisher) -> Placed | None:
 
 
 def pictures(room: Furnisher, most: int) -> None:
-    """Hang up to ``most`` pictures on free walls, at eye height, some in rows."""
+    """Hang up to ``most`` pictures or pairs of pictures on free walls, at eye height."""
     draws, style = room.draws, room.style
     for _ in range(most):
         w, h = draws.choice(
@@ -109,7 +109,7 @@ def pictures(room: Furnisher, most: int) -> None:
 
 
 def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
-    """Place ``least`` to ``most`` items from ``names`` along the walls, or fewer if space is lacking."""
+    """Place ``least`` to ``most`` items from ``names`` along the walls, or fewer if there is no space."""
     draws = room.draws
     wanted = draws.integer(least, most)
     for name in draws.shuffled([*names, *names]):
@@ -124,7 +124,7 @@ def decorate(
 ) -> None:
     """Place pictures (2 to ``most`` in a home, else 1 to 3), a shelf, plants and a rug on the free floor.
 
-    ``rug`` is the probability of a rug, ``round_rug`` that of a round one.
+    ``rug`` is the probability of a rug, ``round_rug`` the probability that it is round.
     """
     draws, style = room.draws, room.style
     if draws.chance(0.55):
@@ -156,7 +156,7 @@ def _free_rug(room: Furnisher, is_round: bool) -> None:
 def ceiling_light(
     room: Furnisher, kinds: Sequence[str], over: Placed | None = None, many: bool = False
 ) -> None:
-    """Place equal lamps under the ceiling: one in the middle, a row over a table, or a grid (``many``).
+    """Place identical lamps under the ceiling: one in the middle, a row over a table, or a grid (``many``).
 
     Raises :class:`Unfit` if none fits.
     """
@@ -204,7 +204,7 @@ def _ceiling_lamp(slot: str, kind: str, drop: float, draws: Draws) -> Item:
 
 
 def desk_place(room: Furnisher, needed: bool) -> bool:
-    """Place a desk at a wall, with a chair, a screen and a lamp; return whether the desk fits.
+    """Place a desk at a wall, with a chair and perhaps a screen and a lamp; return whether the desk fits.
 
     Raises :class:`Unfit` if ``needed`` and the desk or chair does not fit.
     """

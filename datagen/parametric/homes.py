@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Furnishes the rooms of a home: required items first, then others that fit.
 
-A function raises :class:`Unfit` if a required item does not fit.
+Each function raises :class:`Unfit` if a required item does not fit.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def study(room: Furnisher) -> None:
 
 
 def living_room(room: Furnisher) -> None:
-    """Place a sofa, a table in front of it, a television opposite, seats and shelves."""
+    """Place a sofa, a table in front of it, a television opposite, armchairs and shelves."""
     draws, style = room.draws, room.style
     sofa = room.at_wall(
         seating.sofa(style, draws, draws.integer(2, 3)),
@@ -166,7 +166,7 @@ def dining_room(room: Furnisher) -> None:
 
 
 def kitchen(room: Furnisher) -> None:
-    """Place a row of units, and a table or a second row."""
+    """Place a row of kitchen units, and a table or a second row."""
     draws, style = room.draws, room.style
     wanted = draws.integer(5, 7)
     run = None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Furniture as data: shapes by slot, support surfaces, lamps, and required free space, in metres.
 
-An item's frame refers to a wall: its back is the plane y = 0, its front faces -y, x points right for a viewer
-in front of it, and it rests at z = 0. Items that hang from a ceiling have z = 0 there and extend downwards.
+In an item's frame, the back is the plane y = 0, the front faces -y, x points right for a viewer in front, and
+the item rests at z = 0. Items that hang from a ceiling have z = 0 there and extend downwards.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Style:
 
     @property
     def leg_slot(self) -> str:
-        """Slot of legs and frames: metal tubes have the finish of handles and taps."""
+        """Slot of legs and frames; metal ones share the slot of handles and taps."""
         return "metal" if self.legs == "metal" else "legs"
 
     @classmethod
@@ -61,7 +61,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A luminous slot: colour temperature, luminous flux, and area of the emitting surface."""
+    """A luminous slot with colour temperature, luminous flux and area of the emitting surface."""
 
     slot: str
     kelvin: float
@@ -78,7 +78,7 @@ class LampPlace:
 
 
 def hull_of(boxes: Floats) -> Floats:
-    """The bounding box (2, 3) of boxes (k, 2, 3)."""
+    """Return the bounding box (2, 3) of ``boxes`` (k, 2, 3)."""
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
@@ -112,7 +112,7 @@ class Item:
         self.supports.append(Support(kind, middle, size, z, clearance_m))
 
     def boxes(self) -> Floats:
-        """Bounding box (k, 2, 3) of each of the item's shapes, in the item's frame."""
+        """Return the bounding box (k, 2, 3) of each of the item's shapes, in the item's frame."""
         if len(self._boxes) != len(self.shapes):
             self._boxes = np.stack([shape.bounds for _, shape in self.shapes])
         return self._boxes
@@ -125,7 +125,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Placed:
-    """An item rotated by ``yaw_rad`` about z, then moved to ``at``; ``stands_on`` names its support."""
+    """An item rotated by ``yaw_rad`` about z, then moved to ``at``; ``stands_on``: name of its support."""
 
     item: Item
     name: str
@@ -142,7 +142,7 @@ class Placed:
         return matrix
 
     def boxes(self) -> Floats:
-        """Bounding boxes (k, 2, 3) of the item's shapes, in the room's frame."""
+        """Return the bounding boxes (k, 2, 3) of the item's shapes, in the room's frame."""
         matrix = self.room_from_item
         turn = matrix[:3, :3]
         if np.allclose(np.abs(turn), np.round(np.abs(turn)), atol=1e-5):  # multiples of 90 degrees

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Adds parts of furniture to an item, in its frame: fronts with handles, legs, rows of books."""
+"""Adds parts of furniture to an item, in the item's frame: fronts with handles, legs, rows of books."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def front(
     handle: str = "middle",
     is_drawer: bool = False,
 ) -> None:
-    """Add a door or drawer front of ``size`` (width, height); ``at`` is the lower middle of its back.
+    """Add a door or drawer front of ``size`` (width, height).
 
-    ``handle`` is ``left``, ``right`` or ``middle``.
+    ``at`` is the midpoint of its lower rear edge; ``handle`` is ``left``, ``right`` or ``middle``.
     """
     w, h = size[0] - GAP, size[1] - GAP
     x, y, z = at[0], at[1] - _FRONT / 2, at[2] + GAP / 2
@@ -105,9 +105,9 @@ def fronts(
     columns: int = 1,
     slot: str = "front",
 ) -> None:
-    """Add rows of fronts from the bottom up, as ("drawer" or "door", height) in metres.
+    """Add rows of fronts, lowest first, as pairs ("drawer" or "door", height in metres).
 
-    ``at`` is the lower middle of their backs.
+    ``at`` is the midpoint of the lower rear edge of the lowest row.
     """
     z = at[2]
     each = width / columns
@@ -135,7 +135,7 @@ def legs(
     thickness: float = 0.045,
     slot: str | None = None,
 ) -> None:
-    """Add four legs at ``corners`` (x0, x1, y0, y1 of their outer faces), up to ``height``."""
+    """Add four legs of ``height``, with outer faces at ``corners`` (x0, x1, y0, y1)."""
     x0, x1, y0, y1 = corners
     t = thickness
     for x in (x0 + t / 2, x1 - t / 2):
@@ -151,7 +151,7 @@ def legs(
 
 
 def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, height: float) -> float:
-    """Add upright books from x0 up to x1, with their backs at ``y``; return the x at which the row ends."""
+    """Add upright books from x0 to at most x1, rear faces at ``y``; return the x at which the row ends."""
     x = x0
     slots = draws.shuffled(BOOKS)[: draws.integer(3, 6)]
     while True:
@@ -175,7 +175,7 @@ def castor(item: Item, x: float, y: float, radius: float = 0.026) -> None:
 
 
 def ring_of(count: int, radius: float, start: float = 0.0) -> list[tuple[float, float]]:
-    """``count`` points (x, y) at equal angles on a circle about the origin, from ``start`` radians."""
+    """Return ``count`` points (x, y) at equal angles on a circle, the first at ``start`` radians."""
     return [
         (
             radius * math.cos(start + 2 * math.pi * k / count),

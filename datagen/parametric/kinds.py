@@ -18,10 +18,9 @@ _WORK: Classes = ("stone", "glazed", "wood")
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of room, with ranges in metres, and minimum and maximum numbers of openings and tiled walls.
+    """A kind of room: ranges of sizes in metres, and of the numbers of openings and tiled walls.
 
-    ``curtains``, ``blinds``, ``radiators`` and ``beams`` are probabilities; ``steel_fronts`` is that of
-    cabinets with fronts of steel.
+    ``curtains``, ``blinds``, ``radiators``, ``beams`` and ``steel_fronts`` (of cabinets) are probabilities.
     """
 
     furnish: Callable[[Furnisher], None]
@@ -135,4 +134,4 @@ KINDS: dict[str, Kind] = {
         steel_fronts=0.6,
     ),
 }
-"""All kinds of rooms by name."""
+"""All kinds of room, by name."""

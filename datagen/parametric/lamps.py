@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Makes lamps with real sizes, colour temperatures and luminous fluxes; lengths in metres.
+"""Makes lamps with realistic sizes, colour temperatures and luminous fluxes; lengths in metres.
 
-Most shades are translucent: the shade of cloth or paper then emits, as it appears in photographs, instead of
-a bulb. Opaque shades hide their bulb from most cameras.
+Most shades are translucent: the cloth or paper shade itself is then the emitter, as it appears in
+photographs, instead of the bulb. Opaque shades hide their bulb from most cameras.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _bulb(
 def _shade(
     item: Item, slot: str, at: tuple[float, float, float], low: float, high: float, height: float
 ) -> None:
-    """Add an open shade with its lower rim at ``at`` and radii ``low`` below and ``high`` above."""
+    """Add an open shade with its lower rim at ``at`` and radii ``low`` (bottom) and ``high`` (top)."""
     t = _THIN
     profile = [(low, 0), (high, height), (high - t, height), (low - t, 0), (low, 0)]
     item.add(slot, lathe(profile, at, 32))
@@ -49,9 +49,7 @@ def _shaded(
     kelvin: float,
     lumen: float,
 ) -> None:
-    """Add a translucent ``shade`` (arguments of :func:`_shade`) that emits, or an opaque one over a ``bulb``
-    (position, radius).
-    """
+    """Add a luminous ``shade`` (:func:`_shade` arguments), or an opaque one and ``bulb`` (centre, radius)."""
     if not draws.chance(_TRANSLUCENT):
         _shade(item, "shade", *shade)
         _bulb(item, slot, bulb[0], kelvin, lumen, bulb[1])
@@ -63,7 +61,7 @@ def _shaded(
 
 
 def ceiling_disc(draws: Draws, slot: str) -> Item:
-    """A flat opal disc for the ceiling."""
+    """Make a flat opal ceiling lamp."""
     item = Item("ceiling_lamp", hold="ceiling")
     r = draws.uniform(0.16, 0.26)
     item.add("metal", cylinder(r + 0.008, 0.03, (0, 0, -0.03), 36, 0.003))
@@ -76,7 +74,7 @@ def ceiling_disc(draws: Draws, slot: str) -> Item:
 
 
 def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Item:
-    """A lamp on a cord, ``drop`` metres long in all: a shade with a bulb, or an opal globe."""
+    """Make a lamp that hangs ``drop`` metres below the ceiling: a shade with a bulb, or an opal globe."""
     item = Item("pendant", hold="ceiling")
     item.add("metal", cylinder(0.05, 0.025, (0, 0, -0.025), 20, 0.005))
     kelvin = draws.uniform(*_WARM)
@@ -107,7 +105,7 @@ def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Ite
 
 
 def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
-    """A flat office luminaire for the ceiling, ``length`` metres long."""
+    """Make a flat office ceiling luminaire ``length`` metres long."""
     item = Item("panel_lamp", hold="ceiling")
     w = draws.uniform(0.25, 0.6)
     item.add("metal", box((length + 0.03, w + 0.03, 0.055), (0, 0, -0.055), 0.004))
@@ -118,7 +116,7 @@ def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
 
 
 def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
-    """A fluorescent tube on a batten for the ceiling, ``length`` metres long."""
+    """Make a fluorescent tube on a ceiling batten ``length`` metres long."""
     item = Item("batten_lamp", hold="ceiling")
     item.add("radiator", box((length, 0.07, 0.05), (0, 0, -0.05), 0.006))
     item.add("radiator", box((0.03, 0.05, 0.05), (-length / 2 + 0.02, 0, -0.098), 0.004))
@@ -132,7 +130,7 @@ def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
 
 
 def spots(draws: Draws, slot: str, length: float = 1.2) -> Item:
-    """A rail for the ceiling, ``length`` metres long, with three or four spotlights."""
+    """Make a ceiling rail ``length`` metres long with three or four spotlights."""
     item = Item("spots", hold="ceiling")
     item.add("metal", box((length, 0.034, 0.03), (0, 0, -0.03), 0.004))
     count = draws.integer(3, 4)
@@ -154,7 +152,7 @@ def spots(draws: Draws, slot: str, length: float = 1.2) -> Item:
 
 
 def floor_lamp(draws: Draws, slot: str) -> Item:
-    """A floor lamp: a foot, a pole and a shade."""
+    """Make a floor lamp of a foot, a pole and a shade."""
     item = Item("floor_lamp")
     c, h = -0.22, draws.uniform(1.45, 1.65)
     item.add(
@@ -194,7 +192,7 @@ def floor_lamp(draws: Draws, slot: str) -> Item:
 
 
 def table_lamp(draws: Draws, slot: str) -> Item:
-    """A lamp for a table, with a foot and a small shade."""
+    """Make a table lamp of a foot and a small shade."""
     item = Item("table_lamp", hold="surface")
     h, c = draws.uniform(0.36, 0.5), -0.14
     if draws.chance(0.6):
@@ -239,7 +237,7 @@ def table_lamp(draws: Draws, slot: str) -> Item:
 
 
 def desk_lamp(draws: Draws, slot: str) -> Item:
-    """A lamp on a jointed arm."""
+    """Make a lamp on a jointed arm."""
     item = Item("desk_lamp", hold="surface")
     c = -0.12
     item.add("metal", cylinder(0.085, 0.02, (0, c, 0), 28, 0.005))
@@ -254,7 +252,7 @@ def desk_lamp(draws: Draws, slot: str) -> Item:
 
 
 def wall_lamp(draws: Draws, slot: str) -> Item:
-    """An opal bar, or an opal globe on an arm, for a wall; z = 0 is its middle."""
+    """Make a wall lamp: an opal bar, or an opal globe on an arm; z = 0 is its middle."""
     item = Item("wall_lamp", hold="wall")
     if draws.chance(0.5):
         item.add("metal", box((0.1, 0.03, 0.06), (0, -0.0155, -0.03), 0.004))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Places furniture in a shell by rules: at walls, side by side, at tables, in the middle, on surfaces.
 
-A candidate is accepted only inside the room and clear of other furniture, of swinging doors, of windows and
-of the floor in front of cupboards, with walking paths still open. A required item without a valid position
-raises :class:`Unfit`; the room is then generated again from another seed.
+In a valid position, an item is inside the room and clear of other furniture, swinging doors, windows and the
+floor in front of cupboards, and walking paths remain open. A required item without a valid position raises
+:class:`Unfit`; the room is then generated again from another seed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from datagen.parametric.items import Item, Placed, Style, hull_of
 from datagen.parametric.shapes import Floats, rotation
 from datagen.parametric.shell import CASING_M, WALLS, Shell, Wall, Window, swing
 
-OFF_WALL_M = 0.03  # gap behind furniture, for the skirting
+OFF_WALL_M = 0.03  # gap behind furniture, which leaves space for the skirting
 _MARGIN_M = 0.02
 _TRIES = 14
 Side = Literal["front", "back", "left", "right"]
@@ -37,7 +37,7 @@ class Unfit(Exception):
 
 @dataclass
 class Furnisher:
-    """A room during furnishing; ``zones`` are names and boxes (2, 3) that must stay free."""
+    """A room being furnished; ``zones``: names and boxes (2, 3) of spaces that must remain free."""
 
     shell: Shell
     style: Style
@@ -76,25 +76,25 @@ class Furnisher:
         self.zones.append((name, np.array([[*low, levels[0]], [*high, levels[1]]])))
 
     def blank_walls(self) -> list[Wall]:
-        """Walls without windows, in random order."""
+        """Return the walls without windows, in random order."""
         return self.draws.shuffled([w for w in WALLS if not any(x.wall == w for x in self.shell.windows)])
 
     def glow(self) -> str:
-        """Name a new slot for the emitting surface of a lamp."""
+        """Return the name of a new slot for a lamp's emitting surface."""
         self._num_glows += 1
         return f"glow_{self._num_glows - 1}"
 
     def art(self) -> str:
-        """Name a new slot for a print."""
+        """Return the name of a new slot for a print."""
         self._num_arts += 1
         return f"art_{self._num_arts - 1}"
 
     def reserve(self, built: Placed) -> None:
-        """Keep the boxes of a built-in item free of other items."""
+        """Add the boxes of a built-in item to the spaces that must remain free."""
         self.zones += [(built.name, box) for box in built.boxes()]
 
     def take(self, item: Item, at: tuple[float, float, float], yaw: float, stands_on: str = "") -> Placed:
-        """Place an item without checking its position, which :func:`faults_of` does later."""
+        """Place an item without checking its position; :func:`faults_of` checks it later."""
         number = self._names[item.name]
         self._names[item.name] += 1
         rounded = (round(at[0], 6), round(at[1], 6), round(at[2], 6))
@@ -116,9 +116,9 @@ class Furnisher:
         ignores: Sequence[str] = (),
         stands_on: str = "",
     ) -> Placed | None:
-        """Place an item if its position is valid; return None otherwise.
+        """Place an item if its position is valid; otherwise, return None.
 
-        The item may extend under or between the items ``near``; ``ignores`` names zones that it may enter.
+        The item may reach into gaps of the items ``near`` and into the zones that ``ignores`` names.
         """
         trial = Placed(item, "trial", at, yaw, stands_on)
         boxes = trial.boxes()
@@ -178,9 +178,9 @@ class Furnisher:
         gap: float = OFF_WALL_M,
         s: float | None = None,
     ) -> Placed | None:
-        """Place an item with its back to a wall: anywhere, in a corner, or preferably in the middle.
+        """Place an item with its back to a wall, preferably at the position ``where``.
 
-        If ``needed``, raises :class:`Unfit` instead of returning None.
+        Returns None without a valid position or, if ``needed``, raises :class:`Unfit`.
         """
         b = item.bounds
         order = list(walls) if walls is not None else self.draws.shuffled(WALLS)
@@ -202,9 +202,9 @@ class Furnisher:
         return None
 
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
-        """Place an item in the middle of the room, else anywhere.
+        """Place an item in the middle of the room, else within a share ``spread`` of it, at random.
 
-        If ``needed``, raises :class:`Unfit` instead of returning None.
+        Returns None without a valid position or, if ``needed``, raises :class:`Unfit`.
         """
         b = item.bounds
         size = b[1] - b[0]
@@ -229,7 +229,7 @@ class Furnisher:
     def beside(
         self, item: Item, host: Placed, side: Literal["left", "right"], gap: float = 0.04
     ) -> Placed | None:
-        """Place an item at the host's wall, ``gap`` metres to its left or right as seen from the front."""
+        """Place an item ``gap`` metres to a host's left or right, seen from the front, at the same wall."""
         h, b = host.item.bounds, item.bounds
         x = h[0, 0] - gap - b[1, 0] if side == "left" else h[1, 0] + gap - b[0, 0]
         at = host.room_from_item @ np.array([x, 0.0, 0.0, 1.0])
@@ -238,7 +238,7 @@ class Furnisher:
     def before(
         self, item: Item, host: Placed, gap: float, needed: bool = False, turned: bool = False
     ) -> Placed | None:
-        """Place an item ``gap`` metres in front of a host; with ``turned`` it faces the host."""
+        """Place an item ``gap`` metres in front of a host; if ``turned``, it faces the host."""
         h, b = host.item.bounds, item.bounds
         y = h[0, 1] - gap - (b[1, 1] if not turned else -b[0, 1])
         at = host.room_from_item @ np.array([0.5 * (h[0, 0] + h[1, 0]), y, 0.0, 1.0])
@@ -251,7 +251,7 @@ class Furnisher:
     def seat(
         self, chair: Item, table: Placed, side: Side, offset: float, tuck: float, jitter: float = 1.0
     ) -> Placed | None:
-        """Place a chair at a side of a table, ``tuck`` metres under it, ``offset`` metres from the middle."""
+        """Place a chair at a table's side, ``offset`` metres from the middle and ``tuck`` metres under it."""
         b, depth = table.item.bounds, -float(chair.bounds[0, 1])
         middle = b.mean(axis=0)[:2]
         half = 0.5 * (b[1] - b[0])[:2]
@@ -278,10 +278,10 @@ class Furnisher:
         y: float | None = None,
         turn: float = 0.0,
     ) -> Placed | None:
-        """Place an item on the support ``index`` of a host, turned by ``turn`` radians.
+        """Place an item on the support ``index`` of a host, rotated by ``turn`` radians.
 
-        Its origin is ``x`` metres to the right of the support's middle, ``y`` metres (None: 0.02) from the
-        support's back edge.
+        Its origin is ``x`` metres to the right of the support's middle and ``y`` metres (None: 0.02) in front
+        of the support's back edge.
         """
         support = host.item.supports[index]
         back = support.middle[1] + support.size[1] / 2 - (0.02 if y is None else y)
@@ -303,9 +303,9 @@ class Furnisher:
         free: float = 0.12,
         is_slim: bool = False,
     ) -> Placed | None:
-        """Place an item on a wall, ``free`` metres clear of doors and windows; its z = 0 is at height z.
+        """Place an item on a wall, ``free`` metres clear of doors and windows; its z = 0 is at height ``z``.
 
-        With ``is_slim``, it may also be behind furniture and beside its front.
+        If ``is_slim``, it may be behind furniture, and in the space kept free in front of furniture.
         """
         b = item.bounds
         near = tuple(self.placed) if is_slim else ()
@@ -337,13 +337,13 @@ class Furnisher:
     def before_window(
         self, item: Item, window: Window, z: float, near: Sequence[Placed] = ()
     ) -> Placed | None:
-        """Place an item on a window's wall, in front of, above or below it; its z = 0 is at height z."""
+        """Place an item on the wall at a window, centred in width, with its z = 0 at height ``z``."""
         passed = [name for name, _ in self.zones if name.startswith("window")]
         at = (*self.shell.point(window.wall, window.s), z)
         return self.offer(item, at, self.shell.yaw(window.wall), near=near, ignores=passed)
 
     def over(self, item: Item, host: Placed, z: float) -> Placed | None:
-        """Place an item on the wall above a host at that wall; its z = 0 is at height z."""
+        """Hang an item centred above a host that stands at a wall, with its z = 0 at height ``z``."""
         wall = self.wall_of(host)
         if wall is None:
             return None
@@ -352,7 +352,7 @@ class Furnisher:
         return self.hang(item, z, [wall], float(middle[:3] @ along), 0.02)
 
     def wall_of(self, host: Placed) -> Wall | None:
-        """The wall at the back of an item; None for free-standing items."""
+        """Return the wall at an item's back; None for a free-standing item."""
         for wall in WALLS:
             if abs(math.remainder(host.yaw_rad - self.shell.yaw(wall), 2 * math.pi)) < 1e-4:
                 inward = rotation("z", self.shell.yaw(wall))[:2, 1]
@@ -361,11 +361,11 @@ class Furnisher:
         return None
 
     def ceil(self, item: Item, x: float, y: float) -> Placed | None:
-        """Place an item under the ceiling at (x, y)."""
+        """Hang an item from the ceiling at (x, y)."""
         return self.offer(item, (x, y, self.shell.height), 0.0)
 
     def lay(self, rug: Item, x: float, y: float, yaw: float = 0.0) -> Placed | None:
-        """Place a rug with its middle at (x, y); no other item may stand partly on it."""
+        """Place a rug with its middle at (x, y), rotated by ``yaw`` radians, if no item stands there."""
         b = rug.bounds
         middle = rotation("z", yaw)[:2, :2] @ b.mean(axis=0)[:2]
         return self.offer(rug, (x - float(middle[0]), y - float(middle[1]), 0.0), yaw)

@@ -10,7 +10,7 @@ from datagen.parametric.shapes import box, lathe, tube
 
 
 def pedal_bin(style: Style, draws: Draws) -> Item:
-    """A round bin with a domed lid and a pedal."""
+    """Make a round bin with a domed lid and a pedal."""
     item = Item("bin")
     r, h = draws.uniform(0.12, 0.16), draws.uniform(0.38, 0.66)
     c = -r - 0.01
@@ -29,7 +29,7 @@ def pedal_bin(style: Style, draws: Draws) -> Item:
 
 
 def trolley(style: Style, draws: Draws) -> Item:
-    """A trolley on castors with two or three trays."""
+    """Make a trolley on castors with two or three trays."""
     item = Item("trolley", front_m=0.3)
     w, d, h = draws.uniform(0.5, 0.75), draws.uniform(0.36, 0.42), draws.uniform(0.74, 0.86)
     for x in (-w / 2 + 0.02, w / 2 - 0.02):
@@ -52,7 +52,7 @@ def trolley(style: Style, draws: Draws) -> Item:
 
 
 def lockers(style: Style, draws: Draws) -> Item:
-    """A row of two to four lockers with vents."""
+    """Make a row of two to four lockers with vents."""
     item = Item("lockers", front_m=0.5)
     count, each, d, h = draws.integer(2, 4), draws.uniform(0.28, 0.36), 0.48, draws.uniform(1.6, 1.9)
     w = count * each

@@ -37,8 +37,8 @@ from datagen.parametric.shell import (
 )
 from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
 
-_LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, as renderers use it
-_BALANCE_K, _WHITE_K = 4000.0, 6500.0  # colours are those of a camera balanced for lamps of 4000 K
+_LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, by the convention of renderers
+_BALANCE_K, _WHITE_K = 4000.0, 6500.0  # lamp colours are as seen with a white balance of 4000 K
 _ON = 0.8  # share of lamps that are switched on
 _REGION_TOP_M = 2.2
 _MAX_REGIONS, _MAX_FLOORS = 6, 3
@@ -49,18 +49,18 @@ Rectangle = tuple[Floats, Floats]
 
 
 def room_id(kind: str, seed: str, has_scenery: bool = True) -> str:
-    """Id of a room's package, unique for each kind and seed, with and without scenery."""
+    """Return the id of a room's package, unique for each kind and seed, with and without scenery."""
     key = f"{kind}/{seed}" if has_scenery else f"{kind}/{seed}/no scenery"
     return f"room-{kind}-{sha256_hex(key.encode())[:12]}"
 
 
 def room_package(kind: str, seed: str, has_scenery: bool = True) -> tuple[bytes, Package]:
-    """Generate the room of a kind and seed, as the bytes of a zip file and as an opened package."""
+    """Generate the room of a kind and seed; return its package as zip bytes and opened in memory."""
     return package_of(make_room(kind, seed, has_scenery))
 
 
 def package_of(room: MadeRoom) -> tuple[bytes, Package]:
-    """A room's environment package, as the bytes of a zip file and opened in memory."""
+    """Return a room's environment package, as the bytes of a zip file and opened in memory."""
     draws = Draws("parametric room", room.kind, room.seed, "package")
     files: dict[str, bytes] = {}
     parts: list[Part] = []
@@ -103,7 +103,7 @@ def package_of(room: MadeRoom) -> tuple[bytes, Package]:
 def _write_meshes(
     placed: Placed, number: int, files: dict[str, bytes]
 ) -> list[tuple[str, str, float | None]]:
-    """Write a mesh per slot of an item into ``files``; returns slot, file name and UVs per metre of each."""
+    """Add a mesh for each slot of an item to ``files``; return the slots, file names and UVs per metre."""
     by_slot: dict[str, list[Shape]] = {}
     for slot, shape in placed.item.shapes:
         by_slot.setdefault(slot, []).append(shape)
@@ -148,7 +148,7 @@ def _material(
 
 
 def _luminous(lamp: Lamp) -> SlotMaterial:
-    """The material of a luminous slot: a Lambertian emitter with the lamp's flux and colour."""
+    """Return the material of a Lambertian emitter with the lamp's flux and colour."""
     radiance = lamp.lumen / (_LUMEN_PER_WATT * math.pi * lamp.area_m2)
     shown = 1e6 / (1e6 / lamp.kelvin - 1e6 / _BALANCE_K + 1e6 / _WHITE_K)
     red, green, blue = (quantized(radiance * c, 5) for c in color_of_temperature(shown))
@@ -220,7 +220,7 @@ def _light_slots(room: MadeRoom) -> list[LightSlot]:
 
 
 def _regions(room: MadeRoom, rectangles: list[Rectangle]) -> list[Box]:
-    """Camera regions above free rectangles (corners (2,), (2,)) of the floor."""
+    """Return camera regions above free rectangles (corners (2,), (2,)) of the floor."""
     top = min(_REGION_TOP_M, room.furnished.shell.height - 0.15)
     return [
         Box(minimum_m=_vector(np.array([*low, 0.0])), maximum_m=_vector(np.array([*high, top])))
@@ -229,7 +229,7 @@ def _regions(room: MadeRoom, rectangles: list[Rectangle]) -> list[Box]:
 
 
 def _free_rectangles(room: MadeRoom) -> list[Rectangle]:
-    """Disjoint rectangles (corners (2,), (2,)) of the walkable floor, largest first."""
+    """Return disjoint rectangles (corners (2,), (2,)) of the walkable floor, largest first."""
     shell = room.furnished.shell
     boxes = np.concatenate([p.boxes() for p in room.furnished.items])
     free, _ = walkable(shell, boxes)
@@ -246,7 +246,7 @@ def _free_rectangles(room: MadeRoom) -> list[Rectangle]:
 
 
 def _largest_rectangle(free: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Rows and columns (r0, r1, c0, c1) of the largest rectangle of True, by histograms of each row."""
+    """Return rows and columns (r0, r1, c0, c1) of the largest rectangle that contains only True."""
     best, where = 0, (0, 0, 0, 0)
     heights = np.zeros(free.shape[1] + 1, dtype=np.int64)
     for r in range(free.shape[0]):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makes a furnished room from a kind and a seed: shell, furniture and checks.
+"""Generates a furnished room of a kind from a seed: shell, furniture and checks.
 
 A room with faults is generated again from another sub-seed; all sub-seeds follow from the seed.
 """
@@ -36,9 +36,9 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A room without faults, made by attempt ``tries``; ``rejected`` are the faults of earlier attempts.
+    """A room without faults, made by attempt ``tries``; ``rejected``: the faults of earlier attempts.
 
-    Without ``has_scenery``, the outside of windows is empty, for a panorama.
+    Without ``has_scenery``, the space outside the windows is empty, so that a panorama is visible.
     """
 
     kind: str
@@ -51,7 +51,7 @@ class MadeRoom:
 
 
 def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
-    """Make a room. Raises :class:`InputError` if :data:`MAX_TRIES` attempts have faults."""
+    """Make a room. Raises :class:`InputError` if each of :data:`MAX_TRIES` attempts has faults."""
     rejected: list[str] = []
     for attempt in range(MAX_TRIES):
         key = ("parametric room", kind, seed, attempt)
@@ -85,7 +85,7 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
 
 
 def draw_shell(kind: Kind, draws: Draws) -> Shell:
-    """Draw a room's size, doors and windows."""
+    """Draw a room's size, doors, windows, and tiled and accent walls."""
     width, depth = draws.uniform(*kind.width), draws.uniform(*kind.depth)
     if draws.chance(0.5):
         width, depth = depth, width
@@ -117,7 +117,7 @@ def _doors(kind: Kind, shell: Shell, draws: Draws) -> tuple[Door, ...]:
 
 
 def _windows(kind: Kind, shell: Shell, doors: Sequence[Door], draws: Draws) -> tuple[Window, ...]:
-    """Draw windows of one type, preferably on one wall, clear of doors."""
+    """Draw equal windows, preferably on one wall, clear of doors."""
     count = draws.integer(*kind.windows)
     sill = draws.uniform(*kind.sill)
     top = min(shell.height - draws.uniform(0.18, 0.35), sill + draws.uniform(1.1, 1.7))

@@ -13,7 +13,7 @@ from datagen.parametric.units import tap
 
 
 def bathtub(style: Style, draws: Draws) -> Item:
-    """A bath with a panel and a tap, with its long side at the wall."""
+    """Make a bath with a panel and a tap, with its long side at the wall."""
     item = Item("bathtub", front_m=0.55)
     w, d, h = draws.uniform(1.6, 1.8), draws.uniform(0.72, 0.8), 0.56
     rings = [
@@ -53,7 +53,7 @@ def bathtub(style: Style, draws: Draws) -> Item:
 
 
 def vanity(style: Style, draws: Draws, width: float) -> Item:
-    """A basin with a tap on a cabinet ``width`` metres wide."""
+    """Make a basin with a tap on a cabinet ``width`` metres wide."""
     item = Item("vanity", front_m=0.6)
     d, h = 0.48, 0.85
     on_legs = draws.chance(0.35)
@@ -115,7 +115,7 @@ def vanity(style: Style, draws: Draws, width: float) -> Item:
 
 
 def toilet(style: Style, draws: Draws) -> Item:
-    """A toilet with a cistern."""
+    """Make a toilet with a cistern."""
     item = Item("toilet", front_m=0.5)
     c = -0.44
 
@@ -144,7 +144,7 @@ def toilet(style: Style, draws: Draws) -> Item:
 
 
 def towel_rail(style: Style, draws: Draws) -> Item:
-    """A heated towel ladder on the wall, with a towel."""
+    """Make a heated towel ladder with a towel, for a wall."""
     item = Item("towel_rail", hold="wall")
     w, h = 0.5, draws.uniform(1.0, 1.4)
     for x in (-w / 2, w / 2):

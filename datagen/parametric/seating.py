@@ -14,7 +14,7 @@ from datagen.parametric.shapes import Shape, box, cylinder, flipped, grid, joine
 
 
 def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
-    """A chair with a back of slats, a board or upholstery; the seat is at ``seat_height`` metres."""
+    """Make a chair with a back of slats, a board or upholstery; the seat is ``seat_height`` metres high."""
     item = Item("chair")
     w, d = draws.uniform(0.42, 0.48), draws.uniform(0.44, 0.5)
     back = draws.choice(("slats", "board", "soft"))
@@ -64,7 +64,7 @@ def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
 
 
 def stool(style: Style, draws: Draws, height: float = 0.46) -> Item:
-    """A round stool ``height`` metres high."""
+    """Make a round stool ``height`` metres high."""
     item = Item("stool")
     r = draws.uniform(0.16, 0.19)
     seat = [
@@ -89,7 +89,7 @@ def stool(style: Style, draws: Draws, height: float = 0.46) -> Item:
 
 
 def office_chair(style: Style, draws: Draws) -> Item:
-    """A swivel chair on five castors."""
+    """Make a swivel chair on five castors."""
     item = Item("office_chair")
     c = -0.33
     for x, y in ring_of(5, 0.27, draws.uniform(0, 1)):
@@ -116,12 +116,12 @@ def office_chair(style: Style, draws: Draws) -> Item:
 
 
 def armchair(style: Style, draws: Draws) -> Item:
-    """A sofa with one seat."""
+    """Make a sofa with one seat."""
     return sofa(style, draws, 1)
 
 
 def sofa(style: Style, draws: Draws, seats: int) -> Item:
-    """An upholstered sofa with ``seats`` seats on short legs, with loose cushions."""
+    """Make an upholstered sofa with ``seats`` seats on short legs, with loose cushions."""
     item = Item("sofa" if seats > 1 else "armchair")
     arm = draws.uniform(0.12, 0.2) if style.is_soft else draws.uniform(0.09, 0.14)
     each, d = (
@@ -172,7 +172,7 @@ def sofa(style: Style, draws: Draws, seats: int) -> Item:
 
 
 def bench(style: Style, draws: Draws, width: float, upholstered: bool) -> Item:
-    """A bench ``width`` metres long; an upholstered one has a back."""
+    """Make a bench ``width`` metres long; an upholstered one has a back."""
     item = Item("bench")
     d = 0.4 if not upholstered else 0.5
     if upholstered:
@@ -199,7 +199,7 @@ def bench(style: Style, draws: Draws, width: float, upholstered: bool) -> Item:
 
 
 def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Item:
-    """A bed with mattress, duvet and pillows, for a mattress ``width`` metres wide; its head is at y = 0."""
+    """Make a bed with bedding, for a mattress ``width`` metres wide; its head is at y = 0."""
     item = Item("bed")
     length = draws.uniform(2.0, 2.08) if not is_child else 1.78
     head = draws.uniform(0.85, 1.15)
@@ -246,7 +246,7 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
 
 
 def _duvet(width: float, length: float, z: float, y: float) -> Shape:
-    """A blanket on a mattress whose top is at height z, from ``y`` towards +y, hanging over its sides."""
+    """Make a blanket on a mattress with its top at height z, from ``y`` towards +y, overhanging the sides."""
     s = np.linspace(-1, 1, 41)
     t = np.linspace(0, 1, 26)
     half = width / 2

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Models solids as arrays: every function returns a :class:`Shape` in metres, Z up, with UVs in metres.
+"""Solids as triangle meshes in metres, Z up, with UVs in metres.
 
-Letters: n vertices, m triangles. Wood grain runs along u. Solids are closed and wound counter-clockwise seen
-from outside. ``at`` is the middle of a shape's base unless a function states otherwise.
+In array shapes, n is the number of vertices and m of triangles. Wood grain runs along u. Solids are closed,
+and their faces counter-clockwise seen from outside. ``at`` is the middle of the base unless stated otherwise.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ORIGIN: Point = (0.0, 0.0, 0.0)
 class Shape:
     """A triangle mesh: ``points`` and ``normals`` (n, 3), ``uv`` (n, 2), ``faces`` (m, 3).
 
-    With ``is_print``, UVs fill [0, 1] once, for an image.
+    With ``is_print``, the UVs cover [0, 1] exactly once, for an image.
     """
 
     points: Floats
@@ -39,12 +39,12 @@ class Shape:
         return replace(self, points=self.points + np.array([x, y, z]))
 
     def turned(self, axis: str, degrees: float) -> Shape:
-        """The shape rotated about an axis (``x``, ``y`` or ``z``) through the origin, right-handed."""
+        """Return the shape rotated right-handed about the axis ``x``, ``y`` or ``z`` through the origin."""
         matrix = rotation(axis, math.radians(degrees))
         return replace(self, points=self.points @ matrix.T, normals=self.normals @ matrix.T)
 
     def shifted_uv(self, u: float, v: float) -> Shape:
-        """The shape with shifted UVs, for another section of its pattern; prints are unchanged."""
+        """Return the shape with shifted UVs, for another section of its pattern; prints are unchanged."""
         return self if self.is_print else replace(self, uv=self.uv + np.array([u, v]))
 
     @property
@@ -54,7 +54,7 @@ class Shape:
 
 
 def rotation(axis: str, angle_rad: float) -> Floats:
-    """Right-handed rotation matrix (3, 3) about the axis ``x``, ``y`` or ``z``."""
+    """Return the right-handed rotation matrix (3, 3) about the axis ``x``, ``y`` or ``z``."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     k = "xyz".index(axis)
     a, b = (k + 1) % 3, (k + 2) % 3
@@ -64,7 +64,7 @@ def rotation(axis: str, angle_rad: float) -> Floats:
 
 
 def joined(shapes: Sequence[Shape]) -> Shape:
-    """Join several shapes into one that has all their triangles."""
+    """Return one shape with the triangles of all ``shapes``."""
     starts = np.cumsum([0] + [len(s.points) for s in shapes[:-1]])
     return Shape(
         np.concatenate([s.points for s in shapes]),
@@ -77,7 +77,7 @@ def joined(shapes: Sequence[Shape]) -> Shape:
 
 @lru_cache(maxsize=1)
 def _box_topology() -> tuple[Ints, Ints, Ints]:
-    """Faces (44, 3) of a bevelled box over 24 vertices, and each vertex's axis (24,) and signs (24, 3)."""
+    """Return the faces (44, 3) of a bevelled box, and the axis (24,) and signs (24, 3) of its vertices."""
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     axis_sign = [(a, s) for a in range(3) for s in (-1, 1)]
     vertex: dict[tuple[int, tuple[int, ...]], int] = {}
@@ -111,7 +111,7 @@ def _box_topology() -> tuple[Ints, Ints, Ints]:
 
 
 def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | None = None) -> Shape:
-    """A box with bevelled edges and smooth shading; u runs along axis ``grain`` (default: the longest)."""
+    """Make a smooth-shaded box with bevelled edges; u runs along axis ``grain`` (default: the longest)."""
     half = 0.5 * np.array(size, dtype=np.float64)
     r = min(bevel, 0.45 * float(half.min()))
     faces, axis, corner = _box_topology()
@@ -124,7 +124,7 @@ def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | Non
 
 
 def _box_uv(points: Floats, normals: Floats, grain: int, half: Floats) -> Floats:
-    """UVs (n, 2) by box projection: u along the grain if a face contains it, else along the longer side."""
+    """Return UVs (n, 2) by box projection; u follows the grain or, on faces across it, the longer side."""
     uv = np.zeros((len(points), 2))
     axis = np.argmax(np.abs(normals), axis=1)
     for a in range(3):
@@ -142,7 +142,7 @@ def _box_uv(points: Floats, normals: Floats, grain: int, half: Floats) -> Floats
 def rounded_box(
     size: Point, radius: float, at: Point = _ORIGIN, segments: int = 2, bulge: float = 0.0
 ) -> Shape:
-    """A box with rounded edges, whose two largest faces bulge by ``bulge`` as those of cushions do."""
+    """Make a box with rounded edges, whose two largest faces bulge by ``bulge`` metres like a cushion's."""
     half = 0.5 * np.array(size, dtype=np.float64)
     r = min(radius, 0.98 * float(half.min()))
     angles = np.linspace(-math.pi / 4, 0, segments + 1)
@@ -191,7 +191,7 @@ def rounded_box(
 
 
 def _lattice_faces(rows: int, columns: int) -> Ints:
-    """Triangles (m, 3) of a (rows, columns) lattice, counter-clockwise for columns along x, rows along y."""
+    """Return the triangles (m, 3) of a lattice, counter-clockwise if columns run along x and rows along y."""
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     return np.concatenate(
@@ -200,7 +200,7 @@ def _lattice_faces(rows: int, columns: int) -> Ints:
 
 
 def smooth(shape: Shape) -> Shape:
-    """The shape with normals averaged over all triangles at a position, weighted by area."""
+    """Return the shape with area-weighted normals that coincident vertices share."""
     _, spot = np.unique(np.round(shape.points, 7), axis=0, return_inverse=True)
     spot = spot.reshape(-1)
     p = shape.points[shape.faces]
@@ -213,7 +213,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats, is_print: bool = False) -> Shape:
-    """A smooth sheet through points (rows, columns, 3); from the front, columns run right and rows up."""
+    """Make a smooth sheet through points (rows, columns, 3), with rows up and columns right on its front."""
     rows, columns = points.shape[:2]
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
@@ -227,24 +227,24 @@ def grid(points: Floats, is_print: bool = False) -> Shape:
 
 
 def flipped(shape: Shape) -> Shape:
-    """The shape with reversed winding and normals, which exchanges the front and back of a sheet."""
+    """Return the shape with reversed winding and normals, so that the front of a sheet becomes its back."""
     return replace(shape, normals=-shape.normals, faces=shape.faces[:, ::-1])
 
 
 def without_slivers(shape: Shape) -> Shape:
-    """The shape without triangles of zero area."""
+    """Return the shape without triangles of zero area."""
     p = shape.points[shape.faces]
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     return replace(shape, faces=shape.faces[area > 1e-12])
 
 
 def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments: int = 24) -> Shape:
-    """A body of revolution about z from (radius, height) pairs: its foot, then up outside and down inside.
+    """Make a body of revolution about z from (radius, height) pairs: foot, up the outside, down the inside.
 
-    u runs along the profile, v around. Corners of the profile sharper than 40 degrees are not smoothed.
+    u follows the profile, v runs around z. Corners of the profile sharper than 40 degrees are not smoothed.
     """
     steps = np.array(profile, dtype=np.float64)
-    steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # a rounded cosine of 90 degrees would leave a hole
+    steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # the rounding error of cos(90 degrees) would leave a hole
     edges = np.diff(steps, axis=0)
     unit = edges / np.linalg.norm(edges, axis=1, keepdims=True)
     runs, start = [], 0
@@ -287,20 +287,20 @@ def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments:
 def cylinder(
     radius: float, height: float, at: Point = _ORIGIN, segments: int = 20, bevel: float = 0.002
 ) -> Shape:
-    """A cylinder along z with bevelled rims."""
+    """Make a cylinder along z with bevelled rims."""
     b = min(bevel, 0.4 * radius, 0.4 * height)
     r, h = radius, height
     return lathe([(0, 0), (r - b, 0), (r, b), (r, h - b), (r - b, h), (0, h)], at, segments)
 
 
 def ball(radius: float, at: Point = _ORIGIN, segments: int = 16) -> Shape:
-    """A sphere whose lowest point is ``at``."""
+    """Make a sphere whose lowest point is ``at``."""
     angle = np.linspace(-math.pi / 2, math.pi / 2, segments // 2 + 1)
     return lathe([(radius * math.cos(a), radius + radius * math.sin(a)) for a in angle], at, segments)
 
 
 def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
-    """A round bar along a path of points, with flat ends; u runs along it."""
+    """Make a round bar along a path of points, with flat ends; u runs along the bar."""
     points = np.array(path, dtype=np.float64)
     ahead = np.gradient(points, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -329,7 +329,7 @@ def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
 
 
 def _wound(shape: Shape) -> Shape:
-    """The shape with each triangle wound to agree with its vertex normals."""
+    """Return the shape with each triangle wound to agree with its vertex normals."""
     p = shape.points[shape.faces]
     cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     inward = (cross * shape.normals[shape.faces].mean(axis=1)).sum(axis=1) < 0
@@ -347,7 +347,7 @@ def _cap(ring: Floats, normal: Floats) -> Shape:
 
 
 def flat(quads: Floats, is_print: bool = False) -> Shape:
-    """Flat quads (q, 4, 3) with separate normals and UVs; u runs along the first edge."""
+    """Make flat quads (q, 4, 3) with separate normals and UVs; u runs along the first edge of each."""
     a, b, d = quads[:, 0], quads[:, 1], quads[:, 3]
     normal = np.cross(b - a, d - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -365,9 +365,9 @@ def flat(quads: Floats, is_print: bool = False) -> Shape:
 
 
 def loft(rings: Floats, caps: tuple[bool, bool] = (False, False)) -> Shape:
-    """A smooth surface through closed rings (k, c, 3), counter-clockwise from above, from the base upwards.
+    """Make a smooth surface through closed rings (k, c, 3), counter-clockwise from above, lowest ring first.
 
-    For a basin, rings continue down its inside. ``caps`` close the first and the last ring.
+    For a basin, further rings run down the inside. ``caps``: whether the first and the last ring are closed.
     """
     closed = np.concatenate([rings, rings[:, :1]], axis=1)
     skin = grid(closed)
@@ -387,7 +387,7 @@ def rounded_ring(
     centre: tuple[float, float] = (0.0, 0.0),
     steps: int = 4,
 ) -> Floats:
-    """A rounded rectangle as a ring (4 (steps + 1), 3) at height z, counter-clockwise."""
+    """Return a rounded rectangle at height z as a counter-clockwise ring (4 (steps + 1), 3) of points."""
     r = min(radius, 0.499 * width, 0.499 * depth)
     points = []
     for k, (sx, sy) in enumerate(((1, -1), (1, 1), (-1, 1), (-1, -1))):

@@ -2,7 +2,7 @@
 """Makes the shell of a room: walls with openings, floor, ceiling, trim, windows, doors, outside.
 
 Lengths are in metres. The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height].
-The frame of a wall is as seen from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
+In a wall's frame, s runs right as seen from inside, the wall's face is y = 0, and the room is at y < 0.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ WALLS: tuple[Wall, ...] = ("north", "west", "south", "east")
 THICKNESS = 0.28
 _RECESS = 0.55 * THICKNESS  # depth of the window frames behind the wall's face
 _YAW: dict[Wall, float] = {"north": 0.0, "west": 0.5 * math.pi, "south": math.pi, "east": -0.5 * math.pi}
-CASING_M = 0.09  # extent of frames of doors and windows beyond the opening
+CASING_M = 0.09  # width of the casing around doors and windows
 DOOR_HEIGHT = 2.03
 
 
 @dataclass(frozen=True)
 class Window:
-    """A window with its middle at ``s`` along the wall; ``panes`` are the numbers of columns and rows."""
+    """A window centred at ``s`` metres along the wall; ``panes``: numbers of columns and rows."""
 
     wall: Wall
     s: float
@@ -40,7 +40,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Door:
-    """A closed door that opens inwards, with its middle at ``s``; ``hinge``: -1 left, 1 right."""
+    """A closed door that opens inwards, centred at ``s`` along the wall; ``hinge``: -1 left, 1 right."""
 
     wall: Wall
     s: float
@@ -70,21 +70,21 @@ class Shell:
         return self.width if wall in ("north", "south") else self.depth
 
     def yaw(self, wall: Wall) -> float:
-        """Rotation about z in radians from the wall's frame to the room's."""
+        """Return the rotation about z, in radians, from the wall's frame to the room's."""
         return _YAW[wall]
 
     def point(self, wall: Wall, s: float, gap: float = 0.0) -> tuple[float, float]:
-        """Position (x, y) at ``s`` along a wall, ``gap`` metres in front of it."""
+        """Return the position (x, y) at ``s`` along a wall and ``gap`` metres in front of it."""
         half = 0.5 * (self.depth if wall in ("north", "south") else self.width)
         x, y, _ = rotation("z", _YAW[wall]) @ np.array([s, half - gap, 0.0])
         return round(float(x), 9), round(float(y), 9)
 
     def on_wall(self, item: Item, name: str, wall: Wall, s: float, z: float, gap: float = 0.0) -> Placed:
-        """Place an item with its back ``gap`` metres in front of a wall, at ``s`` along it and height z."""
+        """Return an item placed ``gap`` metres in front of a wall, at ``s`` along it and at height ``z``."""
         return Placed(item, name, (*self.point(wall, s, gap), z), _YAW[wall])
 
     def spans(self, wall: Wall) -> list[tuple[float, float, float, float]]:
-        """Openings of a wall including their frames, as (s0, s1, z0, z1)."""
+        """Return the openings of a wall, including their casings, as (s0, s1, z0, z1)."""
         found = []
         for w in self.windows:
             if w.wall == wall:
@@ -96,7 +96,7 @@ class Shell:
 
 
 def swing(shell: Shell, door: Door) -> Floats:
-    """Corners (k, 2) of the sector swept by a door's leaf, hinge first, in the room's frame."""
+    """Return the corners (k, 2), hinge first, of the sector that a door sweeps, in the room's frame."""
     hinge = door.s + door.hinge * door.width / 2
     angles = np.linspace(0, 0.5 * math.pi, 10)
     arc = [(hinge - door.hinge * door.width * math.cos(a), -door.width * math.sin(a)) for a in angles]
@@ -106,7 +106,7 @@ def swing(shell: Shell, door: Door) -> Floats:
 
 
 def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
-    """All built-in parts as placed items: walls, floor, ceiling, trim, windows, doors, beams."""
+    """Return all built-in parts as placed items: walls, floor, ceiling, trim, windows, doors, beams."""
     w, d, h, t = shell.width, shell.depth, shell.height, THICKNESS
     body = Item("shell")
     body.shapes.append(("floor", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), 0.0, grain=0)))
@@ -135,7 +135,7 @@ def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
 
 
 def _wall(shell: Shell, wall: Wall) -> Item:
-    """A wall with thickness and with holes for its windows; north and south walls include the corners."""
+    """Make a wall of full thickness with window holes; north and south walls include the corners."""
     reach = THICKNESS if wall in ("north", "south") else 0.0
     half = shell.length(wall) / 2 + reach
     holes = [
@@ -201,7 +201,7 @@ def _beams(shell: Shell) -> Placed:
 
 
 def _window(window: Window) -> Item:
-    """A window's frame, casements with handles, sill board and casing; z = 0 is the opening's lower edge."""
+    """Make a window with handles, sill board and casing; z = 0 is the lower edge of the opening."""
     item = Item("window", hold="wall")
     w, h, y = window.width, window.height, _RECESS
     frame = 0.055
@@ -256,7 +256,7 @@ def _window(window: Window) -> Item:
 
 
 def _door(door: Door, panels: str) -> Item:
-    """A door's leaf with ``panels`` (``framed``, ``flat``, ``glazed``), handle, casing and hinges."""
+    """Make a door with ``panels`` (``framed``, ``flat``, ``glazed``), handle, casing and hinges."""
     item = Item("door", hold="wall")
     w, h = door.width, door.height
     item.add("door", box((w, 0.03, h), (0, -0.003, 0.006), 0.003, grain=2))
@@ -284,7 +284,7 @@ def _door(door: Door, panels: str) -> Item:
 
 
 def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
-    """Windows as name, corner (3,) and edges u and v (3,) on the outer face; u x v points into the room."""
+    """Return the name, corner (3,) and edges u, v (3,) of each window's outer face; u x v points inwards."""
     found = []
     for k, window in enumerate(shell.windows):
         yaw = rotation("z", _YAW[window.wall])
@@ -302,11 +302,11 @@ def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
 
 
 def outside(shell: Shell, draws: Draws) -> list[Placed]:
-    """Draw scenery outside the windows: the ground, and hedges, trees or houses."""
+    """Make random scenery outside the windows: the ground, and hedges, trees or houses."""
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))
-    reach = 400.0  # Mitsuba's sky is black below the horizon, of which upper storeys then see one degree
+    reach = 400.0  # limits Mitsuba's black sky below the horizon to 1 degree from upper storeys
     ground = "asphalt" if scene == "street" else "lawn"
     item.add(ground, box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), 0.0, grain=0))
     for wall in sorted({w.wall for w in shell.windows}):
@@ -365,7 +365,7 @@ def _tree(draws: Draws, level: float) -> list[tuple[Shape, str]]:
 
 
 def _houses(draws: Draws, y: float, level: float) -> list[tuple[Shape, str]]:
-    """A row of houses whose fronts, with windows, are at ``y`` and face -y; shapes and slots."""
+    """Return the shapes and slots of a row of houses whose fronts are at ``y`` and face -y."""
     found: list[tuple[Shape, str]] = []
     x = -24.0
     while x < 24.0:

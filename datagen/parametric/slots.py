@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The slots of generated rooms: kind of surface, possible classes and a plain colour of each.
+"""Slots of generated rooms, each with a kind of surface, permitted material classes and a plain colour.
 
 Plans assign materials of the library to almost all slots; the plain colours remain where no material fits.
 """
@@ -27,7 +27,7 @@ class Slot:
     is_fixed: bool = False
 
     def material(self, classes: Classes | None = None) -> SlotMaterial:
-        """The slot's plain material; ``classes`` restricts its replacements."""
+        """Return the slot's plain material; ``classes``, if given, replaces the permitted classes."""
         allowed = classes or self.classes
         return SlotMaterial(
             classes=allowed[:1],
@@ -125,12 +125,12 @@ METAL_SHARE: Mapping[str, float] = {
     "appliance": 0.75, "frame": 0.35, "legs": 0.25, "machine": 0.5, "shade": 0.3, "slats": 0.5, "steel": 0.85,
     "tool": 0.6, "worktop": 0.35,
 }  # fmt: skip
-"""Probability that all materials of a slot in a room are of metal."""
+"""Probability, by slot, that all its materials in a room are metals."""
 _FINISHED = ("frame", "legs", "shade", "slats")
 
 
 def in_metal(slot: str) -> SlotMaterial:
-    """The plain material of a slot of metal; slender parts have the finish of handles and taps."""
+    """Return the plain metal material of a slot; slender parts have the finish of handles and taps."""
     surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
     return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
 

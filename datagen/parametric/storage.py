@@ -10,7 +10,7 @@ from datagen.parametric.items import Item, Style
 from datagen.parametric.joinery import books, fronts, legs
 from datagen.parametric.shapes import Shape, box, lathe, loft, rounded_box, tube
 
-_MIRRORED = 0.4  # share of wardrobes with mirrors on their doors
+_MIRRORED = 0.4  # probability that a wardrobe has mirrors on its doors
 
 
 def cabinet(
@@ -22,7 +22,10 @@ def cabinet(
     foot: float,
     slots: tuple[str, str] = ("wood", "front"),
 ) -> Item:
-    """A closed cabinet of ``size`` (width, depth, height) on a plinth or feet ``foot`` metres high."""
+    """Make a closed cabinet of ``size`` (width, depth, height) on a plinth or legs ``foot`` metres high.
+
+    ``rows`` (relative heights) and ``columns`` are as in :func:`fronts`; ``slots``: slots of body and fronts.
+    """
     w, d, h = size
     item = Item(name, front_m=0.5)
     body, face = slots
@@ -48,7 +51,7 @@ def cabinet(
 
 
 def chest(style: Style, draws: Draws, width: float, name: str = "chest") -> Item:
-    """A chest of drawers ``width`` metres wide."""
+    """Make a chest of drawers ``width`` metres wide."""
     h = draws.uniform(0.74, 0.95)
     rows = [("drawer", 0.26), ("drawer", 0.22), ("drawer", 0.2)] + ([("drawer", 0.17)] if h > 0.84 else [])
     item = cabinet(
@@ -65,7 +68,7 @@ def chest(style: Style, draws: Draws, width: float, name: str = "chest") -> Item
 
 
 def bedside(style: Style, draws: Draws) -> Item:
-    """A bedside table with two drawers or a door."""
+    """Make a bedside table with two drawers or a door."""
     w, h = draws.uniform(0.38, 0.5), draws.uniform(0.46, 0.58)
     rows = [("drawer", 0.2), ("drawer", 0.16)] if draws.chance(0.6) else [("door", 0.3)]
     item = cabinet("bedside", style, (w, 0.4, h), rows, 1, draws.choice((0.05, 0.15)))
@@ -75,7 +78,7 @@ def bedside(style: Style, draws: Draws) -> Item:
 
 
 def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) -> Item:
-    """A low cabinet of ``width`` by ``height`` metres, with doors or doors and drawers."""
+    """Make a low cabinet of ``width`` by ``height`` metres, with doors or doors and drawers."""
     count = max(2, round(width / 0.5))
     rows = [("door", 0.46), ("drawer", 0.17)] if height > 0.6 and draws.chance(0.6) else [("door", 0.5)]
     item = cabinet(
@@ -87,7 +90,7 @@ def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) ->
 
 
 def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
-    """A wardrobe with ``doors`` doors, some with mirrors."""
+    """Make a wardrobe with ``doors`` doors, perhaps with mirrors on some of them."""
     w, h = doors * draws.uniform(0.45, 0.52), draws.uniform(2.0, 2.25)
     rows = [("drawer", 0.22), ("door", 1.7)] if draws.chance(0.35) else [("door", 1.9)]
     d = draws.uniform(0.56, 0.62)
@@ -104,7 +107,7 @@ def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
 def bookcase(
     style: Style, draws: Draws, width: float, height: float, depth: float = 0.3, fill: float = 0.6
 ) -> Item:
-    """Open shelves with rows of books in a share ``fill`` of the bays; free space is a support surface."""
+    """Make open shelves with books in a share ``fill`` of the bays, and support surfaces in free space."""
     item = Item("bookcase", front_m=0.45)
     t = 0.024
     item.add("wood", box((width - 2 * t, 0.008, height - 0.06), (0, -0.006, 0.05), 0.0))
@@ -142,7 +145,7 @@ def bookcase(
 
 
 def cube_shelf(style: Style, draws: Draws, columns: int, rows: int) -> Item:
-    """A shelf of ``columns`` by ``rows`` square bays, some with baskets, books or toys."""
+    """Make a shelf of ``columns`` by ``rows`` square bays, some with baskets, books or toys."""
     item = Item("cube_shelf", front_m=0.45)
     each, d, t = 0.36, 0.38, 0.03
     w, h = columns * each + t, rows * each + t
@@ -175,7 +178,7 @@ def cube_shelf(style: Style, draws: Draws, columns: int, rows: int) -> Item:
 
 
 def rack(style: Style, draws: Draws, width: float) -> Item:
-    """A shelf ``width`` metres wide with boxes and cans, for storerooms and workshops."""
+    """Make a shelf ``width`` metres wide with boxes and cans, for storerooms and workshops."""
     item = Item("rack", front_m=0.5)
     h, d = draws.uniform(1.75, 2.0), draws.uniform(0.38, 0.5)
     boards = "steel" if draws.chance(0.6) else "wood"
@@ -217,7 +220,7 @@ def rack(style: Style, draws: Draws, width: float) -> Item:
 
 
 def wall_shelf(style: Style, draws: Draws, width: float, boards: int = 2) -> Item:
-    """Boards on brackets, ``width`` metres long; z = 0 is the lowest board's underside."""
+    """Make boards on brackets, ``width`` metres long; z = 0 is the lowest board's underside."""
     item = Item("wall_shelf", hold="wall")
     d = 0.24
     for k in range(boards):
@@ -242,7 +245,7 @@ def wall_shelf(style: Style, draws: Draws, width: float, boards: int = 2) -> Ite
 
 
 def tool_board(style: Style, draws: Draws, width: float) -> Item:
-    """A board ``width`` metres wide on the wall, with tools on hooks."""
+    """Make a wall board ``width`` metres wide, with tools on hooks."""
     item = Item("tool_board", hold="wall")
     h = 0.72
     item.add("second", box((width, 0.018, h), (0, -0.009, 0), 0.002, grain=0))
@@ -300,7 +303,7 @@ def tool_board(style: Style, draws: Draws, width: float) -> Item:
 
 
 def coat_rail(style: Style, draws: Draws, width: float) -> Item:
-    """A board ``width`` metres wide on the wall, with hooks and garments on some of them."""
+    """Make a wall board ``width`` metres wide, with hooks and garments on some of them."""
     item = Item("coat_rail", hold="wall")
     item.add("second", box((width, 0.022, 0.12), (0, -0.011, 0), 0.004, grain=0))
     count = max(3, round(width / 0.19))
@@ -315,7 +318,7 @@ def coat_rail(style: Style, draws: Draws, width: float) -> Item:
 
 
 def _coat(draws: Draws, room: float) -> Shape:
-    """A garment on a hook, for ``room`` metres of width; the origin is its loop."""
+    """Make a garment that hangs from its loop at the origin, for hooks ``room`` metres apart."""
     length, half = draws.uniform(0.7, 1.0), min(0.23, 0.45 * room + 0.02)
     phase = draws.uniform(0, 6)
     rings = []
@@ -333,7 +336,7 @@ def _coat(draws: Draws, room: float) -> Shape:
 
 
 def drying_rack(style: Style, draws: Draws) -> Item:
-    """A folding rack with laundry over some bars."""
+    """Make a folding rack with laundry over some bars."""
     item = Item("drying_rack", front_m=0.3)
     w, d, h = 0.56, draws.uniform(1.0, 1.3), 0.92
     for x in (-w / 2, w / 2):
@@ -354,7 +357,7 @@ def drying_rack(style: Style, draws: Draws) -> Item:
 
 
 def basket(style: Style, draws: Draws) -> Item:
-    """A tall round basket, some with a towel."""
+    """Make a tall round basket, perhaps with a towel."""
     item = Item("basket")
     r, h = draws.uniform(0.17, 0.23), draws.uniform(0.3, 0.55)
     profile = [

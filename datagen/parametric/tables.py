@@ -14,7 +14,7 @@ from datagen.parametric.shapes import box, cylinder, lathe, rounded_box, tube
 def table(
     style: Style, draws: Draws, width: float, depth: float, height: float = 0.74, name: str = "table"
 ) -> Item:
-    """A rectangular table on four legs with an apron, on two trestles, or on panels."""
+    """Make a rectangular table on four legs with an apron, on two trestles, or on panels."""
     item = Item(name)
     thick = draws.uniform(0.022, 0.04)
     under = height - thick
@@ -63,7 +63,7 @@ def table(
 
 
 def round_table(style: Style, draws: Draws, diameter: float, height: float = 0.74) -> Item:
-    """A round table on a central foot."""
+    """Make a round table on a central foot."""
     item = Item("round_table")
     r, c = diameter / 2, -diameter / 2
     item.add(
@@ -114,7 +114,7 @@ def round_table(style: Style, draws: Draws, diameter: float, height: float = 0.7
 
 
 def desk(style: Style, draws: Draws, width: float, depth: float = 0.7) -> Item:
-    """A desk, with a pedestal of drawers on one side if it is wider than 1.15 m."""
+    """Make a desk, with a pedestal of drawers on one side if it is wider than 1.15 m."""
     item = Item("desk", front_m=0.8)
     h, thick = 0.74, 0.028
     item.add("top", box((width, depth, thick), (0, -depth / 2, h - thick), 0.004, grain=0))
@@ -155,7 +155,7 @@ def desk(style: Style, draws: Draws, width: float, depth: float = 0.7) -> Item:
 
 
 def monitor(style: Style, draws: Draws) -> Item:
-    """A screen, with a keyboard and a mouse in front of it."""
+    """Make a screen with a keyboard and a mouse in front of it."""
     item = Item("monitor", hold="surface")
     w = draws.uniform(0.52, 0.68)
     h = w * 0.57
@@ -169,7 +169,7 @@ def monitor(style: Style, draws: Draws) -> Item:
 
 
 def workbench(style: Style, draws: Draws, width: float) -> Item:
-    """A heavy bench ``width`` metres wide with a shelf below, a vice and drawers."""
+    """Make a heavy bench ``width`` metres wide with a shelf below, a vice and drawers."""
     item = Item("workbench")
     d, h = draws.uniform(0.65, 0.75), draws.uniform(0.86, 0.92)
     item.add("top", box((width, d, 0.06), (0, -d / 2, h - 0.06), 0.006, grain=0))

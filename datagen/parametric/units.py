@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makes kitchen units, appliances and the counter of a cafe; lengths in metres."""
+"""Makes kitchen units, appliances and a café counter; lengths in metres."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def tap(item: Item, x: float, y: float, z: float, reach: float = 0.16, height: f
 def sink_bowl(
     width: float, depth: float, deep: float, at: tuple[float, float, float], radius: float = 0.05
 ) -> Shape:
-    """A sink's bowl of depth ``deep`` below ``at``, the middle of its rim, which rests on the worktop."""
+    """Make a sink bowl ``deep`` metres deep; ``at`` is the middle of its rim, on the worktop."""
     x, y, z = at
     rings = []
     for w, d, h, r in (
@@ -51,7 +51,7 @@ def sink_bowl(
 def _worktop(
     item: Item, x0: float, x1: float, hole: tuple[float, float, float, float] | None, slot: str = "worktop"
 ) -> None:
-    """Add a worktop from x0 to x1 with an optional rectangular hole (x0, x1, y0, y1)."""
+    """Add a worktop from x0 to x1 with an optional rectangular ``hole`` (x0, x1, y0, y1)."""
     d, z, t = 0.62, COUNTER_M - 0.038, 0.038
     pieces = [(x0, x1, -d, 0.0)]
     if hole is not None:
@@ -63,9 +63,9 @@ def _worktop(
 
 
 def kitchen_run(style: Style, draws: Draws, modules: list[str], has_wall_units: bool) -> Item:
-    """A row of units 0.6 m wide: ``sink``, ``hob``, ``drawers``, ``doors``, ``washer``, ``tall``, ``fridge``.
+    """Make a row of ``modules`` 0.6 m wide, of which ``tall`` and ``fridge`` must be at the ends.
 
-    ``tall`` and ``fridge`` must be at the ends. The front of the worktop is 0.62 m from the wall.
+    The others are ``sink``, ``hob``, ``drawers``, ``doors`` and ``washer``. The worktop is 0.62 m deep.
     """
     item = Item("kitchen_run", front_m=0.8)
     width = 0.6 * len(modules)
@@ -183,7 +183,7 @@ def _wall_units(item: Item, style: Style, draws: Draws, modules: list[str], widt
 
 
 def _washer_front(item: Item, x: float, y: float, z: float, height: float) -> None:
-    """Add door, panel and knob of a washing machine whose front is the plane ``y``, from height z."""
+    """Add the front of a washing machine at ``y``, from ``z`` to ``height`` metres above it."""
     c = z + 0.42 * height
     ring = lathe(
         [(0.13, 0), (0.172, 0), (0.175, 0.012), (0.16, 0.028), (0.135, 0.03), (0.128, 0.016), (0.13, 0)],
@@ -208,7 +208,7 @@ def _washer_front(item: Item, x: float, y: float, z: float, height: float) -> No
 
 
 def washing_machine(style: Style, draws: Draws, stacked: bool = False) -> Item:
-    """A washing machine, with a dryer on top if ``stacked``."""
+    """Make a washing machine, with a dryer on top if ``stacked``."""
     item = Item("washing_machine", front_m=0.7)
     for k in range(2 if stacked else 1):
         z = 0.86 * k + (0.002 if k else 0.0)
@@ -223,12 +223,12 @@ def washing_machine(style: Style, draws: Draws, stacked: bool = False) -> Item:
 
 
 def utility_run(style: Style, draws: Draws, count: int) -> Item:
-    """A row of units with a sink and ``count`` washing machines under a worktop."""
+    """Make a row of units with a sink and ``count`` washing machines under a worktop."""
     return kitchen_run(style, draws, ["sink", *["washer"] * count, "doors"], draws.chance(0.6))
 
 
 def bar_counter(style: Style, draws: Draws, width: float) -> Item:
-    """A café counter ``width`` metres wide: panels towards the guests (-y), coffee machine, cups."""
+    """Make a café counter ``width`` metres wide, with panels in front (-y), a coffee machine and cups."""
     item = Item("bar_counter", front_m=0.75)
     d, h = 0.66, 1.08
     item.add("wood", box((width - 0.06, d - 0.1, 0.0905), (0, -d / 2, 0), 0.001))

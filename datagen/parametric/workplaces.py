@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Furnishes rooms for work and guests: required items first, then others that fit.
+"""Furnishes workplaces and rooms for guests: required items first, then others that fit.
 
-A function raises :class:`Unfit` if a required item does not fit.
+Each function raises :class:`Unfit` if a required item does not fit.
 """
 
 from __future__ import annotations
