@@ -146,7 +146,7 @@ def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
 
 
 def slots_of(lights: tuple[Light, ...]) -> tuple[LightSlot, ...]:
-    """Return a light slot at every area light of ``lights``."""
+    """Return a light slot for every area light of ``lights``."""
     areas = [light for light in lights if isinstance(light, AreaLight)]
     return tuple(
         LightSlot(name=a.name, kind="area", origin_m=a.origin_m, edge_u_m=a.edge_u_m, edge_v_m=a.edge_v_m)
@@ -161,7 +161,7 @@ def _support_surfaces(
     grid: RoomGrid,
     square_m: float,
 ) -> Iterator[SupportSurface]:
-    """Yield axis-aligned rectangles with free space above, level by level, the largest of a level first."""
+    """Yield axis-aligned rectangles with free space above them, level by level, largest first per level."""
     from scipy import ndimage
 
     found: list[tuple[float, NDArray, NDArray]] = []  # height, origin, size

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Import of files that Blender reads (FBX, USD, .blend, glTF with Draco).
 
-Blender's module converts them to glTF in a separate process; the import has the budget of any glTF file.
+Blender's module converts them to glTF in a separate process; the result has the budget of any glTF file.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ class ImageCache:
         self._pixels: dict[Path, NDArray] = {}
 
     def pixels(self, file: Path) -> NDArray:
-        """Return the pixels (H, W, C) of an image file as :func:`read_any_image` does."""
+        """Return the pixels (H, W, C) of an image file, which :func:`read_any_image` reads only once."""
         if file not in self._pixels:
             if file.is_file():
                 self._budget.hold_file(file)
@@ -140,7 +140,7 @@ class ImageCache:
 
 
 def num_pixels(file: Path) -> int:
-    """Return the number of pixels stated in an image's header; 0 if unreadable, which decoding reports."""
+    """Return the number of pixels stated in an image's header; 0 if unreadable (decoding then fails)."""
     if file.suffix.lower() in (".hdr", ".pic"):
         with file.open("rb") as stream:
             match = _HDR_SIZE.search(stream.read(4096))
@@ -153,7 +153,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Read an image as :func:`read_image` does, or a BMP, TGA, TIFF or HDR file, to pixels (H, W, C)."""
+    """Read an image, also BMP, TGA, TIFF or HDR, to (H, W, C). Raises :class:`InputError` if unreadable."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2

@@ -105,7 +105,7 @@ REPLACEABLE: dict[MaterialClass, tuple[MaterialClass, ...]] = {
     "organic": (),
     "other": (),
 }
-"""Classes of the materials that may replace a slot's material, by its main class."""
+"""Classes of materials that may replace a slot's material, by the class of the latter."""
 
 
 def words_of(name: str) -> list[str]:

@@ -40,7 +40,7 @@ _LICENSE_PATTERNS = (
     (re.compile(r"creativecommons\.org/licenses/by-nc/4\.0", re.I), "CC-BY-NC-4.0"),
 )
 _PUBLISHERS = {"ambientcg": ("CC0-1.0", "ambientCG", "https://ambientcg.com")}
-"""Publishers that use one licence for all assets, by their ``creator`` name in ``info.json``."""
+"""Licence, author and address of publishers with a single licence, by ``creator`` in ``info.json``."""
 _TITLE = re.compile(r"version of '(?P<title>[^']+)' by (?P<author>[^,\n]+), downloaded", re.I)
 _SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", re.I)
 

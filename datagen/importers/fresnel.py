@@ -95,8 +95,9 @@ def perceptual_roughness(alpha: float | NDArray, distribution: str) -> NDArray[n
 def plastic_diffuse_albedo(reflectance: NDArray, ior: float, nonlinear: bool) -> NDArray[np.float64]:
     """Return the hemispherical albedo of the diffuse component of Mitsuba's ``plastic`` BSDF.
 
-    It is (1 - f_out) (1 - f_in) d / (1 - f_in d) if ``nonlinear``, else (1 - f_out) d, where d is the inner
-    ``reflectance``, and f_out and f_in are the diffuse Fresnel reflectances of the interface.
+    It is (1 - f_out) (1 - f_in) d / (1 - f_in d) if ``nonlinear``, else (1 - f_out) d, where d is
+    ``reflectance``, and f_out and f_in are the interface's reflectances for diffuse light from outside and
+    inside.
     """
     reflectance = np.asarray(reflectance, dtype=np.float64)
     entering = 1 - diffuse_fresnel(ior)

@@ -79,7 +79,7 @@ def import_material_folder(
     """Convert a texture folder to a material package in ``out_library/materials/<id>``.
 
     Raises :class:`InputError` for a folder without a colour map, several images for one channel, a missing
-    licence, or a bad image.
+    licence, or an unreadable image.
     """
     return _MaterialImporter(folder, options or ImportOptions()).run(out_library)
 

@@ -181,7 +181,7 @@ class MaterialConverter(NodeValues):
             draft = replace(draft, transparency="body")
         return draft
 
-    # transparent BSDFs: their replacement is decided per shape
+    # transparent BSDFs, whose replacement is decided per shape
 
     def _dielectric(self, node: SceneNode, name: str) -> Draft:
         roughness, f0 = self._lobe_width(node, name), fresnel.dielectric_f0(self.ior(node))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reader of OBJ models: one mesh per material, polygons triangulated, missing normals computed.
 
-In shapes, C is the number of polygon corners, P of polygons, M of triangles. Texture coordinate v points up.
+In array shapes, C is the number of polygon corners, P of polygons and M of triangles. v points up in UVs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class ObjModel:
-    """Surfaces in the file's order and frame, and the file names of the material libraries."""
+    """Surfaces of an OBJ file, in its order and frame, and the names of its material libraries."""
 
     surfaces: tuple[Surface, ...]
     libraries: tuple[str, ...]

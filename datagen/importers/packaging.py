@@ -25,7 +25,7 @@ def finish(
 ) -> ImportedAsset:
     """Write, check and record the package ``folder/<id>`` (or ``.zip``); warnings become notes.
 
-    Raises :class:`InputError` for an invalid package, or one that exists if ``options.overwrite`` is off.
+    Raises :class:`InputError` if the package is invalid, or if it exists and ``options.overwrite`` is off.
     """
     record: dict[str, Any] = {
         "approximations": list(findings.approximations),

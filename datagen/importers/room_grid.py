@@ -119,7 +119,7 @@ class RoomGrid:
         return cls(origin, cell, occupied, interior, float(edge))
 
     def is_interior(self, points: NDArray) -> NDArray[np.bool_]:
-        """Return a mask (P,) of the ``points`` (P, 3) in the room's free space."""
+        """Return a mask (P,) of those ``points`` (P, 3) that are in the room's free space."""
         index = ((points - self.origin_m) / self.cell_m).astype(np.int64)
         valid = ((index >= 0) & (index < self.interior.shape)).all(axis=1)
         result = np.zeros(len(points), dtype=bool)
@@ -187,7 +187,7 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
     """Return the largest all-True rectangle (x0, x1, y0, y1) with sides of at least ``min_side``, or zeros.
 
-    For each row, it is the largest rectangle in the histogram of the heights of the True columns above.
+    Found row by row as the largest rectangle in the histogram of the heights of True columns.
     """
     best, result = 0, (0, 0, 0, 0)
     heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0, which ends every open rectangle

@@ -13,7 +13,7 @@ _NAMED, _LINES = 3, 6
 
 
 def summary_lines(asset: ImportedAsset) -> list[str]:
-    """Return a summary of an imported asset for the terminal, by line; ``import.json`` has all details."""
+    """Return the lines of a terminal summary of an imported asset; ``import.json`` has all details."""
     lines = [f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.contents}; {asset.path}"]
     for label, sentences in (("approximated", asset.approximations), ("note", asset.notes)):
         grouped = group_sentences(sentences)

@@ -293,7 +293,7 @@ class _SweetHomeImporter:
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
 
     def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
-        """Return the (4, 4) transform that applies the catalogue's rotation and size and makes Z up."""
+        """Return the (4, 4) transform to the catalogue's rotation and size, and to Z up."""
         rotation = np.eye(3) if piece.rotation is None else piece.rotation
         points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ rotation.T
         extent = points.max(axis=0) - points.min(axis=0)

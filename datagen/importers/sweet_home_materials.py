@@ -193,7 +193,7 @@ class PhongConverter:
         return None if float(values.min()) >= _OPAQUE else mask
 
     def _stand_in(self, slot: str, phong: PhongMaterial) -> StandIn:
-        """Return the treatment of a surface of uniform opacity; a refused surface becomes a problem."""
+        """Return how to treat a surface of uniform opacity; record a problem if it is refused."""
         if phong.opacity >= _OPAQUE:
             return "opaque"
         if phong.opacity < _INVISIBLE:
