@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
-Masks are in COCO's compressed run-length encoding, which stores the lengths of runs along the columns,
-background first, minus the length two runs earlier, in groups of five bits.
+Masks are in COCO's compressed run-length encoding: run lengths by column, background first, minus the length
+two runs earlier from the fourth run on, in groups of five bits.
 """
 
 from __future__ import annotations

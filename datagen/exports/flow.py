@@ -3,7 +3,7 @@
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
 point is in front of camera b; elsewhere 1e10, the format's value for unknown flow. The mask is True where the
-point is visible in b: where b's surface has the same instance and its plane contains the point.
+point is visible in b: the surface seen there has the same instance and a plane through the point.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def decode_flo(data: bytes) -> NDArray[np.float32]:
 
 
 def export_flow(export: Export, room: Room) -> None:
-    """Write the flow from each view to the ``export.neighbours`` views that show most of its points."""
+    """Write images, and the flow from each view to the ``export.neighbours`` views that show most of it."""
     name, views = room.configuration.id, room.views
     read = [view.read(*_NAMES) for view in views]
     cameras = [view.camera for view in views]

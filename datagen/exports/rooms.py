@@ -68,7 +68,7 @@ class Room:
 
     @cached_property
     def exposure(self) -> float:
-        """Median exposure of the views, as a common exposure for all of them."""
+        """Common exposure of the room's views, the median of their exposures."""
         return float(np.median([view.record.exposure for view in self.views]))
 
     def objects(self) -> dict[str, PlacedAsset]:
