@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makers, by name, of randomly sized furniture that suits the walls of many kinds of room."""
+"""Makers, by name, of randomly sized furniture that stands along the walls of many kinds of room."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ class Furnisher:
     ) -> Placed | None:
         """Place an item with its back to a wall, preferably at the position ``where``.
 
-        Returns None without a valid position or, if ``needed``, raises :class:`Unfit`.
+        Tries only ``s`` if given. Without space, returns None or, if ``needed``, raises :class:`Unfit`.
         """
         b = item.bounds
         order = list(walls) if walls is not None else self.draws.shuffled(WALLS)
@@ -202,7 +202,7 @@ class Furnisher:
         return None
 
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
-        """Place an item in the middle of the room, else within a share ``spread`` of it, at random.
+        """Place an item in the middle of the room, else at random within a share ``spread`` of the room.
 
         Returns None without a valid position or, if ``needed``, raises :class:`Unfit`.
         """

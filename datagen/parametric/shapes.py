@@ -213,7 +213,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats, is_print: bool = False) -> Shape:
-    """Make a smooth sheet through points (rows, columns, 3), with rows up and columns right on its front."""
+    """Make a smooth sheet through points (rows, columns, 3); on its front, rows run up, columns right."""
     rows, columns = points.shape[:2]
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
@@ -239,9 +239,10 @@ def without_slivers(shape: Shape) -> Shape:
 
 
 def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments: int = 24) -> Shape:
-    """Make a body of revolution about z from (radius, height) pairs: foot, up the outside, down the inside.
+    """Make a body of revolution about z from a ``profile`` of (radius, height) pairs.
 
-    u follows the profile, v runs around z. Corners of the profile sharper than 40 degrees are not smoothed.
+    The profile starts at the foot and runs up the outside, then down the inside, if any. u follows it, v runs
+    around z. Corners sharper than 40 degrees are not smoothed.
     """
     steps = np.array(profile, dtype=np.float64)
     steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # the rounding error of cos(90 degrees) would leave a hole

@@ -80,7 +80,7 @@ class Shell:
         return round(float(x), 9), round(float(y), 9)
 
     def on_wall(self, item: Item, name: str, wall: Wall, s: float, z: float, gap: float = 0.0) -> Placed:
-        """Return an item placed ``gap`` metres in front of a wall, at ``s`` along it and at height ``z``."""
+        """Return an item placed with its back ``gap`` metres in front of a wall, at ``s``, height ``z``."""
         return Placed(item, name, (*self.point(wall, s, gap), z), _YAW[wall])
 
     def spans(self, wall: Wall) -> list[tuple[float, float, float, float]]:

@@ -125,7 +125,7 @@ METAL_SHARE: Mapping[str, float] = {
     "appliance": 0.75, "frame": 0.35, "legs": 0.25, "machine": 0.5, "shade": 0.3, "slats": 0.5, "steel": 0.85,
     "tool": 0.6, "worktop": 0.35,
 }  # fmt: skip
-"""Probability, by slot, that all its materials in a room are metals."""
+"""Probability, by slot, that the slot is of metal in a room."""
 _FINISHED = ("frame", "legs", "shade", "slats")
 
 
