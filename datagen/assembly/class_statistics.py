@@ -4,8 +4,8 @@
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
 For each main class, this prints the number of materials, the 5th, 50th and 95th percentiles over materials of
-the brightest channel of mean D and of mean R, each with its limits of variation, and the standard deviation
-of a material's texels (median over materials): of hue in turns, of saturation and value as factors, of R.
+the brightest channel of mean D and of mean R, each with its limits of variation, and the medians over
+materials of the standard deviation of texels of hue (in turns), saturation and value (as factors) and R.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
 from datagen.library import Library
 
-_MAX_SIDE_TEXELS = 128  # textures are subsampled to this size: spreads need fewer texels than means
-_MIN_SATURATION = 0.05  # hue and saturation of greys are noise
+_MAX_SIDE_TEXELS = 128  # textures are subsampled to below twice this size: spreads need few texels
+_MIN_SATURATION = 0.05  # hue and saturation of less saturated texels are noise
 
 
 @dataclass(frozen=True)
 class MaterialSample:
-    """Means of a material: ``value`` (brightest channel of D) and R; standard deviations over its texels.
+    """Means of a material, ``value`` being the brightest channel of D, and standard deviations of its texels.
 
-    The spread of hue is in turns, those of saturation and value are factors; NaN without a texture.
+    ``hue_spread`` is in turns, those of saturation and value are factors; all are NaN without a texture.
     """
 
     value: float

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Measures how well the views of a configuration cover its scene, from camera rays at low resolution.
 
-Letters: P points of all views, M triangles.
+Shapes: P points of all views, M triangles.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from datagen.formats.configuration import GLOSSY_ROUGHNESS, METAL_SPECULAR, View
 from datagen.foundation.cameras import Camera
 
 PREVIEW_WIDTH_PX = 64
-MIN_SHELL_PIXELS = 0.03  # of the image: minimum area for a wall to count as visible
+MIN_SHELL_PIXELS = 0.03  # minimum share of the image for a wall or ceiling to count as visible
 _WALLS: tuple[Surface, ...] = ("wall", "tiles")
 _POINTS = 400  # approximate number of surface points sampled per view
-_DEPTH_SLACK = 2e-3  # relative shortening of visibility rays: keeps a point's own surface from occluding it
+_DEPTH_SLACK = 2e-3  # relative shortening of visibility rays, which prevents self-occlusion of surface points
 _QUADRANTS = 4
 
 
@@ -41,7 +41,7 @@ class Shell:
 
     @cached_property
     def _label_of_face(self) -> NDArray[np.int64]:
-        """Label (M,) of each triangle: 1 ceiling, 2 to 5 wall by quadrant of its normal, 0 anything else."""
+        """Label (M,) of each triangle: 1 for ceiling, 2 to 5 for wall by quadrant of the normal, else 0."""
         scene = self.scene
         parts = scene.geometries[0].asset.parts
         kinds = np.array([self.surfaces.get(part.material, "small") for part in parts])
@@ -55,7 +55,7 @@ class Shell:
     def is_room(self, faces: NDArray[np.int64], num_pixels: int) -> bool:
         """Return whether an image shows two walls, or a wall and the ceiling.
 
-        ``faces`` are the indices of the triangles hit by those of its ``num_pixels`` rays that hit one.
+        ``faces`` are the indices of the triangles that the rays of its ``num_pixels`` pixels hit.
         """
         pixels = np.bincount(self._label_of_face[faces], minlength=2 + _QUADRANTS)[1:]
         seen = pixels >= MIN_SHELL_PIXELS * num_pixels
@@ -78,7 +78,7 @@ def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
 def measure(
     scene: WorldScene, shell: Shell, assigned: tuple[dict[str, MeanMaterial], ...], cameras: list[Camera]
 ) -> ViewCoverage:
-    """Measure how ``cameras`` cover a scene; ``assigned`` maps slots to materials, for each asset."""
+    """Measure how well ``cameras`` cover a scene; ``assigned`` maps the slots of each asset to materials."""
     previews = [preview_of(camera) for camera in cameras]
     hits: list[Hits] = []
     points: list[Floats] = []
@@ -110,7 +110,7 @@ def _share(count: int, of: int) -> float:
 
 
 def _of_faces(scene: WorldScene, assigned: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
-    """Brightest channel of mean S (M,) and mean R (M,) of each triangle's material."""
+    """Return the brightest channel of mean S (M,) and mean R (M,) of each triangle's material."""
     tables = [
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
         for g, w in zip(scene.geometries, assigned, strict=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Radiance of skies and environment images as functions of direction, and choice of the sun's direction."""
+"""Radiance of skies and environment images as functions of direction, and random sun directions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) 
 
 
 def lookup(table: Floats) -> EnvironmentMap:
-    """A function from directions (R, 3) to the radiance in an equirectangular table (rows, columns, 3)."""
+    """Return a function that looks up directions (R, 3) in an equirectangular table (rows, columns, 3)."""
     rows, columns = table.shape[:2]
 
     def radiance(directions: Floats) -> Floats:
@@ -56,7 +56,7 @@ def lookup(table: Floats) -> EnvironmentMap:
 
 
 def environment_radiance(light: EnvironmentLight, library: Library) -> EnvironmentMap:
-    """An environment light's radiance as a function of world direction, in cells of at least 5.6 degrees."""
+    """Radiance of an environment as a function of world direction, averaged over cells of 5.6 degrees."""
     if light.image is None:
         constant = light.scale * np.array(light.radiance)
         return lambda directions: np.broadcast_to(constant, directions.shape)
@@ -79,7 +79,7 @@ def _image_table(library: Library, asset: str, image: str) -> Floats:
 
 
 def sky_radiance(light: SkyLight) -> EnvironmentMap:
-    """A sky's radiance, without the sun's disc, as a function of world direction."""
+    """Radiance of a sky, without the sun's disc, as a function of world direction."""
     table = _sky_table(light.sun_direction, light.turbidity, light.ground_albedo)
     return lookup(light.sky_scale * table)
 
@@ -171,10 +171,11 @@ def environment_image(library: Library, asset_id: str) -> str:
 def draw_sun_direction(
     rays: RayScene, openings: tuple[Opening, ...], targets: Floats, enters: bool, draws: Draws
 ) -> tuple[Floats, bool]:
-    """Draw a unit vector (3,) towards the sun; also return whether it was aimed at one of ``targets`` (P, 3).
+    """Draw a unit vector (3,) towards the sun; also return whether it reaches one of ``targets`` (P, 3).
 
     If ``enters`` is true, directions from targets through openings are tried until one is unobstructed and
-    within :data:`SUN_ELEVATION_RAD`. If none is found or ``enters`` is false, the direction is random.
+    within :data:`SUN_ELEVATION_RAD`. If none is found or ``enters`` is false, the direction is random and
+    not tested.
     """
     if enters and openings and len(targets):
         areas = [float(np.linalg.norm(np.cross(o.edge_u_m, o.edge_v_m))) for o in openings]

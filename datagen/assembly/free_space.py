@@ -17,9 +17,9 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
 NUM_FEELERS = 96  # rays cast in all directions from a camera position, 15 degrees between neighbours
-_REACH_M = 6.0  # free space without regions extends this far from the environment's own cameras
-_MAX_BACK_SHARE = 0.35  # of the feelers: if more hit backs of triangles, the camera is inside a solid
-_MAX_OPEN_SHARE = 0.75  # of the feelers: if more hit nothing, the camera is outside the room
+_REACH_M = 6.0  # without camera regions, free space extends this far from the environment's cameras
+_MAX_BACK_SHARE = 0.35  # share of feelers above which hits on back faces mean a camera inside a solid
+_MAX_OPEN_SHARE = 0.75  # share of feelers above which misses mean a camera outside the room
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class FreeSpace:
         return found
 
     def draw(self, draws: Draws) -> Floats | None:
-        """Draw a position (3,), which :meth:`fault` has not checked; None if there is no floor below it."""
+        """Draw a position (3,) without the check by :meth:`fault`; None if there is no floor below it."""
         if self._regions:
             low, high, _ = draws.weighted(self._regions, [w for _, _, w in self._regions])
             return low + draws.units(3) * (high - low)
@@ -89,12 +89,12 @@ class FreeSpace:
 
     @cached_property
     def has_consistent_winding(self) -> bool:
-        """:func:`~datagen.assembly.things.has_consistent_winding` from cameras and above supports."""
+        """Whether triangles have consistent winding as seen from the cameras and from above the supports."""
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
         return has_consistent_winding(self.rays, [*starts, *above_supports(self.environment)])
 
     def fault(self, position: Floats, clearance_m: float) -> str:
-        """Why a position (3,) is not free: ``inside_solid``, ``too_close`` or ``outside``; '' if it is."""
+        """Reason why a position (3,) is not free: ``inside_solid``, ``too_close``, ``outside``; else ''."""
         directions = fibonacci_sphere(NUM_FEELERS)
         hits = self.rays.cast(position, directions)
         backs = int(self.rays.is_back_hit(hits, directions).sum())
@@ -109,7 +109,7 @@ class FreeSpace:
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
         """Draw up to ``count`` free positions (P, 3) in at most ``8 * count`` tries.
 
-        Counts the reasons in ``rejections``. Raises :class:`InputError` if no position is free.
+        Counts rejected positions by reason. Raises :class:`InputError` if no position is free.
         """
         found: list[Floats] = []
         for _ in range(8 * count):

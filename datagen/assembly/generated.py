@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Generates the rooms of configurations (``environments.parametric`` of the recipe).
 
-A room is a function of (recipe seed, index, attempt). It is an environment package in memory, which planning
+A room is a pure function of recipe, index and attempt. It is an environment package in memory, which planning
 writes to the dataset's folder ``rooms/`` for later stages.
 """
 
@@ -32,7 +32,7 @@ class GeneratedRoom:
 
     @cached_property
     def bare_slots(self) -> frozenset[tuple[str, str]]:
-        """Pairs (asset id, slot) of slots with a placeholder, which a material of the palette replaces."""
+        """Pairs (asset id, slot) of slots whose placeholder a material of the palette must replace."""
         asset = self.package.asset
         assert isinstance(asset, EnvironmentAsset)
         return frozenset(
@@ -43,7 +43,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """Generate the room of an attempt at configuration ``index``; None if its room is in the library."""
+    """Generate the room of an attempt at configuration ``index``; None if it uses a room of the library."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
@@ -54,7 +54,7 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """Generate the room of a planned configuration; None if its room comes from the library.
+    """Generate the room of a planned configuration again; None if its room comes from the library.
 
     Raises :class:`ValueError` if none of the first ``num_tries`` attempts has the room's asset id.
     """
@@ -66,7 +66,7 @@ def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> Gen
 
 
 def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
-    """Yield one room of each kind that the recipe allows; nothing if it generates no rooms."""
+    """Yield one room of each kind that the recipe allows; none if it generates no rooms."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
         asset = _generated(kind, "example", False).package.asset

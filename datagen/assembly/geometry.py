@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Meshes of assets for assembly: triangles in float64, rays through Embree, exact collision through FCL.
+"""Meshes of assets for assembly: triangles in float64, ray casting with Embree, exact collision with FCL.
 
-Letters: N vertices, M triangles, R rays. Positions are metres. Embree traces in float32; distances are then
-computed from the triangle's plane in float64, so that decisions do not depend on rounding. Neither library
+Shapes: N vertices, M triangles, R rays. Positions are in metres. Embree traces in float32; distances are then
+computed from the triangle's plane in float64, which keeps rounding from affecting decisions. Neither library
 depends on a Mitsuba variant, so plans are equal on machines with and without a GPU.
 """
 
@@ -24,8 +24,8 @@ from datagen.foundation.meshes.ply import decode_ply
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_MIN_COSINE = 1e-3  # below, Embree's distance is kept: the plane equation would divide by almost 0
-_MAX_CACHED_TRIANGLES = 6_000_000  # about 1 GB with search trees
+_MIN_COSINE = 1e-3  # below, Embree's distance is kept, since the plane equation would divide by almost 0
+_MAX_CACHED_TRIANGLES = 6_000_000  # about 1 GB including Embree's trees
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Hits:
 
 
 class RayScene:
-    """Triangles for ray queries, with unit ``normals`` (M, 3) by winding and ``areas`` (M,) in m²."""
+    """Triangles for ray queries, with unit ``normals`` (M, 3) on the front and ``areas`` (M,) in m²."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -63,7 +63,7 @@ class RayScene:
         return scene
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike = np.inf) -> Hits:
-        """First hits within a distance along unit ``directions`` (R, 3) from ``origins`` (R, 3) or (3,)."""
+        """Find the first hits of rays from ``origins`` (R, 3) or (3,) along unit ``directions`` (R, 3)."""
         directions = np.ascontiguousarray(directions, dtype=np.float64).reshape(-1, 3)
         origins = np.broadcast_to(np.asarray(origins, dtype=np.float64), directions.shape)
         count = len(directions)
@@ -195,7 +195,7 @@ def _is_opaque(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
 
 
 class GeometryCache:
-    """Cache of geometry by package hash; evicts the least recently used above ``max_triangles`` in total."""
+    """Geometry by package hash; above ``max_triangles`` in total, the least recently used is evicted."""
 
     def __init__(self, max_triangles: int = _MAX_CACHED_TRIANGLES):
         self._max_triangles = max_triangles
@@ -217,7 +217,7 @@ class GeometryCache:
 
 
 class CollisionModel:
-    """A triangle soup at rigid poses for exact triangle-triangle intersection tests with FCL."""
+    """A triangle soup that FCL tests exactly for intersections at any rigid pose."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         import fcl

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""A small diffuse path tracer, for exposure and for the rejection of dark views.
+"""A small diffuse path tracer that sets light intensities and detects dark views.
 
 Surfaces are diffuse with albedo D (1 - S) + S, the reflectance of the project's BSDF at normal incidence.
 Radiance is returned per group of lights, so one run serves all intensities. A few thousand paths take a tenth
 of a second, with a relative error of about 10 %; the result is a pure function of the arguments.
-Letters: M triangles, R rays, G groups.
+Shapes: M triangles, R rays, P points, G groups.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _MAX_LIGHTS_A_STEP = 6  # in larger groups, one light is sampled per step
 _MAX_TAIL_ALBEDO = 0.9  # bounds the geometric series of albedos near 1, which would amplify a noisy estimate
 
 EnvironmentMap = Callable[[Floats], Floats]
-"""A function from unit directions (R, 3) to the radiance (R, 3) that arrives from them."""
+"""Function that maps unit directions (R, 3) to the radiance (R, 3) that arrives from them."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Emitters:
 
 @dataclass(frozen=True)
 class LightGroup:
-    """Lights scaled by one factor; ``sky`` is the radiance from outside, without the discs of ``suns``."""
+    """Lights scaled together; ``sky`` is the radiance from outside the scene, excluding ``suns``."""
 
     lights: tuple[Light, ...] = ()
     emitters: Emitters | None = None
@@ -72,7 +72,7 @@ class LightProbe:
     def irradiance(self, points: Floats, draws: Draws, rays_per_point: int = 8) -> Floats:
         """Irradiance (P, G, 3) in W/m² at points (P, 3), averaged over orientations of the receiver.
 
-        The mean equals a quarter of the fluence rate. Direct light is sampled at emitters, indirect light
+        This average is a quarter of the fluence rate. Direct light is sampled at emitters, indirect light
         with ``rays_per_point`` uniformly distributed rays.
         """
         count = len(points)
@@ -87,8 +87,8 @@ class LightProbe:
     def radiance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
         """Radiance (R, G, 3) along rays (R, 3), without lights and emitters that the rays hit directly.
 
-        Light through openings is sampled at the openings. Rays that leave the scene elsewhere, also without
-        a bounce, add the radiance of the background.
+        Light through openings is sampled at the openings. Rays that leave the scene elsewhere, even before
+        the first bounce, add the radiance of the sky.
         """
         count = len(origins)
         total = np.zeros((count, len(self.groups), 3))
@@ -110,7 +110,7 @@ class LightProbe:
             points = points + _OFFSET_M * normals
             albedo = self.albedo[face]
             weight = weight * albedo
-            if bounce == NUM_BOUNCES - 1:  # later bounces as a geometric series of the mean albedo
+            if bounce == NUM_BOUNCES - 1:  # a geometric series of the mean albedo replaces later bounces
                 weight = weight / (1.0 - min(float(albedo.mean()), _MAX_TAIL_ALBEDO))
             for k, group in enumerate(self.groups):
                 arriving = self._direct(points, normals, group, draws)
@@ -132,7 +132,7 @@ class LightProbe:
                 total[index[free], k] += weight[free] * group.sky(directions[free])
 
     def _direct(self, points: Floats, normals: Floats | None, group: LightGroup, draws: Draws) -> Floats:
-        """Direct irradiance (R, 3) from a group at points (R, 3); fluence rate if ``normals`` is None."""
+        """Direct irradiance (R, 3) of a group at points (R, 3); fluence rate if ``normals`` is None."""
         arriving = np.zeros((len(points), 3))
         lights: list[Light] = [*group.lights, *group.suns]
         share = 1.0
@@ -191,8 +191,8 @@ class LightProbe:
 
 @dataclass(frozen=True)
 class _Sample:
-    """A point on an emitter for each of R points: unit ``directions`` and ``distance_m`` towards it, and its
-    unoccluded ``irradiance`` (R, 3) at normal incidence divided by the probability density.
+    """One emitter sample for each of R points: unit ``directions`` (R, 3) and ``distance_m`` (R,) towards it,
+    and its unoccluded ``irradiance`` (R, 3) at normal incidence divided by the probability density.
     """
 
     directions: Floats
@@ -223,7 +223,7 @@ class Rectangle:
     def is_crossed(
         self, origins: Floats, directions: Floats, limit_m: Floats | float = np.inf
     ) -> NDArray[np.bool_]:
-        """Mask (R,) of rays (R, 3) that cross the rectangle against its normal within ``limit_m``."""
+        """Mask (R,) of rays (R, 3) that cross the rectangle, opposite to its normal, within ``limit_m``."""
         cosine = directions @ self.normal
         height = (self.origin - origins) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -235,12 +235,12 @@ class Rectangle:
 
 
 def _from_surface(points: Floats, on_light: Floats, normals: Floats, radiance_area: Floats) -> _Sample:
-    """Samples for ``points`` (R, 3) of points ``on_light`` (R, 3) of one-sided lights.
+    """Convert points ``on_light`` (R, 3), on one-sided lights, to samples for ``points`` (R, 3).
 
     ``radiance_area`` (R, 3) or (1, 3) is the radiance divided by the probability density per area.
     """
     towards = on_light - points
-    # bounds the irradiance from a light nearer than 1 mm
+    # bounds the irradiance from lights nearer than 1 mm
     squared = np.maximum((towards * towards).sum(axis=1), 1e-6)
     distance = np.sqrt(squared)
     directions = towards / distance[:, None]
@@ -292,5 +292,5 @@ def _cosine_directions(normals: Floats, draws: Draws) -> Floats:
 
 
 def is_from_outside(light: Light) -> bool:
-    """Return whether a light is a sky or environment that surrounds the scene."""
+    """Return whether a light is a sky or environment map, which surrounds the scene."""
     return isinstance(light, EnvironmentLight | SkyLight)

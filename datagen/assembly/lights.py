@@ -30,18 +30,18 @@ from datagen.foundation.color import color_of_temperature
 from datagen.foundation.random import Draws
 from datagen.library import Library
 
-SHARE_RANGE = (0.25, 1.0)  # of a group's share of the irradiance, before shares are normalised to a sum of 1
+SHARE_RANGE = (0.25, 1.0)  # range of a group's share of the irradiance before the shares are normalised
 _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
 _MIN_LIGHT_CLEARANCE_M = 0.05
-_MAX_BACKS = 0.85  # share of rays that hit backs: exceeded inside walls, not inside lampshades of one sheet
+_MAX_BACKS = 0.85  # share of rays that hit back faces: higher inside walls, lower in single-sheet lampshades
 _PANEL_TRIES = 60
 
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights scaled together; ``slots`` are emissive slots as (index of the asset, slot), room first.
+    """Lights scaled together; ``slots`` are emissive slots as (asset index, slot), with the room at index 0.
 
     ``share`` is the range of the group's share of the irradiance, relative to the shares of other groups.
     """
@@ -56,7 +56,8 @@ class PlannedGroup:
 class RoomToLight:
     """A scene to light; ``placed``, ``assets`` and ``assigned`` have one entry per asset, the room first.
 
-    ``assigned`` are mean materials by slot, ``eyes`` are camera positions (P, 3).
+    ``assigned`` are mean materials by slot, ``eyes`` are camera positions (P, 3). ``has_solid_backs`` states
+    whether hits on back faces indicate the inside of a solid.
     """
 
     environment: EnvironmentAsset
@@ -75,7 +76,7 @@ def plan_lights(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> list[PlannedGroup]:
-    """Draw the groups of lights of a configuration at nominal intensity; ``key`` seeds the draws."""
+    """Draw the light groups of a configuration at nominal intensity; ``key`` seeds the draws."""
     draws = Draws(*key, "lights")
     wants = {
         "native": draws.chance(recipe.native_probability),
@@ -116,7 +117,7 @@ def plan_lights(
 def _without_overlap(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Those ``fresh`` groups in which no area light overlaps an area light of ``groups``."""
+    """Return the groups of ``fresh`` whose area lights overlap none in ``groups``; count the others."""
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
@@ -185,7 +186,7 @@ def _area(
 
 
 def _light_in_slot(slot: LightSlot, color: tuple[float, float, float], draws: Draws) -> AreaLight:
-    """Draw an area light of at least half a slot's length and width, at random in it, 2 mm in front of it."""
+    """Draw an area light 2 mm in front of a slot, with 50 to 100 % of its length and width."""
     u, v = np.array(slot.edge_u_m), np.array(slot.edge_v_m)
     share_u, share_v = draws.uniform(0.5, 1.0), draws.uniform(0.5, 1.0)
     normal = np.cross(u, v)
@@ -206,7 +207,7 @@ def _vector(value: Floats) -> tuple[float, float, float]:
 
 
 def is_blocked(light: AreaLight, rays: RayScene) -> bool:
-    """Whether geometry intersects an area light, or covers over a quarter of it at less than 15 cm."""
+    """Whether geometry intersects an area light, or is within 15 cm in front of over a quarter of it."""
     origin, u, v = (np.array(a) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     normal = np.cross(u, v)
     normal /= np.linalg.norm(normal)
@@ -281,7 +282,7 @@ def _point(
 
 
 def _point_fault(position: Floats, room: RoomToLight) -> str:
-    """The reason to reject a point light at a position (3,): ``inside_solid`` or ``blocked``; '' if none."""
+    """Reason to reject a point light at ``position`` (3,): ``inside_solid``, ``blocked`` or '' for none."""
     directions = fibonacci_sphere(48)
     hits = room.scene.rays.cast(position, directions)
     if room.has_solid_backs and room.scene.rays.is_back_hit(hits, directions).mean() > _MAX_BACKS:
@@ -297,7 +298,7 @@ def _panorama(daytime: Daytime, library: Library, draws: Draws) -> list[PlannedG
 def _daylight(
     room: RoomToLight, recipe: LightRecipe, library: Library, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Draw daylight: a group with a sky and sun or an environment image; no group without openings."""
+    """Draw a group with a sky and sun, or with an environment image; return none if there are no openings."""
     openings = room.environment.openings
     images = sorted(recipe.environment_images)
     wants_image, pick, turn = draws.chance(0.5), draws.unit(), draws.uniform(-math.pi, math.pi)

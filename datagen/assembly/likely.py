@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Assigns materials as in real homes: by kind of surface, in one style.
+"""Assigns materials as in real homes, by kind of surface and in one style per room.
 
-For every slot, those looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are eligible that match the
-room's style and for which the palette contains a material that fits the slot and can be varied into the
-look's ranges. A look is drawn by weight, then a material, then a point in the ranges. A slot that keeps its
-material gets a small variation, within a look if the material matches one.
+A look of a slot's surface (:data:`datagen.assembly.looks.LOOKS`) is eligible if it matches the room's style
+and the palette contains a material that fits the slot and can be varied into the look's ranges. A look is
+drawn by weight, then a material, then a point in the ranges. A slot that keeps its material gets a small
+variation, within a look if the material matches one.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from datagen.formats.recipe import MaterialRecipe
 from datagen.foundation.random import Draws, weighted_item
 
 _DYED_HUE_TURNS = 0.2  # classes with at least this range of hues count as dyed and may have any hue
-_MAX_FACTOR = 4.0  # of saturation and value: the largest factor that a configuration can store
+_MAX_FACTOR = 4.0  # largest factor of saturation and value that a configuration can store
 _GREY = 0.02  # saturation below which a colour has no hue
 _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
 """Largest factors of value and saturation and largest offset of R for materials that a slot keeps."""
@@ -49,7 +49,7 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """The adjustment at relative position ``where`` (4,) in the ranges, each in [0, 1].
+        """Return the adjustment at relative position ``where`` (4,) in the ranges, each in [0, 1].
 
         ``strength`` in [0, 1] interpolates from the smallest adjustment in the ranges to that position.
         """
@@ -69,9 +69,9 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """The adjustments that move a material with these means into the ranges of a look; None if none does.
+    """Ranges of the adjustments that move means of a material into those of a look; None if none does.
 
-    A material without textures whose class has a wide range of hues may get any colour.
+    The limits of the class are widened for untextured materials of classes with a wide range of hues.
     """
     limits = CLASS_RANGES[material.classes[0]]
     is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS
@@ -112,7 +112,7 @@ def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> In
     Factors are between 1 / max(``max_factor``, ``stain``) and ``max_factor``.
     """
     if own <= _GREY and _contains(wanted, own):
-        return (1.0, 1.0)  # black and grey cannot be scaled to a colour
+        return (1.0, 1.0)  # scaling black or grey does not produce a colour
     return _common(
         (wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1 / max(max_factor, stain), max_factor)
     )
@@ -125,7 +125,7 @@ class _Choice:
 
 
 class LikelyDresser:
-    """Assigns materials of ``palette`` to the assets of one configuration in one style."""
+    """Assigns materials of ``palette`` to all assets of a configuration in one style."""
 
     def __init__(
         self, style: RoomStyle, palette: list[Package], recipe: MaterialRecipe, means: MeanMaterials
@@ -144,8 +144,8 @@ class LikelyDresser:
     ) -> dict[str, MaterialAssignment]:
         """Draw the materials of the slots of one placed asset; slots that keep theirs unchanged are absent.
 
-        ``surfaces`` maps each slot to its kind of surface. A slot among ``foreign_slots`` (asset id, slot)
-        keeps its material only if no material of the palette fits. The number of draws does not depend on the
+        ``surfaces`` maps each slot to its kind of surface. A slot in ``foreign_slots`` (asset id, slot) keeps
+        its material only if no material of the palette fits. The number of draws does not depend on the
         palette.
         """
         asset = package.asset

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Likely materials and colours of the surfaces of real rooms.
 
-A :class:`Look` is a class of material with ranges of the mean of D (hue, saturation and value in linear HSV),
-S and R. All looks of a room follow one :class:`RoomStyle`: a tone of wood for furniture and one for the
-floor, one metal for all handles and taps, one accent colour, and white, dark or wooden joinery.
+A :class:`Look` is a material class with ranges of the means of D (hue, saturation and value in linear HSV),
+S and R. All looks of a room follow one :class:`RoomStyle`, which consists of a wood tone for furniture and
+one for the floor, a metal for handles and taps, an accent colour, and white, dark or wooden joinery.
 
 Sources: EN 12464-1:2021 recommends reflectances of 0.7 to 0.9 for ceilings, 0.5 to 0.8 for walls, 0.2 to 0.6
 for floors and 0.2 to 0.7 for large objects; ranges are wider where practice differs (dark floors, coloured
@@ -37,7 +37,7 @@ ACCENT_SPREAD = 0.03  # range of hues within one accent, in turns
 
 @dataclass(frozen=True)
 class Wood:
-    """A tone of wood: ranges of the mean of D in linear HSV, with hue in turns."""
+    """Wood tone as ranges of mean D in linear HSV, with hue in turns."""
 
     value: Interval
     saturation: Interval
@@ -60,7 +60,7 @@ WOOD_STAIN = 2.5  # largest factor by which wood is darkened, as by a stain
 
 @dataclass(frozen=True)
 class RoomStyle:
-    """Style of a room: tones of wood of furniture and floor, accent hue in turns, metal and joinery."""
+    """Style of a room: wood tones of furniture and floor, accent hue in turns, metal finish and joinery."""
 
     wood: Wood
     floor: Wood
@@ -70,7 +70,7 @@ class RoomStyle:
 
     @classmethod
     def draw(cls, draws: Draws) -> RoomStyle:
-        """Draw a style; with probability 0.5 the floor gets the tone of the furniture."""
+        """Draw a style; with probability 0.5, the wood tone of the floor is that of the furniture."""
         wood = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         other = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         floor = wood if draws.chance(0.5) else other
@@ -81,13 +81,12 @@ class RoomStyle:
 
 @dataclass(frozen=True)
 class Look:
-    """A class of material with ranges of its means: ``value``, ``saturation`` and ``hue`` (turns; None:
-    unchanged) of D, ``roughness`` R, ``specular`` the brightest channel of S, ``tint`` the saturation of S.
+    """A material class with ranges of its means: ``value``, ``saturation`` and ``hue`` (in turns; None keeps
+    it) of D, ``roughness`` R, ``specular`` (brightest channel of S) and ``tint`` (saturation of S).
 
-    ``follows`` names the part of the style that replaces ranges: a tone of wood or the accent hue.
-    ``only`` is the finish or joinery that the style must have. ``stain`` is the largest factor by which value
-    and saturation may be lowered, if it is above the limit of the class. ``is_printed`` allows any hue in any
-    class.
+    ``follows`` names the part of the style that replaces ranges: a wood tone or the accent hue. ``only`` is
+    the finish or joinery required of the style. Value and saturation may be divided by up to ``stain``, if it
+    exceeds the limit of the class. ``is_printed`` allows any hue in any class.
     """
 
     weight: float
@@ -104,7 +103,7 @@ class Look:
     is_printed: bool = False
 
     def in_style(self, style: RoomStyle) -> Look | None:
-        """The look with ranges replaced by the style's where it follows it; None if the style excludes it."""
+        """Replace the ranges that follow the style; return None if the style excludes the look."""
         if self.only is not None and self.only not in (style.finish, style.joinery):
             return None
         plain = replace(self, follows="", only=None)
@@ -156,7 +155,7 @@ def _cloth(weight: float, value: Interval, saturation: Interval, accent: bool = 
 
 
 KEPT: dict[Surface, float] = {"cover": 0.7, "frame": 0.3, "joinery": 0.3}
-"""Probability, by kind of surface, that a slot keeps its material, as book covers do to remain varied."""
+"""Probability, by kind of surface, that a slot keeps its material; book covers thereby remain varied."""
 LOOKS: dict[Surface, tuple[Look, ...]] = {
     "ceiling": (
         Look(4, "painted", (0.66, 0.88), (0.0, 0.1), (0.6, 1.0)),
@@ -294,5 +293,5 @@ LOOKS: dict[Surface, tuple[Look, ...]] = {
         Look(1, "fabric", (0.02, 0.4), (0.0, 0.5), (0.6, 1.0)),
     ),
 }
-"""Looks by kind of surface, with weights relative within it. Surfaces without looks, such as ``small``, take
-any class that suits the slot."""
+"""Looks by kind of surface, with weights relative to others of the kind. Surfaces without looks, such as
+``small``, take any class that suits the slot."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Assignment of materials to slots, by class, and their variation.
 
-A slot names the classes that suit its geometry (``replaceable_by``). Only materials whose main class is among
-them are assigned to it (with the probability ``any_class_probability`` of a recipe, those of any class), and
-textured ones only if the mesh has UVs. Variation stays within :data:`CLASS_RANGES`.
+A slot lists the classes that suit its geometry (``replaceable_by``). It gets a material with one of them as
+main class or, with the recipe's ``any_class_probability``, of any class; textured materials require UVs.
+Variation stays within :data:`CLASS_RANGES`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from datagen.foundation.images import read_image
 from datagen.foundation.random import Draws, weighted_item
 from datagen.library import Library
 
-_MAX_SIDE_TEXELS = 512  # textures are subsampled to this size for their mean
+_MAX_SIDE_TEXELS = 512  # for their mean, textures are subsampled to less than twice this size
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class ClassRange:
 
     ``hue_turns`` is the largest shift of hue, ``saturation`` and ``value`` the largest factors (the smallest
     are their inverses), ``roughness_step`` the largest offset of R. ``value_limits`` bound the brightest
-    channel of mean D, ``roughness_limits`` mean R. No variation moves a material outside these farther away.
+    channel of mean D, ``roughness_limits`` mean R; means outside these limits may only move towards them.
     """
 
     hue_turns: float
@@ -70,14 +70,14 @@ CLASS_RANGES: dict[MaterialClass, ClassRange] = {
     "organic": ClassRange(0.02, 1.2, 1.3, 0.1, (0.02, 0.7), (0.3, 1.0)),
     "other": ClassRange(0.03, 1.2, 1.2, 0.1, (0.02, 0.85), (0.05, 1.0)),
 }
-"""Limits by class. Photometric tables give albedos from 0.04 for charcoal to 0.88 for fresh white paint.
+"""Limits by class. Photometric tables list albedos from 0.04 for charcoal to 0.88 for fresh white paint.
 Ranges of R cover the finishes of a class (a glaze is never matt, plaster never glossy). Only dyed classes
 (plastic, painted, fabric) change their hue freely. See docs/assembly.md."""
 
 
 @dataclass(frozen=True)
 class MeanMaterial:
-    """A material's averages over its textures: D, S (linear RGB), R, each in [0, 1], and emitted radiance."""
+    """Averages of a material over its textures: D, S, R, and emitted radiance in W/(m² sr) (linear RGB)."""
 
     diffuse_albedo: tuple[float, float, float]
     specular_albedo: tuple[float, float, float]
@@ -86,7 +86,7 @@ class MeanMaterial:
 
 
 class MeanMaterials:
-    """Averages of materials, with a cache by texture."""
+    """Computes averages of materials; those of textures are cached."""
 
     def __init__(self) -> None:
         self._means: dict[tuple[str, str, bool], tuple[float, float, float]] = {}
@@ -166,13 +166,13 @@ def _clamped(moved: float, start: float, low: float, high: float) -> float:
 
 
 def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
-    """Whether a material's main class suits a slot and the slot's geometry can show it."""
+    """Whether a slot accepts a material's main class and the material is assignable to the slot."""
     has_class = material.material.classes[0] in asset.materials[slot].replaceable_by
     return has_class and is_assignable(material, slot, asset)
 
 
 def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
-    """Whether a material is opaque, not emissive, and untextured or tileable on a slot with UVs."""
+    """Whether a material is opaque, non-emissive and, if textured, tileable while the slot has UVs."""
     own = material.material
     if own.emission is not None or own.opacity is not None:
         return False
@@ -183,7 +183,7 @@ def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | Envir
 
 
 def is_plain(package: Package) -> bool:
-    """Whether a package is a material for any slot: without textures, opaque and not emissive."""
+    """Whether a package is an untextured, opaque, non-emissive material, which is assignable to any slot."""
     asset = package.asset
     if not isinstance(asset, MaterialAsset):
         return False
@@ -212,8 +212,8 @@ def assign_materials(
 
     ``palette`` is the list of material packages in a fixed order. A class is drawn first, then one of its
     materials, so that large classes do not dominate. ``foreign_slots`` (asset id, slot) must not keep their
-    material (it has an image of another split or is a placeholder): if none fits, they get one without
-    textures. Other slots keep their material if none fits. Slots with bakes of one material
+    material, which has an image of another split or is a placeholder; they get one without textures if no
+    other fits. Other slots keep their material if none fits. Slots with bakes of one material
     (``baked_from``) get the same assignment.
     """
     asset = package.asset
@@ -223,7 +223,7 @@ def assign_materials(
         own = [asset.materials[slot] for slot in slots]
         replaces, varies = draws.chance(recipe.replace_probability), draws.chance(recipe.vary_probability)
         pick = draws.units(2)
-        # Drawn only if it can happen, so that recipes without it keep their configurations.
+        # not drawn at probability 0: an additional draw would change the configurations of such recipes
         takes_any = recipe.any_class_probability > 0 and draws.chance(recipe.any_class_probability)
         if any(material.emission is not None for material in own):
             continue
@@ -273,7 +273,7 @@ def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
 def _drawn(
     fitting: list[Package], class_weights: Mapping[MaterialClass, float], pick: NDArray[np.float64]
 ) -> Package | None:
-    """The package of ``fitting`` selected by ``pick`` (2,) in [0, 1); None if all weights are 0."""
+    """Select a package by ``pick`` (2,) in [0, 1), for class and package; None if all class weights are 0."""
     by_class: dict[MaterialClass, list[Package]] = {}
     for package in fitting:
         assert isinstance(package.asset, MaterialAsset)
@@ -287,7 +287,7 @@ def _drawn(
 
 
 def mean_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:
-    """Averages, by slot, of the materials of a placed asset after assignment, adjustment and its emission."""
+    """Map each slot of a placed asset to its mean material after assignment, adjustment and emission."""
     package = library.package(placed.asset)
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)

@@ -19,7 +19,7 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
     "dusk": (0.02, 0.15),
     "night": (5e-4, 4e-3),
 }
-"""Range of daylight's share of the irradiance, relative to the shares of lamps (at night: street lights)."""
+"""Range of the panorama's share of the irradiance, relative to lamp shares; at night, from street lights."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
 """Times of day at which lamps are always on."""
 
@@ -27,9 +27,9 @@ DARK: tuple[Daytime, ...] = ("dusk", "night")
 def draw_daytime(
     assets: tuple[EnvironmentAsset | ObjectAsset, ...], recipe: LightRecipe, draws: Draws
 ) -> Daytime | None:
-    """Draw the time of day outside a room, the first of ``assets``.
+    """Draw the time of day outside the room ``assets[0]``.
 
-    None if the recipe has no panoramas, the room has no openings, or an asset contains a sky.
+    Returns None if the recipe has no panoramas, the room has no openings, or an asset contains a sky.
     """
     room = assets[0]
     assert isinstance(room, EnvironmentAsset)
@@ -41,19 +41,19 @@ def draw_daytime(
 
 
 def panoramas_of(library: Library, daytime: Daytime) -> list[PanoramaAsset]:
-    """The library's panoramas of a time of day, in the order of their ids."""
+    """The library's panoramas of a time of day, sorted by id."""
     assets = (package.asset for package in library.select("panorama"))
     return [asset for asset in assets if isinstance(asset, PanoramaAsset) and asset.daytime == daytime]
 
 
 def draw_panorama(daytime: Daytime, library: Library, draws: Draws) -> EnvironmentLight:
-    """Light of a random panorama of a time of day, rotated about the vertical at random."""
+    """Draw a panorama of a time of day; return it as a light with a random rotation about the vertical."""
     chosen = draws.choice(panoramas_of(library, daytime))
     return turned_image(chosen.id, chosen.image, draws.uniform(-math.pi, math.pi))
 
 
 def turned_image(asset: str, image: str, turn_rad: float) -> EnvironmentLight:
-    """Environment light with an image of the package ``asset``, rotated about the vertical."""
+    """Return an environment light with an image of the package ``asset``, rotated about the vertical."""
     rows = tuple(tuple(round(x, 9) for x in row) for row in rotation_about_up(turn_rad).tolist())
     return EnvironmentLight(
         name="daylight",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Places objects on surfaces: at rest, clear of each other and of the room, tested on the meshes.
+"""Places objects at rest on surfaces of a room, without collisions between the meshes.
 
 A candidate is an object, a surface, a scale, a yaw and a position. Rays are cast down from the object's
 underside, and it rests on the highest hit, even if the declared rectangle is slightly inaccurate. The object
@@ -27,13 +27,13 @@ from datagen.foundation.random import Draws
 CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground count as contacts
 # objects are raised by this for collision tests, which report coplanar contact as a collision
 MAX_PENETRATION_M = 5e-4
-SURFACE_TOLERANCE_M = 0.02  # largest distance of a declared support from the mesh (a rug, a cloth)
+SURFACE_TOLERANCE_M = 0.02  # largest distance of a declared support from the mesh, such as a rug on a floor
 # an object whose centre of mass is nearer to the rim of the contact hull could topple
 MIN_CONTACT_MARGIN_M = 2e-3
 _MIN_UP = 0.98  # contacts with a normal flatter than 11 degrees do not count
 _WALL_HEIGHT_M = 0.9  # floor-standing objects above this height are often placed with their back to a wall
 _WALL_PROBABILITY = 0.65
-_ATTEMPTS_A_SCALE = 12  # each scale needs a new collision tree, half a second for a large mesh
+_ATTEMPTS_A_SCALE = 12  # per scale, since each scale needs a new collision tree (0.5 s for a large mesh)
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
@@ -55,7 +55,7 @@ class _Frame:
 
 
 def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurface]:
-    """The room's support surfaces of the object's kinds on which it may fit at its smallest scale."""
+    """The room's support surfaces that suit the object and are large enough for its smallest scale."""
     low = np.array(asset.minimum_m) * asset.scale_range[0]
     high = np.array(asset.maximum_m) * asset.scale_range[0]
     size = np.sort((high - low)[:2])
@@ -147,7 +147,7 @@ class Placer:
         return yaw, corner + frame.u[:2] * (du - along_u.min()) + frame.v[:2] * (dv - along_v.min())
 
     def _drop(self, thing: Thing, scale: float, yaw: float, position: Floats) -> float | str:
-        """Vertical shift in metres that brings the object to rest on the surface, or the reason to reject."""
+        """Vertical shift in metres that lets the object rest on the surface, or the reason for rejection."""
         points = world_points(pose(scale, yaw, position), thing.underside)
         start = points + np.array([0.0, 0.0, SURFACE_TOLERANCE_M])
         down = np.broadcast_to([0.0, 0.0, -1.0], points.shape)
@@ -171,7 +171,7 @@ class Placer:
     def _checked(
         self, thing: Thing, surface: SupportSurface, scale: float, yaw: float, position: Floats
     ) -> PlacedThing | str:
-        """The object placed at a pose, or the reason to reject it if it collides."""
+        """Return the object placed at the given pose or, if it collides there, the reason for rejection."""
         vertices = world_points(pose(scale, yaw, position), thing.geometry.vertices)
         used = vertices[np.unique(thing.geometry.faces)]
         bounds = np.stack([used.min(axis=0), used.max(axis=0)])
@@ -234,8 +234,8 @@ def place_things(
     """Draw objects by weight of library and category, and place them in order of decreasing size.
 
     ``weight_of_library`` maps an object's id to its library and the library's weight. ``key`` seeds the
-    draws. Raises :class:`Shortfall` if fewer than ``count[0]`` can be placed, :class:`InputError` if nothing
-    fits."""
+    draws. Raises :class:`Shortfall` if fewer than ``recipe.count[0]`` objects can be placed and
+    :class:`InputError` if no surface is large enough for any object."""
     draws = Draws(*key, "objects")
     target = draws.integer(*recipe.count)
     if target == 0:
@@ -282,7 +282,7 @@ class _Shelf:
 def _shelves(
     things: list[Thing], recipe: ObjectRecipe, weight_of_library: Mapping[str, tuple[str, float]]
 ) -> list[_Shelf]:
-    """Libraries of positive weight with objects of positive weight, by name; one if they have no weights."""
+    """Group objects by library, sorted by name; omit libraries in which all weights are 0."""
     libraries: dict[tuple[str, float], dict[str, list[Thing]]] = {}
     for thing in sorted(things, key=lambda t: (t.asset.category, t.asset.id)):
         of_library = libraries.setdefault(weight_of_library.get(thing.asset.id, ("", 1.0)), {})
@@ -296,7 +296,7 @@ def _shelves(
 
 
 def _draw_thing(shelves: list[_Shelf], draws: Draws) -> Thing:
-    """Draw a library if there are several, then a category, then an object."""
+    """Draw a library (unless there is only one), then one of its categories, then an object."""
     shelf = shelves[0] if len(shelves) == 1 else draws.weighted(shelves, [s.weight for s in shelves])
     return draws.choice(shelf.by_category[draws.weighted(list(shelf.by_category), shelf.category_weights)])
 

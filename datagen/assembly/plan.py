@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makes a configuration from (recipe, index, library), as a pure function.
+"""Plans a configuration as a pure function of recipe, index and library.
 
 The steps are room, objects, materials, lights and views, each in its module. Every configuration belongs to
 one split; with ``splits.disjoint`` the library is partitioned too, so that no asset of the test or validation
@@ -38,7 +38,7 @@ from datagen.foundation.errors import raise_problems
 from datagen.foundation.random import Draws, digest
 from datagen.library import Library
 
-NUM_EYES = 384  # camera positions where the irradiance of lights is computed
+NUM_EYES = 384  # possible camera positions, at which the irradiance of lights is computed
 NUM_TRIES = 3  # largest number of draws of a configuration with too few objects or views
 
 __all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of", "world_of"]
@@ -55,7 +55,7 @@ class _ProcessCaches:
     surfaces: dict[str, dict[str, Surface]]
 
     def room(self, package: Package) -> Room:
-        """The room of an environment package, from a cache of two."""
+        """Return the room of an environment package; the last two are cached."""
         if package.sha256 not in self.rooms:
             if len(self.rooms) >= 2:
                 self.rooms.pop(next(iter(self.rooms)))
@@ -63,7 +63,7 @@ class _ProcessCaches:
         return self.rooms[package.sha256]
 
     def thing(self, package: Package) -> Thing:
-        """The object of a package, prepared for placement, from a cache of 200."""
+        """Return the object of a package, prepared for placement; up to 200 are cached."""
         if package.sha256 not in self.things:
             if len(self.things) >= 200:
                 self.things.clear()
@@ -72,7 +72,7 @@ class _ProcessCaches:
         return self.things[package.sha256]
 
     def surfaces_of(self, package: Package) -> dict[str, Surface]:
-        """Kind of surface of every slot of a package, cached."""
+        """Map every slot of a package to its kind of surface, cached."""
         if package.sha256 not in self.surfaces:
             self.surfaces[package.sha256] = surfaces_of(self.geometry.get(package))
         return self.surfaces[package.sha256]
@@ -103,13 +103,13 @@ def check_recipe(recipe: Recipe, library: Library) -> None:
 
 
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
-    """Configuration ``index`` of a recipe; equal arguments give equal ``canonical_json`` bytes.
+    """Plan configuration ``index`` of a recipe; equal arguments yield equal ``canonical_json`` bytes.
 
     If too few objects or views are found, all are drawn again, in the same room or, if it is generated, in
-    another one, up to :data:`NUM_TRIES` draws in total; ``rejections`` counts them as
-    ``configuration.retried``. A generated room is not in ``library``: see
-    :func:`datagen.assembly.generated.room_of`. Raises :class:`IndexError` for an index out of range,
-    :class:`InputError` if the library cannot satisfy the recipe.
+    another one, up to :data:`NUM_TRIES` draws in total; ``rejections`` counts the repetitions as
+    ``configuration.retried``. :func:`datagen.assembly.generated.room_of` returns a generated room, which is
+    not in ``library``. Raises :class:`IndexError` for an index out of range, :class:`InputError` if the
+    library cannot satisfy the recipe.
     """
     if not 0 <= index < recipe.configurations:
         raise IndexError(f"configuration {index} of {recipe.configurations}")
@@ -134,7 +134,7 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
             rejections["configuration.retried"] += 1
             earlier += rejections
             continue
-        total = earlier + rejections  # only counts above zero
+        total = earlier + rejections  # addition of counters drops counts of 0
         return made.model_copy(update={"rejections": {name: total[name] for name in sorted(total)}})
     raise AssertionError("unreachable")
 
@@ -248,7 +248,7 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
 def _likely_dresser(
     recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
 ) -> LikelyDresser | None:
-    """The dresser of a configuration with likely materials; None if the draw gives arbitrary materials."""
+    """Return the dresser of a configuration with likely materials; None if it is drawn to be arbitrary."""
     weights = recipe.materials.variation
     draws = Draws(*key[:2], "style")
     if not draws.chance(weights.likely / (weights.likely + weights.wild)):

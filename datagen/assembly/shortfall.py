@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error for a configuration with too few objects or views, for which another draw may succeed."""
+"""The error for a configuration with too few objects or views, which another draw may avoid."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from datagen.foundation.errors import InputError, Problem
 
 
 class Shortfall(InputError):
-    """Too few objects or views; :func:`datagen.assembly.plan.assemble` draws them again."""
+    """Raised for too few objects or views; :func:`datagen.assembly.plan.assemble` draws them again."""
 
 
 def shortfall(where: str, field: str, got: str, expected: str, remedy: str) -> Shortfall:

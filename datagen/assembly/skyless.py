@@ -12,7 +12,7 @@ from datagen.library import Library
 
 
 def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
-    """One sentence per room without a sky: how it gets daylight, or why not; none without daylight."""
+    """Describe in one sentence per skyless room how it gets daylight; empty if the recipe has no daylight."""
     lights = recipe.lights
     if not recipe.environments.needs_library or (
         lights.panoramas is None and not lights.daylight_probability

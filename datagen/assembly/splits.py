@@ -3,10 +3,10 @@
 
 Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has about the right shares.
 With ``splits.disjoint``, each pool of assets (environments, objects of one category, materials of one main
-class) is distributed in the order of a hash of ids. To prevent leakage under another name, rooms and objects
-that share their largest mesh go to one split, and so do materials that share an image. A slot of a room or
-object whose material contains an image of another split must get another material (grouping rooms by images
-would leave one family, since rooms of one library share floors and woods).
+class) is distributed in the order of hashed ids. To prevent leakage through copies, rooms and objects with
+the same largest mesh go to one split, as do materials that share an image. A slot of a room or object whose
+material contains an image of another split must get another material; grouping rooms by images would put all
+rooms of a library into one split, since they share images of floors and woods.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 
 @dataclass(frozen=True)
 class Pools:
-    """The packages that a split may use, each list in the order of ids."""
+    """The packages that a split may use, each list sorted by id."""
 
     environments: list[Package]
     objects: list[Package]
@@ -53,7 +53,7 @@ def _rounded_share(share: Fraction, count: int) -> int:
 
 
 def split_of(recipe: Recipe, index: int) -> Split:
-    """Split of configuration ``index``, in constant time."""
+    """Return the split of configuration ``index``, in constant time."""
     shares = _shares(recipe)
     tests = _rounded_share(shares["test"], index)
     if _rounded_share(shares["test"], index + 1) > tests:
@@ -85,7 +85,7 @@ _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDicti
 
 
 def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
-    """Assets that a split may use. Raises :class:`InputError` if :func:`recipe_problems` finds any."""
+    """Assets that a split may use. Raises :class:`InputError` with the :func:`recipe_problems`, if any."""
     per_recipe = _POOLS.setdefault(library, {})
     key = sha256_hex(canonical_json(recipe))
     if key not in per_recipe:
@@ -167,7 +167,7 @@ def _dealing_order(pools: Pools) -> list[list[Package]]:
 
 
 def _families(packages: list[Package]) -> dict[str, str]:
-    """For each asset, the smallest id in its family: the assets connected by shared identifying files."""
+    """Map each asset to the smallest id of its family, the assets connected by shared identifying files."""
     parent = {p.id: p.id for p in packages}
 
     def root(asset_id: str) -> str:
@@ -185,7 +185,7 @@ def _families(packages: list[Package]) -> dict[str, str]:
 
 
 def _identifying_files(package: Package) -> list[str]:
-    """Files that identify an asset: the largest mesh of a room or object, the images of a material.
+    """Names of files that identify an asset: the largest mesh of a room or object, the images of a material.
 
     Smaller meshes (a quad, a box) are ignored, since different assets may contain equal ones.
     """

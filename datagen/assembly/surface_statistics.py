@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Statistics of the materials of kinds of surface, the source of :data:`datagen.assembly.looks.LOOKS`.
+"""Statistics of materials by kind of surface, the source of :data:`datagen.assembly.looks.LOOKS`.
 
     python -m datagen.assembly.surface_statistics LIBRARY [LIBRARY ...]
 
 For each kind of surface (wall, floor, fitting ...) in environments, this prints the number of slots and the
 minimum, area-weighted median and maximum of the value, saturation and hue of their mean D, of the brightest
-channel of their mean S, and of their mean R, without emissive or transparent slots and the hues of greys.
+channel of their mean S, and of their mean R. Emissive and transparent slots and hues of greys are excluded.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from datagen.formats.asset import SURFACES, EnvironmentAsset
 from datagen.foundation.errors import InputError
 from datagen.library import Library
 
-_MIN_SATURATION = 0.05  # the hue of a grey is noise
+_MIN_SATURATION = 0.05  # the hue of a less saturated colour is noise
 
 
 @dataclass(frozen=True)
 class SurfaceSample:
-    """A slot's area; value, saturation and hue (turns, NaN for a grey) of its mean D; brightest channel of
-    its mean S; its mean R.
+    """Area of a slot and its material's means: value, saturation and hue (in turns, NaN for greys) of D,
+    brightest channel of S, and R.
     """
 
     area_m2: float
@@ -66,7 +66,7 @@ def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
 
 
 def weighted_median(values: list[float], weights: list[float]) -> float:
-    """Lower weighted median of the finite values; NaN if there is none."""
+    """Lower weighted median of the finite values with positive weight; NaN if there are none."""
     pairs = sorted((v, w) for v, w in zip(values, weights, strict=True) if np.isfinite(v) and w > 0)
     if not pairs:
         return float("nan")

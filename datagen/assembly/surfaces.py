@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Classifies slots by kind of surface (wall, worktop, curtain ...), by declaration, names, shape and class.
+"""Determines the kind of surface (wall, worktop, curtain ...) of slots.
 
-A room's slot without a declared ``surface`` is classified by the words in its name, in the name of the
-material of which it is a bake and in the names of its parts, then by the position of its triangles (low and
-horizontal is a floor), finally by its main class. An object's slot is classified by its name and the object's
-category.
+The declared ``surface`` of a slot takes precedence. A room's other slots are classified by the words in the
+slot's name, in the name of the material of which it is a bake and in the names of its parts, then by the
+position of its triangles (low and horizontal is a floor), finally by its main class. An object's other slots
+are classified by the slot's name and the object's category.
 """
 
 from __future__ import annotations
@@ -58,15 +58,15 @@ _OF_CLASS: dict[MaterialClass, Surface] = {
     "stone": "worktop", "glazed": "vessel", "ceramic": "vessel", "paper": "cover", "plastic": "gadget",
     "painted": "furniture", "plaster": "wall",
 }  # fmt: skip
-_MIN_SHELL_SHARE = 0.04  # of a room's area: smaller slots are not floor, ceiling or wall
+_MIN_SHELL_SHARE = 0.04  # smallest share of a room's surface area for a floor, ceiling or wall
 _LEVEL = 0.7  # |z| of a unit normal above which a triangle counts as horizontal
 
 
 def surface_of_words(text: str) -> Surface | None:
-    """The kind of surface that the words of a name imply, or None.
+    """Return the kind of surface that the words of a name imply, or None.
 
-    Of several kinds, the first in the table is returned. Words end at characters other than letters and
-    before a capital that follows a lower-case letter.
+    Of several kinds, the first in the table is returned. Words are separated by characters other than letters
+    and by changes from lower to upper case.
     """
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     words = [word.lower() for word in re.split(r"[^A-Za-z]+", spaced) if word]

@@ -78,7 +78,7 @@ class Thing:
 
     @cached_property
     def underside(self) -> Floats:
-        """Points (P, 3) that may touch the ground: low vertices, and points on low faces that face down."""
+        """Points (P, 3) that may touch the ground: low vertices and points on low triangles facing down."""
         geometry = self.geometry
         low = geometry.minimum_m[2]
         band = low + max(0.003, 0.03 * float(geometry.maximum_m[2] - low))
@@ -111,7 +111,7 @@ class Thing:
         return {}
 
     def collision_at(self, scale: float) -> CollisionModel:
-        """The collision model at a scale; FCL's poses are rigid and cannot scale it."""
+        """Return the collision model at a scale, which FCL's rigid poses cannot apply."""
         if scale not in self._models:
             self._models.clear()  # earlier scales seldom recur
             self._models[scale] = CollisionModel(self.geometry.vertices * scale, self.geometry.faces)
@@ -119,7 +119,7 @@ class Thing:
 
 
 def _lattice(corners: Floats) -> Floats:
-    """Points (7 M, 3) of triangles (M, 3, 3): centroid, near each corner, and middle of each edge."""
+    """Points (7 M, 3) on triangles (M, 3, 3): centroids, edge centres, and one point near each corner."""
     if len(corners) == 0:
         return np.zeros((0, 3))
     weights = np.array(
@@ -156,7 +156,7 @@ class PlacedThing:
 
     @property
     def world_from_asset(self) -> NDArray[np.float64]:
-        """The transform (4, 4) by scale, yaw and position."""
+        """Transform (4, 4) composed of scale, yaw and position."""
         return pose(self.scale, self.yaw_rad, self.position_m)
 
     @cached_property
@@ -185,11 +185,11 @@ class Room:
 
     @cached_property
     def has_consistent_winding(self) -> bool:
-        """:func:`has_consistent_winding` from above the support surfaces."""
+        """Result of :func:`has_consistent_winding` for points above the support surfaces."""
         return has_consistent_winding(self.rays, above_supports(self.asset))
 
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
-        """Indices of the triangles above a surface whose bounds intersect the box ``bounds_m`` (2, 3)."""
+        """Indices of triangles near or above a surface whose bounds intersect the box ``bounds_m`` (2, 3)."""
         low, high = self._face_bounds
         if surface.name not in self._near_surface:
             u, v, o = (np.array(x) for x in (surface.edge_u_m, surface.edge_v_m, surface.origin_m))
@@ -220,7 +220,7 @@ def above_supports(asset: EnvironmentAsset) -> list[Floats]:
 def has_consistent_winding(rays: RayScene, starts: Sequence[Floats]) -> bool:
     """Whether over 90 % of the hits of rays in all directions from ``starts``, each (3,), are on front faces.
 
-    Downloaded scenes often have random winding, so hits on back faces do not indicate solids.
+    Without consistent winding, as in many downloaded scenes, hits on back faces do not indicate solids.
     """
     if not starts:
         return False

@@ -21,7 +21,7 @@ from datagen.library import Library
 
 @dataclass(frozen=True)
 class Unplaceable:
-    """An object that is never placed, and the reason, which ends with the remedy."""
+    """An object that cannot be placed, with the reason and remedy ``why``."""
 
     asset: str
     why: str
@@ -31,7 +31,7 @@ class Unplaceable:
 
 
 def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
-    """A sentence for each available object whose size is implausible for its category, by id."""
+    """One sentence per available object whose size is implausible for its category, sorted by id."""
     found: dict[str, str] = {}
     for split in splits_in_use(recipe):
         for package in pools_of_split(recipe, library, split).objects:
@@ -43,7 +43,7 @@ def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
 
 
 def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
-    """Available objects that are unstable or fit in none of the recipe's rooms, by id.
+    """Available objects that are unstable or fit in none of the recipe's rooms, sorted by id.
 
     An object is placeable if, in any split that contains it, a room has a surface for it.
     """
@@ -61,7 +61,7 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
             if asset.id in placeable:
                 continue
             why = _why_no_surface(asset, rooms)
-            while why and (room := next(more, None)) is not None:  # created only if no earlier one fits
+            while why and (room := next(more, None)) is not None:  # generated only if no earlier room fits
                 rooms.append(room)
                 why = _why_no_surface(asset, rooms)
             if not why and not Thing(asset, load_geometry(package)).can_stand(CONTACT_TOLERANCE_M):

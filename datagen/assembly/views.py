@@ -5,7 +5,7 @@ Candidates are drawn in free space, aimed at objects or across the room, and ray
 Those that are too close, show too little, are too dark or overlap too little with other views are rejected
 and counted. Views are then chosen one by one: of the candidates that overlap enough with the views chosen so
 far, the most different in position and direction, or, for views of rooms, the one with the most overlap.
-Letters: C candidates, H x W pixels of the low-resolution image, P points.
+Shapes: C candidates, H x W pixels of the low-resolution image, P points.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from datagen.foundation.random import Draws
 MAX_NEAR_PIXELS = 0.02  # largest share of the image nearer than min_distance_m
 MAX_OPEN_PIXELS = 0.4  # largest share of the image without surface, or directly on a light
 MIN_THING_PIXELS = 0.04  # minimum share of the image covered by objects (not walls and floor)
-# largest share of three planes in the pixels with a surface: otherwise a bare corner, the side of a cupboard
+# largest share of the surface pixels on only three planes, which rejects views of bare corners and cupboards
 MAX_THREE_PLANES_PIXELS = 0.92
 MAX_PLANE_PIXELS = 0.72  # largest share of the image covered by a single plane, such as a bare wall
 _MIN_INSTANCE_PIXELS = 0.0015  # smallest share of the image for an instance to count as visible
@@ -40,16 +40,16 @@ _LUMINANCE_GRID = (18, 10)
 _LUMINANCE_SAMPLES = 4
 _MAX_PITCH_RAD = math.radians(38.0)
 _ROLL_RAD = math.radians(1.2)  # handheld cameras are not exactly level
-_SHELL_SPAN = 0.7  # a part at least this long relative to the room is wall, floor or ceiling
+_SHELL_SPAN = 0.7  # a part is wall, floor or ceiling if it spans at least this share of the room in x or y
 _OVERLAP_POINTS = 400
 _NUM_COMPARED = 12  # number of eligible candidates of which the most different one is chosen
 _MIN_NOVELTY = 0.04  # least difference (:func:`_difference_matrix`) of two chosen views
 _NUM_HEADINGS = 24
 _FARTHEST_M = 8.0
-_WINDOW_DEPTH_M = 1.0  # depth that a window counts as, so that few views show only a window
+_WINDOW_DEPTH_M = 1.0  # depth assumed for windows, small to make views of only a window rare
 _DEPTH_POWER = 3  # a heading is drawn with a probability proportional to its mean depth to this power
 _ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
-# more overlap does not raise the score of a view, so that the views differ
+# overlap above this value does not raise the score of a view, which favours different views
 _ENOUGH_OVERLAP = 0.42
 _NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6
 _ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if there are enough
@@ -57,11 +57,11 @@ _ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if th
 
 @dataclass
 class Candidate:
-    """A camera that passed the single-view checks, with its view at low resolution.
+    """A camera that passed the single-view checks; ``preview`` is the same camera at low resolution.
 
     ``distance_m`` (H, W) is along the ray, inf for misses; ``points`` (P, 3) are on visible surfaces;
-    ``luminance`` is the mean of the view in W/(m² sr); ``is_room``: the view shows two walls, or a wall and
-    ceiling.
+    ``luminance`` is the mean of the view in W/(m² sr). ``is_room`` is true if the view shows two walls, or a
+    wall and the ceiling.
     """
 
     camera: Camera
@@ -74,7 +74,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Subject:
-    """Targets of cameras: centres (K, 3) of objects, and the faces of each piece of furniture.
+    """Targets of cameras: ``thing_centers`` (K, 3) of objects, triangle indices of each piece of furniture.
 
     ``thing_instances`` is the mask of the scene's instances that are objects or furniture.
     """
@@ -86,7 +86,7 @@ class Subject:
 
     @classmethod
     def of(cls, scene: WorldScene) -> Subject:
-        """Find objects and furniture of a scene; walls, floors and ceilings are recognised by their size."""
+        """Find the objects and furniture of a scene; large parts of the room count as walls or floors."""
         order = np.argsort(scene.instance_of_face, kind="stable")
         instances, starts = np.unique(scene.instance_of_face[order], return_index=True)
         corners = scene.rays.corners[order]
@@ -103,7 +103,7 @@ class Subject:
         return cls(scene, centers, furniture, is_thing)
 
     def draw(self, draws: Draws) -> Floats:
-        """A random target (3,): the centre of an object or a triangle of furniture, else of any triangle."""
+        """Draw a target (3,): the centre of an object or furniture triangle; without these, any triangle."""
         pick, u = draws.unit(), draws.units(3)
         if len(self.thing_centers) and (pick < 0.65 or not self.furniture_faces):
             return self.thing_centers[int(u[0] * len(self.thing_centers))]
@@ -117,7 +117,7 @@ class Subject:
 
 @dataclass
 class ViewFinder:
-    """Finds the cameras of one configuration; ``key`` seeds every draw."""
+    """Finds the cameras of one configuration; ``key`` seeds the draws, ``rejections`` counts by reason."""
 
     scene: WorldScene
     shell: Shell
@@ -130,7 +130,7 @@ class ViewFinder:
     num_drawn: int = field(default=0, init=False)
 
     def find(self, count: int) -> list[Camera]:
-        """Find ``count`` cameras. Raises :class:`Shortfall` with the counts of rejections if it cannot."""
+        """Find ``count`` cameras. Raises :class:`Shortfall`, with rejection counts, if there are fewer."""
         self.space.check()
         subject = Subject.of(self.scene)
         limit = count * self.recipe.max_attempts
@@ -243,7 +243,7 @@ class ViewFinder:
         return Candidate(camera, preview, hits.distance_m.reshape(shape), points, is_room=is_room)
 
     def _shows_enough(self, faces: NDArray[np.int64], num_pixels: int, subject: Subject) -> bool:
-        """Whether pixels that hit ``faces`` show enough instances and enough of objects and furniture."""
+        """Whether the triangles ``faces`` hit by pixels include enough instances, objects and furniture."""
         pixels = np.bincount(self.scene.instance_of_face[faces], minlength=self.scene.num_instances)
         num_seen = int((pixels >= max(2.0, _MIN_INSTANCE_PIXELS * num_pixels)).sum())
         if num_seen < self.recipe.min_content:
@@ -253,7 +253,7 @@ class ViewFinder:
         return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
 
     def _planes(self, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Number of pixels of every visible plane, largest first; coplanarity is tested roughly."""
+        """Pixel count of each visible plane, in descending order; normals and offsets are rounded to 0.1."""
         normals = self.scene.rays.normals[faces]
         offsets = (normals * self.scene.rays.corners[faces, 0]).sum(axis=1)
         planes = np.round(np.column_stack([normals, offsets]) * 10).astype(np.int64) + 1000
@@ -272,7 +272,7 @@ class ViewFinder:
         return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _aim_across(self, position: Floats, draws: Draws) -> Camera:
-        """A camera pitched slightly down, with a heading drawn by weight of the room's depth there."""
+        """A camera pitched slightly down, aimed preferably in directions in which the room is deep."""
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         headings = draws.unit() * 2 * math.pi + np.arange(_NUM_HEADINGS) * 2 * math.pi / _NUM_HEADINGS
         level = np.stack([np.cos(headings), np.sin(headings), np.zeros(_NUM_HEADINGS)], axis=1)
@@ -288,7 +288,7 @@ class ViewFinder:
         return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _hand_held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
-        """A camera with these angles (radians), rolled at random by up to 3 degrees as if held by hand."""
+        """A camera with the given angles in radians and a random roll of up to 3 degrees, as if hand-held."""
         width, height = self.resolution
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD
@@ -349,11 +349,11 @@ def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None =
 def choose_views(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float, draws: Draws
 ) -> tuple[list[int], int]:
-    """Choose up to ``count`` views; return their indices and, if fewer, how many others overlap too little.
+    """Choose up to ``count`` views; return their indices and the number of views that overlap too little.
 
     ``overlap`` is the pool's :func:`overlap_matrix`. At least ``min_overlap`` of the points of every chosen
-    view are visible in a view chosen before it (of the first view, in the second). Near repetitions are
-    skipped.
+    view are visible in a view chosen before it (of the first view, in the second). Nearly identical views
+    are skipped. The number is 0 if ``count`` views are found.
     """
     if count == 1:
         return ([0] if pool else []), 0
@@ -413,7 +413,7 @@ def choose_overlapping(
 
 
 def _difference_matrix(pool: list[Candidate]) -> Floats:
-    """Differences (C, C) of views: distance relative to the extent of all positions, plus angle over pi."""
+    """Difference (C, C) of each pair of views: distance over the extent of positions, plus angle over π."""
     positions = np.array([c.camera.position_m for c in pool])
     forwards = np.array([c.camera.forward for c in pool])
     extent = max(float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0))), 1e-6)

@@ -15,7 +15,7 @@ import numpy as np
 from datagen.assembly.geometry import Floats
 from datagen.foundation.color import color_of_temperature
 
-ADAPTATION = 0.7  # share of the shift to white, in reciprocal temperature: cameras keep lamps warm
+ADAPTATION = 0.7  # fraction of the full shift to white in mireds; below 1, as cameras keep lamps warm
 _WHITE_MIRED = 1e6 / 6500
 # warmest light that is corrected, at the end of a camera's range
 _MIREDS = np.linspace(_WHITE_MIRED, 1e6 / 2000, 64)
@@ -24,9 +24,9 @@ NO_TINT: Tint = (1.0, 1.0, 1.0)
 
 
 def tint_of_lamps(irradiance: Floats) -> Tint:
-    """Factors of lamps' RGB for the mean irradiance (3,) of a room; 1 if it is white or bluish.
+    """Return RGB factors of lamps for the mean irradiance (3,) of a room; 1 if it is white or bluish.
 
-    They preserve the luminance of the blackbody light.
+    The factors preserve the luminance of the estimated blackbody light.
     """
     red, _, blue = irradiance.tolist()
     if red <= 0 or blue <= 0:
