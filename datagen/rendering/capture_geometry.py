@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Joins the meshes of a configuration to a capture's geometry: a world-space mesh, its parts and lamps."""
+"""Joins the meshes of a configuration into a capture's geometry (a world-space mesh, its parts and lamps)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from datagen.rendering.geometry import placed_mesh
 def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Join all placed parts to one geometry; also return notes on properties that it cannot represent.
+    """Join all placed parts into one geometry; also return notes on properties that it cannot represent.
 
     Raises :class:`InputError` for packages that differ from the configuration's, singular transforms and
     unusable meshes.
@@ -38,7 +38,7 @@ def configuration_geometry(
 
 
 def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """As :func:`configuration_geometry`, for one package with its own materials."""
+    """Like :func:`configuration_geometry`, for one package with its own materials."""
     return _geometry(_parts_of(package, placed, None))
 
 

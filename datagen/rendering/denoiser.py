@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Denoising with noise-free auxiliary buffers: OptiX on NVIDIA GPUs with its weights, else OIDN on the CPU.
+"""Denoising with noise-free guides, by OptiX on NVIDIA GPUs if its weights exist, else by OIDN on the CPU.
 
-Two paths per pixel with noise-free albedo and normal give less error than sixteen with noisy ones; the
-auxiliary buffers therefore come from a separate pass (:mod:`mitsuba_plugins.material_buffers`).
+With noise-free albedo and normal, two paths per pixel have less error than sixteen with noisy guides; guides
+are therefore rendered in a separate pass (:mod:`mitsuba_plugins.material_buffers`).
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 QUALITIES = ("fast", "balanced", "high")
 OPTIX_WEIGHTS = Path("/usr/share/nvidia/nvoptix.bin")
-"""Weights of the OptiX denoiser on Linux, a part of the NVIDIA driver that containers often lack."""
+"""Weights of the OptiX denoiser on Linux, part of the NVIDIA driver but often missing in containers."""
 
 
 class Denoiser(Protocol):
     """A denoiser of images; ``name`` is written to the view's record.
 
-    ``wants_camera_normals``: whether :meth:`denoise` requires normals in camera instead of world space.
+    ``wants_camera_normals`` states whether :meth:`denoise` requires normals in camera instead of world space.
     """
 
     name: str
@@ -36,27 +36,27 @@ class Denoiser(Protocol):
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Denoise ``color``, linear radiance, with guides ``albedo`` and unit ``normal``, all (H, W, 3)."""
+        """Denoise linear radiance ``color`` with the guides ``albedo`` and unit ``normal``, all (H, W, 3)."""
         ...
 
 
 def auxiliary_albedo(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32], mask: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Albedo guide (H, W, 3): the reflectance at normal incidence, (1 - S) D + S, times ``mask``.
+    """Albedo guide (H, W, 3), the reflectance at normal incidence, (1 - S) D + S, times ``mask``.
 
-    ``mask`` (H, W, 1) is the share of the pixel covered by surface; the image, which contains only reflected
-    light, also fades to 0 at edges.
+    ``mask`` (H, W, 1) is the share of the pixel covered by surface, since the image contains only reflected
+    light and likewise fades to 0 at edges.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
 
 @dataclass
 class OidnDenoiser:
-    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 uses all cores. Not safe for concurrent calls.
+    """Intel Open Image Denoise on the CPU, not thread-safe. ``num_threads`` 0 uses all cores.
 
-    ``is_guided`` False ignores albedo and normal, to measure their effect. Raises ``ValueError`` for a
-    ``quality`` that is not in :data:`QUALITIES`.
+    If ``is_guided`` is false, albedo and normal are ignored, to measure their effect. Raises ``ValueError``
+    for a ``quality`` that is not in :data:`QUALITIES`.
     """
 
     quality: str = "high"
@@ -83,7 +83,7 @@ class OidnDenoiser:
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """See :class:`Denoiser`. Negative results are clamped to 0. Raises ``RuntimeError`` if OIDN fails."""
+        """Denoise as in :class:`Denoiser`; clamp results at 0. Raises ``RuntimeError`` if OIDN fails."""
         shape = (int(color.shape[0]), int(color.shape[1]))
         if shape not in self._filters:
             self._filters[shape] = self._make_filter(shape)
@@ -95,7 +95,7 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """Create and commit a filter with its buffers for images of ``shape`` (H, W), which is slow."""
+        """Create and commit a filter (slowly) and its image buffers for ``shape`` (H, W)."""
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
@@ -139,7 +139,7 @@ class OptixDenoiser:
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """See :class:`Denoiser`. Negative results are clamped to 0."""
+        """Denoise as in :class:`Denoiser`; clamp results at 0."""
         import mitsuba as mi
 
         height, width = color.shape[:2]
@@ -157,17 +157,17 @@ class OptixDenoiser:
 
 
 def uses_optix(variant: str) -> bool:
-    """Whether OptiX denoises for a Mitsuba variant; without its weights it would abort the process."""
+    """Whether OptiX denoises for a Mitsuba variant; without weights, OptiX would abort the process."""
     return variant.startswith("cuda") and (sys.platform == "win32" or OPTIX_WEIGHTS.is_file())
 
 
 def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
-    """Create the denoiser for a Mitsuba variant: OptiX where it can run, else OIDN."""
+    """Create an OptiX denoiser if it works with the Mitsuba variant, else OIDN."""
     return OptixDenoiser() if uses_optix(variant) else OidnDenoiser()
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """OIDN at a quarter of the cost, for error estimates; None if the recipe disables it or uses OptiX."""
+    """Create OIDN at a quarter of the cost, for error estimates; None without denoising or with OptiX."""
     from mitsuba_plugins.variant import select_variant
 
     uses_oidn = not uses_optix(select_variant(recipe.variant))

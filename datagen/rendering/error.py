@@ -4,8 +4,8 @@
 relMSE(x, r) = mean of (x - r)^2 / (r^2 + epsilon), epsilon = 0.01, over pixels and channels, in scene-linear
 radiance. With two independent references r1, r2 of the same pixels, the numerator is (x - r1)(x - r2); the
 references' noise then adds to the expectation only through its correlation with the divisor, which
-:func:`relative_mse_of_parts` avoids. ``exposed`` first scales all images so that the reference's 95th
-percentile of luminance is 0.9, which makes the error independent of the brightness of the lights.
+:func:`relative_mse_of_parts` avoids. ``exposed`` first scales all images to bring the reference's 95th
+percentile of luminance to 0.9, which makes the error independent of the brightness of the lights.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for
 
 EPSILON = 0.01
-"""Bounds the weight of black pixels: the square of a tenth of white, in exposed images."""
+"""Bounds the weight of black pixels; in exposed images, it is the square of a tenth of white."""
 
 
 def relative_mse_map(
@@ -39,7 +39,7 @@ def relative_mse_map(
 def relative_mse(
     image: NDArray, reference: NDArray, other_reference: NDArray | None = None, *, exposed: bool = False
 ) -> float:
-    """Mean of :func:`relative_mse_map`. Images are (H, W, 3), linear."""
+    """Mean of :func:`relative_mse_map` over linear images (H, W, 3)."""
     return float(relative_mse_map(image, reference, other_reference, exposed=exposed).mean())
 
 
@@ -48,9 +48,9 @@ def relative_mse_of_parts(
 ) -> tuple[float, float]:
     """Mean relMSE of ``image`` against four independent references ``parts``, and its standard error.
 
-    (x - r1)(x - r2) is divided by the brightness in r3 and r4, likewise for all six pairs. Dividing by the
-    mean of r1 and r2 would overweight pixels that are dark by chance in both: relative noise s of each
-    reference would add 3/2 s^4.
+    For each of the six pairs (r1, r2), (x - r1)(x - r2) is divided by the squared mean of the other two.
+    Dividing by the mean of r1 and r2 would overweight pixels that are dark by chance in both; relative noise
+    s of each reference would add 3/2 s^4.
     """
     x, references = image.astype(np.float64), [part.astype(np.float64) for part in parts]
     scale = exposure_for(np.mean(references, axis=0)) if exposed else 1.0

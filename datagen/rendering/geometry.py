@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The meshes of a configuration, merged into one Mitsuba shape per BSDF.
 
-Parts are transformed to world space in double precision and joined by BSDF, emission and vertex layout: a
+Parts are transformed to world space in double precision and joined by BSDF, emission and vertex layout. A
 room of 775 meshes becomes 35 shapes, which load faster and are traced as fast (docs/decisions/0007). A table
-gives the instance of each triangle. The texture coordinate v points up in files and down in Mitsuba; it is
-flipped here.
+maps triangles to instances. The texture coordinate v points up in files and down in Mitsuba; it is flipped
+here.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ MAX_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:
-    """Cache of decoded meshes by package and file; drops the least recently used beyond 256 MB."""
+    """Decoded meshes by package and file; above 256 MB in total, the least recently used are dropped."""
 
     def __init__(self) -> None:
         self.num_bytes = 0
         self._meshes: OrderedDict[tuple[str, str], tuple[Mesh, int]] = OrderedDict()
 
     def mesh(self, package: Package, name: str) -> Mesh:
-        """Mesh in file ``name`` of a package. Raises :class:`InputError` if it is unreadable or unusable."""
+        """Return the mesh in file ``name`` of a package. Raises :class:`InputError` if it is unusable."""
         key = (package.sha256, name)
         if key in self._meshes:
             self._meshes.move_to_end(key)
@@ -54,7 +54,7 @@ class MeshCache:
 
 
 def _check(mesh: Mesh, where: str) -> None:
-    """Raise :class:`InputError` for a mesh that would cause NaN or crashes; the library does other checks."""
+    """Raise :class:`InputError` for a mesh that would cause NaN or crashes."""
     arrays = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     indices_fit = len(mesh.faces) > 0 and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.positions)
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
@@ -75,19 +75,19 @@ class GroupKey:
 
 @dataclass
 class MeshGroup:
-    """Triangles of one shape: world-space ``meshes``, and the instance id of each mesh."""
+    """Triangles of one shape, as world-space ``meshes`` and the instance id of each mesh."""
 
     meshes: list[Mesh] = field(default_factory=list)
     instances: list[int] = field(default_factory=list)
 
     def joined(self) -> tuple[Mesh, NDArray[np.uint32]]:
-        """All triangles as one mesh, and the instance id (M,) of each triangle."""
+        """Return all triangles as one mesh, and the instance id (M,) of each triangle."""
         counts = [len(mesh.faces) for mesh in self.meshes]
         return joined(self.meshes), np.repeat(np.asarray(self.instances, np.uint32), counts)
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """Transform a part as :func:`placed_mesh`, multiply its UVs by ``uv_scale``, and point v downwards."""
+    """Transform a part by :func:`placed_mesh`, multiply its UVs by ``uv_scale``, and reverse v."""
     world = placed_mesh(mesh, world_from_part)
     if mesh.uv is None:
         return world
@@ -96,7 +96,7 @@ def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) 
 
 
 def placed_mesh(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
-    """Transform a mesh to world space, with front faces kept if the transform (4, 4) mirrors."""
+    """Transform a mesh by a matrix (4, 4); if it mirrors, reverse the winding to preserve front faces."""
     world = mesh.transformed(world_from_part)
     if np.linalg.det(world_from_part[:3, :3]) < 0:
         return replace(world, faces=np.ascontiguousarray(world.faces[:, [0, 2, 1]]))
@@ -104,7 +104,7 @@ def placed_mesh(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
 
 
 def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
-    """Split ``mesh`` (v downwards) by the handedness of its UVs into pairs (is mirrored, non-empty mesh)."""
+    """Split ``mesh`` (v downwards) by UV handedness into pairs (whether mirrored, non-empty mesh)."""
     assert mesh.uv is not None
     corners = mesh.uv.astype(np.float64)[mesh.faces]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -119,7 +119,7 @@ def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
 
 
 def make_shape(name: str, mesh: Mesh, bsdf: Any, emission: tuple[float, float, float] | None = None) -> Any:
-    """A Mitsuba mesh of world-space triangles with a BSDF and, given ``emission``, an area emitter."""
+    """Create a Mitsuba mesh of world-space triangles with a BSDF and, given ``emission``, an area emitter."""
     import mitsuba as mi
 
     props = mi.Properties()

@@ -3,7 +3,7 @@
 
 Flat lights are meshes like all other surfaces (a disk is a polygon of equal area), with zero reflectance.
 Lights hidden from the camera keep their shape, for reflections and multiple importance sampling, and are
-listed in :attr:`LightSetup.hidden`: camera rays pass through them.
+listed in :attr:`LightSetup.hidden`, since camera rays pass through them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _ENVIRONMENT_FROM_MITSUBA = np.array(
 
 @dataclass
 class LightSetup:
-    """Lights as ``entries`` of a scene's dictionary; ``hidden``: keys of those invisible to the camera."""
+    """Lights as ``entries`` of Mitsuba's scene dictionary; ``hidden`` are keys of those the camera skips."""
 
     entries: dict[str, Any] = field(default_factory=dict)
     hidden: set[str] = field(default_factory=set)
@@ -53,7 +53,7 @@ class LightSetup:
 def make_lights(
     configuration: Configuration, library: Library, black: Any, problems: list[Problem]
 ) -> LightSetup:
-    """Convert all lights of a configuration except emissive parts. ``black`` is the BSDF of luminous shapes.
+    """Convert all lights of a configuration except emissive parts. ``black`` is the BSDF of light shapes.
 
     Faults, such as zero area, two skies or an image with NaN, are added to ``problems``.
     """
@@ -150,7 +150,7 @@ def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -
 
 
 def area_light_mesh(light: AreaLight) -> Mesh:
-    """World-space mesh of the emitting side of an area light; its normal is edge_u x edge_v."""
+    """World-space mesh of an area light, with its front, in the direction edge_u x edge_v, emitting."""
     origin, u, v = (np.asarray(a, dtype=np.float64) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     if light.shape == "rectangle":
         corners = np.stack([origin, origin + u, origin + u + v, origin + v])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Resolves the materials of slots and converts them to BSDFs.
 
-Two slots share a BSDF and a material id if and only if package, material and adjustment are equal; UV scales
-are applied to the meshes.
+Two slots share a BSDF and a material id if and only if package, material and adjustment are equal. UV scales
+are applied to meshes instead of textures.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """Material of a slot: assigned (``name`` is the material's id) or the asset's own (``asset/slot``)."""
+    """Material of a slot; ``name`` is the id of an assigned material, ``asset/slot`` for the asset's own."""
 
     name: str
     package: Package
@@ -46,7 +46,7 @@ class SurfaceMaterial:
 def resolve_materials(
     placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
 ) -> dict[str, SurfaceMaterial]:
-    """Materials of a placed asset by slot. Faults are added to ``problems``, and their slots left out."""
+    """Map the slots of a placed asset to materials; omit slots with faults, and add these to ``problems``."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     where = f"configuration: {placed.name}"
@@ -78,9 +78,9 @@ def resolve_materials(
 
 
 def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_uv: bool = False) -> Any:
-    """Create the BSDF of a material: ``cook_torrance``, in ``normalmap`` and ``mask`` if needed.
+    """Create the ``cook_torrance`` BSDF of a material, wrapped in ``normalmap`` and ``mask`` if needed.
 
-    ``has_mirrored_uv``: whether the mesh's UVs are clockwise. Mitsuba's tangent frame, which is always
+    ``has_mirrored_uv`` states whether the mesh's UVs are clockwise. Mitsuba's tangent frame, which is always
     right-handed, flips the bitangent; the normal map's green channel is flipped to compensate.
     """
     import mitsuba as mi

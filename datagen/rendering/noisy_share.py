@@ -33,7 +33,7 @@ NEAR_PX, WIDE_PX = 3, 15
 """Sides in pixels of the squares over which relative variances are averaged. The larger of the two means is
 used, since the pixel's own samples may miss noise that occurs nearby."""
 MIN_LEVEL = 0.01
-"""Radiance, relative to white, that keeps relative variances of black pixels finite."""
+"""Radiance, relative to white, whose square keeps relative variances of black pixels finite."""
 
 
 def noisy_share(
@@ -41,10 +41,10 @@ def noisy_share(
     denoised: NDArray[np.floating],
     visible_emission: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """Weight (H, W, 1) of the noisy image (a + b) / 2 in the finished one, in [0, 1] and mostly 0.
+    """Weight (H, W, 1) of the noisy image in the finished one, in [0, 1] and mostly 0.
 
-    ``halves`` and ``denoised`` (H, W, 3) are reflected light. ``visible_emission`` (H, W, 3), which is added
-    to it later, affects only the exposure.
+    The independent ``halves`` and the ``denoised`` image (H, W, 3) are reflected light. ``visible_emission``
+    (H, W, 3), which is added later, affects only the exposure.
     """
     from scipy import ndimage
 
@@ -57,7 +57,7 @@ def noisy_share(
         return np.zeros((*gate.shape, 1), np.float32)
     noisy = 0.5 * (a + b)
     power = [(image**2).mean(axis=-1) + MIN_LEVEL**2 for image in (clean, noisy)]
-    relative = ((a - b) ** 2).mean(axis=-1) / (power[0] + power[1])  # of a half
+    relative = ((a - b) ** 2).mean(axis=-1) / (power[0] + power[1])  # relative variance of a half
     relative = np.maximum(*(ndimage.uniform_filter(relative, side) for side in (NEAR_PX, WIDE_PX)))
     variance = relative * np.minimum(*power)
     squared_error = ((a - clean) * (b - clean)).mean(axis=-1)
@@ -68,5 +68,5 @@ def noisy_share(
 def blended(
     denoised: NDArray[np.float32], noisy: NDArray[np.float32], share: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Blend of ``denoised`` and ``noisy``, both (H, W, 3): ``share`` (H, W, 1) is the weight of ``noisy``."""
+    """Blend ``denoised`` and ``noisy``, both (H, W, 3); ``share`` (H, W, 1) is the weight of ``noisy``."""
     return denoised + share * (noisy - denoised) if share.any() else denoised

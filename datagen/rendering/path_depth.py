@@ -2,7 +2,7 @@
 """Computes the path depth that bounds the truncation, from the reflectance of the scene.
 
 Each bounce scales light by the reflectance rho of the surface. Paths of d segments end after d - 1 bounces
-and lack the share rho^(d-1) of all reflected light: the truncation.
+and lack the share rho^(d-1) of all reflected light, which is the truncation.
 
 rho is the reflectance (1 - S) D + S of the ground truth, over the surfaces visible to a few of the
 configuration's cameras. An area-weighted mean would include the outside of walls and the inside of objects.
@@ -22,10 +22,10 @@ MAX_DEPTH = 64
 
 
 def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
-    """Reflectance in [0, 1] of the surfaces in views with the ground truth ``buffers``, (H, W, C) by name.
+    """Mean reflectance in [0, 1] of the surfaces in views with ground truth ``buffers``, (H, W, C) by name.
 
-    It is the root mean square over pixels of the channel where that is highest; the mean would be too small,
-    since bright surfaces contribute more light. 0 without surfaces.
+    It is the largest channel's root mean square over pixels, since a mean would neglect that bright surfaces
+    contribute more light; 0 without surfaces.
     """
     squares, weight = np.zeros(3), 0.0
     for view in buffers:
@@ -37,12 +37,12 @@ def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
 
 
 def depth_for(reflectance: float, max_energy_left: float) -> int:
-    """Minimum path depth, clamped to [2, 64], with a truncation of at most ``max_energy_left``."""
+    """Smallest path depth with a truncation of at most ``max_energy_left``, clamped to [2, 64]."""
     if reflectance <= 0.0:
         return MIN_DEPTH
     if reflectance >= 1.0:
         return MAX_DEPTH
-    # Without the slack, rounding would add a segment where the bound is reached exactly.
+    # without the slack, rounding would add a segment if the bound is met exactly
     bounces = math.ceil(math.log(max_energy_left) / math.log(reflectance) - 1e-9)
     return min(MAX_DEPTH, max(MIN_DEPTH, 1 + bounces))
 

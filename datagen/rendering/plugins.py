@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Mitsuba plugins of the renderer: a camera with full intrinsics and a sun with a disc.
 
-``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels and any principal point and pixel aspect
+``pinhole_pixels`` is a pinhole camera with fx, fy, cx, cy in pixels and any principal point and pixel aspect
 (Mitsuba's ``perspective`` supports only square pixels). All parameters are opaque to Dr.Jit, so all views
-share one kernel. ``sun_disc``: distant light with an angular diameter. Rays never hit it: it is invisible to
-camera and mirror rays, and its reflections come from emitter sampling alone.
+share one kernel. ``sun_disc`` is a distant light with an angular diameter. Rays never hit it, so it is
+invisible to camera and mirror rays, and its reflections come from emitter sampling alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from datagen.foundation.cameras import Camera
 
 Array = Any
-# Shadow rays start at this many scene diagonals: outside of the scene, and close enough for float32.
+# Shadow rays end at this many scene diagonals, outside the scene yet within the precision of float32.
 _SHADOW_DISTANCE_FACTOR = 2.0
 
 
@@ -66,7 +66,7 @@ class PinholePixels(mi.Sensor):
     def sample_ray(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """Ray through position ``sample2`` in [0, 1]^2 of the film (x right, y down), and its weight 1."""
+        """Return a ray through film position ``sample2`` in [0, 1]^2 (x right, y down), and its weight, 1."""
         position_px = sample2 * mi.ScalarVector2f(self.width_px, self.height_px)
         ray = rays_through(self.view, position_px)
         ray.time = time
@@ -80,7 +80,7 @@ class PinholePixels(mi.Sensor):
     def sample_ray_differential(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """As :meth:`sample_ray`, with empty differentials: textures are not filtered by them."""
+        """Like :meth:`sample_ray`, with empty differentials, since textures are not filtered by them."""
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
@@ -102,7 +102,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
 
 
 def outside_distance(scene: Any) -> float:
-    """Distance [m] from any point of a scene beyond which all points are outside; 2 for an empty scene."""
+    """Distance [m] that leads outside a scene from any point in it; 2 for an empty scene."""
     box = scene.bbox()
     extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
     reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
@@ -130,9 +130,9 @@ class SunDisc(mi.Emitter):
         )
         diameter: Any = props.get("angular_diameter_rad", 0.0)
         radius = 0.5 * float(diameter)
-        # 1 - cos(radius), which would cancel in float32
+        # 1 - cos(radius) without cancellation in float32
         self.one_minus_cos = mi.Float(2.0 * math.sin(radius / 2) ** 2)
-        # solid angle / projected solid angle: irradiance weights directions by their cosine with the axis
+        # solid angle / projected solid angle, since irradiance weights directions by the cosine to the axis
         self.weight = mi.Float(2.0 / (1.0 + math.cos(radius)))
         self.distance = mi.Float(1.0)
         dr.make_opaque(self.frame, self.one_minus_cos, self.weight, self.distance)
@@ -140,7 +140,7 @@ class SunDisc(mi.Emitter):
         self.m_flags = +mi.EmitterFlags.Infinite | +mi.EmitterFlags.DeltaDirection
 
     def set_scene(self, scene: mi.Scene) -> None:
-        """Set the distance from which shadow rays start, outside the scene."""
+        """Set the length of shadow rays, which end outside the scene."""
         self.distance = mi.Float(outside_distance(scene))
         dr.make_opaque(self.distance)
 
@@ -149,7 +149,7 @@ class SunDisc(mi.Emitter):
         return False
 
     def sample_direction(self, it: mi.Interaction3f, sample: Array, active: Array = True) -> tuple[Any, Any]:
-        """Sample a direction uniformly over the disc's solid angle; return it and its radiance / density."""
+        """Sample a direction uniformly over the disc's solid angle; return it and radiance / density."""
         one_minus_cos = sample.x * self.one_minus_cos
         sine = dr.sqrt(dr.maximum(one_minus_cos * (2.0 - one_minus_cos), 0.0))
         sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A configuration's scene and the data shared by its views: path tracer, materials, path depth, sensors.
+"""A configuration's scene with the path tracer, materials, path depth and sensors shared by its views.
 
 Sky guide and irradiance cache are estimated from a fixed set of views, so the bytes of a view do not depend
 on the views rendered before it or on the process.
@@ -27,25 +27,25 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 COARSE_CELLS = 1024
-"""Approximate number of pixels of a coarse image, for path depth, sky guide and exposure of the clamp."""
+"""Approximate number of pixels of coarse images for path depth, sky guide and exposure of the clamp."""
 MAX_COARSE_VIEWS = 8
 """Maximum number of views used for path depth and sky guide."""
 COARSE_MAP_SAMPLES = 4
 """Ground-truth samples per pixel of coarse images."""
 SKY_SAMPLES = 48
-"""Paths per pixel of coarse images, for the sky guide."""
+"""Paths per pixel of coarse images from which the sky guide is estimated."""
 MAX_IRRADIANCE_VIEWS = 64
 """Maximum number of views from which irradiance is gathered."""
 
 
 def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
-    """Seed in [0, 2^31), a hash of the arguments."""
+    """Hash the arguments to a seed in [0, 2^31)."""
     text = f"{configuration_seed}:{view_index}:{purpose}".encode()
     return int.from_bytes(hashlib.sha256(text).digest()[:4], "little") >> 1
 
 
 def release_memory() -> None:
-    """Release memory of earlier scenes, since Dr.Jit keeps freed arrays and kernels, and glibc freed pages.
+    """Release memory of earlier scenes that Dr.Jit (arrays and kernels) and glibc (pages) keep for reuse.
 
     Otherwise a worker's memory grows by about 15 MB per configuration. Kernels that are needed again are
     loaded from Dr.Jit's cache on disk within milliseconds.
@@ -107,7 +107,7 @@ class PreparedScene:
         self.tracer.gather_irradiance(self.materials, sensors, self.seed(0, "irradiance"))
 
     def seed(self, index: int, purpose: str) -> int:
-        """:func:`view_seed` with this configuration's seed."""
+        """Return :func:`view_seed` for this configuration's seed."""
         return view_seed(self.configuration.seed, index, purpose)
 
     def camera(self, index: int) -> Camera:
@@ -115,7 +115,7 @@ class PreparedScene:
         return self.configuration.cameras[index].camera()
 
     def sensor(self, camera: Camera) -> Any:
-        """Mitsuba sensor of ``camera``, valid until the next call; cameras of equal size share one."""
+        """Mitsuba sensor of ``camera``, valid until the next call, as cameras of equal size share a sensor."""
         size = (camera.width_px, camera.height_px)
         if size not in self._sensors:
             self._sensors[size] = sensor_for(camera)
@@ -123,7 +123,7 @@ class PreparedScene:
         return self._sensors[size]
 
     def coarse_maps(self) -> Iterator[dict[str, NDArray]]:
-        """Yield ground truth (H, W, C) by buffer of up to ``MAX_COARSE_VIEWS`` views, at low resolution."""
+        """Yield the low-resolution ground truth, (H, W, C) by buffer, of up to ``MAX_COARSE_VIEWS`` views."""
         from mitsuba_plugins.material_buffers import render_material_buffers
 
         for index, small in self._coarse_cameras():
@@ -133,12 +133,12 @@ class PreparedScene:
             )
 
     def close(self) -> None:
-        """Release the sensors and the memory of earlier scenes."""
+        """Release the sensors and, by :func:`release_memory`, unused memory."""
         self._sensors.clear()
         release_memory()
 
     def _path_depth(self) -> tuple[int, float | None]:
-        """Maximum path depth, and the truncation at that depth if the recipe bounds it, else None."""
+        """Return the maximum path depth, and its truncation if the recipe sets a bound of this, else None."""
         if self.recipe.max_energy_left is None:
             return self.recipe.max_depth or DEFAULT_MAX_DEPTH, None
         reflectance = reflectance_met(list(self.coarse_maps()))

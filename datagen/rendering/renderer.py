@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Renders the views of a configuration: a beauty pass, a ground-truth pass, and the denoiser.
 
-The scene is built once (:mod:`.prepared_scene`); all views (:mod:`.view_job`) share its kernels and differ in
-the camera only. Both passes use a box filter on the same pixels. The samples of paths depend only on
-configuration seed, view index and half, and are added in a fixed order.
+The scene is built once (:mod:`.prepared_scene`); all views (:mod:`.view_job`) share its kernels and differ
+only in the camera. Both passes use a box filter on the same pixels. Path samples depend only on configuration
+seed, view index and half, and are added in a fixed order.
 
 A recipe sets either the number of paths or a target error. For a target error, passes are added to two
 independent halves of the image until the error estimated from them (:mod:`datagen.rendering.sample_budget`)
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 class SceneRenderer(PreparedScene):
     """Renders the views of one configuration.
 
-    Selects the recipe's Mitsuba variant. ``caches`` None uses the process-wide caches. ``estimator`` denoises
-    the halves from which the error is estimated (None: the view's denoiser); ``is_enough`` may stop a view
-    early. Raises the errors of :class:`PreparedScene`.
+    Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. ``estimator`` denoises
+    the halves from which the error is estimated, by default with the view's denoiser; ``is_enough`` may stop
+    a view early. Raises the errors of :class:`PreparedScene`.
     """
 
     def __init__(
@@ -59,15 +59,15 @@ class SceneRenderer(PreparedScene):
 
     @property
     def denoiser(self) -> Denoiser | None:
-        """The denoiser of finished views."""
+        """Denoiser of finished views; None if they are not denoised."""
         return self._finishing.denoiser
 
     def view_job(self, index: int) -> ViewJob:
-        """Start the job of view ``index``: trace its ground truth and return the job, to be run in steps."""
+        """Trace the ground truth of view ``index``, and return the job that renders the view in steps."""
         return ViewJob(self, self._finishing, index)
 
     def render_view(self, index: int) -> RenderedView:
-        """Render view ``index``: all of ``RENDERED_BUFFERS``, and ``beauty_noisy`` if the recipe keeps it.
+        """Render all ``RENDERED_BUFFERS`` of view ``index``, and ``beauty_noisy`` if the recipe keeps it.
 
         Raises :class:`RenderError` if a pixel is NaN or Inf.
         """

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Adaptive sampling: the error of a view is estimated from two independent halves of its samples.
 
-Letters: ``a`` and ``b`` are the images of the two halves, independent and of expectation r, the exact image;
-``A`` and ``B`` the same images denoised; all (H, W, 3), scene-linear and multiplied by the view's exposure.
-Errors are relMSE (:mod:`datagen.rendering.error`): per-pixel squares are divided by r^2 + 0.01, with r
-replaced by (A + B) / 2. A and B contain noisy pixels where those are more accurate
-(:mod:`datagen.rendering.noisy_share`): otherwise a dark glazing bar, which the denoiser blurs with the bright
-panes around it, would have a weight hundreds of times too low.
+The images a and b of the two halves are independent, and their expectation is the exact image r; A and B are
+the same images denoised. All are (H, W, 3), scene-linear and multiplied by the view's exposure. Errors are
+relMSE (:mod:`datagen.rendering.error`), in which per-pixel squares are divided by r^2 + 0.01; (A + B) / 2
+replaces r. A and B contain noisy pixels where those are more accurate (:mod:`datagen.rendering.noisy_share`);
+otherwise a dark glazing bar, which the denoiser blurs with the bright panes around it, would have a weight
+hundreds of times too low.
 
 The error of a denoised half consists of a spread V, the variance between the halves, and a bias of the
 denoiser, common to both halves. The bias is estimated by comparing each denoised half with the other noisy
@@ -18,7 +18,7 @@ half, whose noise is independent and unbiased:
 
     E [((A + B) / 2 - r)^2] = E [U - V / 2],  pixel by pixel, for any denoiser.
 
-U contains products of the halves' noise, (a - r)(b - r), which vanish only in the mean over many pixels: with
+U contains products of the halves' noise, (a - r)(b - r), which vanish only in the mean over many pixels. With
 few pixels or strong noise, the estimate of bias^2 has a high variance, and V, whose variance is low, serves
 as a prior (:func:`_squared_bias`). None of these includes the energy removed by a firefly clamp, whose amount
 is recorded by pixel and half (:func:`_clamped_error`).
@@ -42,10 +42,10 @@ BIAS_PER_SPREAD = 1.0
 TILE_PX = 4
 """Side of the tiles that get the same number of samples; small, because edges and highlights are narrow."""
 AROUND_PX = 3
-"""Side of the squares over which errors are averaged, to suppress outliers, and over which the maximum of
-these means is taken, so that edges get samples even where their halves agree by chance."""
+"""Side of the squares over which errors are averaged, to suppress outliers, and the maximum of these means is
+taken, to add samples to edges whose halves agree by chance."""
 MAX_GROWTH = 4
-"""Maximum factor by which a pass multiplies a tile's samples: few samples give a poor error estimate."""
+"""Maximum factor by which a pass multiplies a tile's samples, since errors from few samples are imprecise."""
 MIN_SHARE = 0.05
 """Fraction of the mean error of all tiles added to each tile, for light that no sample has hit yet."""
 CLAMP_BLUR_PX = 2.0
@@ -53,12 +53,12 @@ CLAMP_BLUR_PX = 2.0
 MIN_PASS = 0.1
 """Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
 SAMPLE_STEP = 4
-"""Samples are added to a tile's half in multiples of this number, which keeps lists of pixels short."""
+"""Number whose multiples are added to the samples of a tile's half, which keeps lists of pixels short."""
 
 
 @dataclass(frozen=True)
 class PathSums:
-    """Sums over light paths: ``radiance`` (H, W, 3) and number of paths ``counts`` (H, W).
+    """Sums of ``radiance`` (H, W, 3) over light paths, and the number of paths ``counts`` (H, W).
 
     ``removed_luminance`` (H, W) was removed by a clamp. The default is zero and broadcasts to any image.
     """
@@ -98,9 +98,9 @@ class PathSums:
 class ErrorEstimate:
     """Estimated error of a view.
 
-    ``rel_mse`` of the finished image, with its ``standard_error``. For one denoised half: mean ``spread`` and
-    ``spread_map`` (H, W) by pixel; ``measured_bias``, the squared bias as measured (possibly negative), with
-    its standard error ``bias_error``.
+    ``rel_mse`` is that of the finished image, with its ``standard_error``. The others refer to one denoised
+    half: the mean ``spread`` and its ``spread_map`` (H, W), and the squared bias ``measured_bias``, which may
+    be negative, with its standard error ``bias_error``.
     """
 
     rel_mse: float
@@ -112,9 +112,9 @@ class ErrorEstimate:
 
     @property
     def bound(self) -> float:
-        """``rel_mse`` plus one standard error, as compared with the target and recorded.
+        """``rel_mse`` plus one standard error, which is recorded and compared with the target.
 
-        Sampling stops when an estimate is low, often by chance: in the median over finished views, the
+        Sampling stops when an estimate is low, often by chance. In the median over finished views, the
         estimate is three quarters of the true error, and the bound is equal to it (decision 70).
         """
         return self.rel_mse + self.standard_error
@@ -129,8 +129,8 @@ def estimate_error(
     """Estimate the error of the mean of both halves. Arrays are (H, W, 3), except ``removed`` (H, W).
 
     ``visible_emission``, free of noise, is added to the image and affects only its brightness. ``denoised``
-    are the denoised halves or, without a denoiser, the halves themselves. ``removed``: luminance that a clamp
-    removed from each half.
+    are the denoised halves or, without a denoiser, the halves themselves. ``removed`` is the luminance that a
+    clamp removed from each half.
     """
     a, b = (half.astype(np.float64) for half in halves)
     clean_a, clean_b = (image.astype(np.float64) for image in denoised)
@@ -141,7 +141,7 @@ def estimate_error(
     spread_map = (weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).astype(np.float32)
     spread = float(spread_map.mean(dtype=np.float64))
     clamped = 0.0 if removed is None else _clamped_error(removed, scale, finished)
-    if denoised[0] is halves[0]:  # unbiased: the halves' spread is the whole error
+    if denoised[0] is halves[0]:  # without a denoiser, there is no bias
         return ErrorEstimate(0.5 * spread + clamped, 0.0, spread, 0.0, 0.0, spread_map)
     squared_error = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
     measured = float((weight * squared_error).sum(axis=-1).mean()) - spread
@@ -155,7 +155,7 @@ def estimate_error(
 def _clamped_error(
     removed: tuple[NDArray[np.float64], NDArray[np.float64]], scale: float, finished: NDArray[np.float64]
 ) -> float:
-    """relMSE due to clamping: mean square of the share of the light around each pixel that was removed.
+    """relMSE due to clamping, the mean square of the share of light removed around each pixel.
 
     The square is the product of both halves' shares, whose independent noise cancels in the mean.
     """
@@ -171,7 +171,7 @@ def _clamped_error(
 
 
 def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:
-    """Squared bias of a denoised half from its measurement and from the spread, and its standard error.
+    """Estimate the squared bias of a denoised half, and the standard error of the estimate.
 
     The prior is ``BIAS_PER_SPREAD`` times the spread, with an equal standard deviation, or a larger one if
     the measurement exceeds it by more than ``bias_error`` explains. Prior and measurement are averaged with
@@ -194,8 +194,8 @@ class SampleBudget:
     """Stopping criterion: a target for the estimated relMSE, and a maximum number of samples per pixel.
 
     The maximum, at least 2, is a mean over the image, which determines the cost of a view. Both halves have
-    equal numbers of samples in each pixel. The first pass is uniform; later ones add samples to the tiles
-    whose denoised halves differ, until the expected error meets the target, but at most twice the previous
+    equal numbers of samples in each pixel. The first pass is uniform; each later one adds samples to tiles
+    whose denoised halves differ, as many as the target is expected to require, but at most twice the previous
     total.
     """
 
@@ -203,11 +203,11 @@ class SampleBudget:
     max_samples: int
 
     def is_met(self, estimate: ErrorEstimate) -> bool:
-        """Whether ``rel_mse`` plus one standard error is at most the target."""
+        """Whether the estimate's ``bound`` is at most the target."""
         return estimate.bound <= self.max_rel_mse
 
     def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
-        """Samples per pixel of one half in the first pass, (H, W)."""
+        """Samples (H, W) of one half in the first pass, for images of ``shape`` (H, W)."""
         return np.full(shape, min(FIRST_SAMPLES, self.max_samples) // 2, np.int64)
 
     def next_counts(self, counts: NDArray[np.int64], estimate: ErrorEstimate) -> NDArray[np.int64]:
@@ -223,7 +223,7 @@ class SampleBudget:
         errors = tiles.means(_around(estimate.spread_map))
         errors += MIN_SHARE * float(errors.mean())
         if not errors.any():
-            errors += 1.0  # the halves agree everywhere: the rest is bias, whose position is unknown
+            errors += 1.0  # the halves agree everywhere; the rest is bias, whose position is unknown
         before = tiles.means(counts)
         for share in (0.25, 0.5, 1.0, 2.0):
             after = _distribute(errors, before, tiles.areas, min(share * mean, remaining))
@@ -241,7 +241,7 @@ def _around(spread_map: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class _Tiles:
-    """R x C tiles of ``TILE_PX`` x ``TILE_PX`` pixels, smaller ones at the right and lower border."""
+    """R x C tiles of ``TILE_PX`` x ``TILE_PX`` pixels, cropped at the right and lower border of an image."""
 
     def __init__(self, shape: tuple[int, ...]):
         self.shape = shape
@@ -257,7 +257,7 @@ class _Tiles:
         return self._sums(np.broadcast_to(image, self.shape)) / self.areas
 
     def spread_out(self, values: NDArray) -> NDArray:
-        """Expand ``values`` (R, C) of the tiles to an image (H, W): each pixel gets the value of its tile."""
+        """Expand ``values`` (R, C) of the tiles to an image (H, W) with constant values in each tile."""
         rows, columns = (np.arange(side) // TILE_PX for side in self.shape)
         return values[rows[:, None], columns[None, :]]
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Builds a Mitsuba scene, with tables of ids and names, from a configuration and its library.
 
-Only used assets are loaded. Each object is an instance, and so is each part of an environment; ids start at 1
-and follow the configuration's order.
+Only used assets are loaded. Each object and each part of an environment is an instance; ids start at 1 and
+follow the configuration's order.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class AssetCaches:
 
 @functools.cache
 def process_caches() -> AssetCaches:
-    """The caches of this process, created on first use."""
+    """Return the caches of this process, created on first use."""
     return AssetCaches()
 
 
@@ -57,10 +57,10 @@ def process_caches() -> AssetCaches:
 class BuiltScene:
     """A scene ready to render.
 
-    ``instance_names`` and ``material_names`` map ids (from 1) to names: ``placed/part`` for parts of the
-    environment, the placed name for objects; asset id or ``asset/slot`` for materials, with ``#2`` and so on
-    for further adjustments. ``face_instances``: shape id -> instance id of each triangle.
-    ``shape_materials``: shape id -> material id. ``hidden_shapes``: ids of lights hidden from the camera.
+    ``instance_names`` and ``material_names`` map ids (from 1) to names. Instances are named ``placed/part``
+    for parts of the environment and ``placed`` for objects, materials by asset id or ``asset/slot``, with
+    ``#2`` and so on for further adjustments. ``face_instances`` maps shape ids to the instance id of each
+    triangle, ``shape_materials`` to material ids. ``hidden_shapes`` are ids of lights hidden from the camera.
     """
 
     scene: Any
@@ -118,7 +118,7 @@ def build_scene(
 
 
 def _check_packages(configuration: Configuration, library: Library) -> None:
-    """Check that the library has every used asset, with the hash recorded in the configuration."""
+    """Raise :class:`InputError` unless the library has every used asset with the configuration's hash."""
     used = {light.asset for light in configuration.lights if isinstance(light, EnvironmentLight)}
     for placed in (configuration.environment, *configuration.objects):
         used |= {placed.asset, *(assignment.asset for assignment in placed.materials.values())}
@@ -220,7 +220,7 @@ class _Builder:
         self.material_names[new_id] = name
 
     def finish(self, light_entries: dict[str, Any], hidden: set[str]) -> BuiltScene:
-        """Upload meshes, textures and lights and return the scene; raise :class:`InputError` for faults."""
+        """Upload meshes, textures and lights; return the scene. Raises :class:`InputError` for faults."""
         import mitsuba as mi
 
         bsdfs: dict[tuple[Hashable, bool], Any] = {}
@@ -248,7 +248,7 @@ class _Builder:
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """Factor of a part's UVs: the assignment's, else that for an assigned material's real size, else 1."""
+    """UV scale of a part, as assigned or else for real size; 1 if neither is defined."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Schedule of the views of a scene: one is traced while another is denoised."""
+"""Interleaves the views of a scene; one is traced while another is denoised."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 MAX_IN_FLIGHT = 2
-"""Maximum number of views in progress: one traced, one denoised."""
+"""Maximum number of views in progress, of which one is traced and one denoised."""
 
 Result = TypeVar("Result")
 Steps = Generator[Future, None, Result]
-"""Work of a view on the calling thread; yields a future whenever its next step needs that future's result."""
+"""Steps of a view on the calling thread; yields the future whose result the next step needs."""
 
 
 @dataclass

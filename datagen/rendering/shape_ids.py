@@ -19,8 +19,8 @@ Array = Any
 class MergedShapeMaterials(SceneMaterials):
     """:class:`SceneMaterials` of a :class:`BuiltScene`.
 
-    Ids are looked up by the index of a triangle in the scene, from 1; 0 is "none". Lights hidden from the
-    camera count as surfaces without opacity.
+    Ids are looked up by the index of a triangle in the scene, from 1; index 0 means no triangle. Lights
+    hidden from the camera count as fully transparent surfaces.
     """
 
     def __init__(self, built: BuiltScene):
@@ -65,7 +65,7 @@ class MergedShapeMaterials(SceneMaterials):
         return dr.select(is_hit, first + si.prim_index, 0)
 
     def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
-        """(instance id, material id) of triangles by :meth:`shape_index`; 0 for none and for lights."""
+        """Instance ids and material ids of triangles with indices by :meth:`shape_index`; 0 for lights."""
         return (
             dr.gather(mi.UInt32, self._instance_of_face, shape_index),
             dr.gather(mi.UInt32, self._material_of_face, shape_index),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Channels of a material as Mitsuba textures: decoded, adjusted and uploaded once, shared between scenes.
+"""Material channels as Mitsuba textures, which are uploaded once and shared between scenes.
 
 BSDF and ground truth read the same textures, so all operations on values are applied before upload: decoding,
 scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`, then rounding to
@@ -28,14 +28,14 @@ Role = Literal["diffuse_albedo", "specular_albedo", "roughness", "opacity", "nor
 SCALAR_ROLES = ("roughness", "opacity")
 NO_ADJUSTMENT = ColorAdjustment()
 MAX_CACHE_BYTES = 256 << 20
-_MIN_SATURATION = 1e-3  # less saturated F0 is grey up to rounding
+_MIN_SATURATION = 1e-3  # below, S is grey up to rounding
 
 
 def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustment) -> NDArray[np.float32]:
     """Adjust channel values, (H, W, 3) for colours and (H, W) for scalars; results are clamped to [0, 1].
 
-    D: hue, saturation and value in linear HSV. S: hue and saturation, for coloured texels only. R: offset.
-    Opacity and normals are returned unchanged.
+    Hue, saturation and value of D are adjusted in linear HSV, hue and saturation of coloured texels of S; the
+    offset is added to R. Opacity and normals are returned unchanged.
     """
     if role == "roughness":
         return np.clip(values + np.float32(adjustment.roughness_offset), 0.0, 1.0)
@@ -60,17 +60,17 @@ def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustmen
 def adjusted_constant(
     value: float | tuple[float, float, float], role: Role, adjustment: ColorAdjustment
 ) -> NDArray[np.float32]:
-    """As :func:`adjusted`, for a constant; the result is (3,) for colours, () for scalars."""
+    """Like :func:`adjusted`, for a constant; the result is (3,) for colours, () for scalars."""
     array = np.asarray(value, dtype=np.float32)
     return adjusted(array[None, None], role, adjustment)[0, 0]
 
 
 class TextureCache:
-    """Cache of uploaded textures by content; drops the least recently used beyond 256 MB.
+    """Uploaded textures by content; above 256 MB in total, the least recently used are dropped.
 
     Adjusted textures, which hardly ever recur in another configuration, are kept until
-    :meth:`forget_variations`. ``shrink``: side in texels of the squares over which linear values are averaged
-    before upload.
+    :meth:`forget_variations`. Before upload, linear values are averaged over squares with a side of
+    ``shrink`` texels.
     """
 
     def __init__(self, shrink: int = 1):
@@ -92,7 +92,7 @@ class TextureCache:
         *,
         flip_green: bool = False,
     ) -> Any:
-        """Mitsuba texture of the channel ``role`` of a material; for a constant, a texture's dictionary.
+        """Return the Mitsuba texture of a material channel; for a constant, the dictionary of a texture.
 
         ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
         and for images with NaN or Inf.
@@ -138,7 +138,7 @@ def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: 
     if role == "normal" and texture.channel != "rgb":
         raise input_error(path, "normal.channel", texture.channel, "rgb", "correct the material")
     if texture.encoding == "srgb" and texture.channel != "a" and pixels.dtype.kind == "u":
-        # Decoding every texel takes half the time of building a scene, decoding every code value hardly any.
+        # decode a table of code values, since decoding all texels takes half the time of building a scene
         codes = np.arange(np.iinfo(pixels.dtype).max + 1).astype(np.float32)
         pixels = linear_from_srgb(codes / codes[-1]).astype(np.float32)[pixels]
         texture = texture.model_copy(update={"encoding": "linear"})
@@ -146,7 +146,7 @@ def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: 
 
 
 def box_filtered(values: NDArray[np.float32], shrink: int) -> NDArray[np.float32]:
-    """Means of ``values`` (H, W) or (H, W, 3) over squares of ``shrink`` texels a side.
+    """Average ``values`` (H, W) or (H, W, 3) over squares with a side of ``shrink`` texels.
 
     A side that is not a multiple of ``shrink`` is divided into the nearest number of equal parts, at least 1.
     """
@@ -160,7 +160,7 @@ def box_filtered(values: NDArray[np.float32], shrink: int) -> NDArray[np.float32
 
 
 def upload(values: NDArray[np.float32]) -> Any:
-    """Upload linear values (H, W) or (H, W, 3) to a ``bitmap`` texture: half floats, repeated, bilinear."""
+    """Upload linear values (H, W) or (H, W, 3) as half floats to a repeated, bilinear ``bitmap`` texture."""
     import mitsuba as mi
 
     pixels = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], dtype=np.float16)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The job of one view: ground truth, passes of light paths, error estimate, denoising, record.
+"""Renders one view: ground truth, passes of light paths, error estimate, denoising and record.
 
-The denoiser gets reflected light only: it would change the radiance of a visible lamp by tens of per cent and
-spread it over its dark surroundings. Visible emission has no noise except at edges; it is traced with as many
-samples as the ground truth and added after denoising.
+Only reflected light is denoised, since the denoiser would change the radiance of a visible lamp by tens of
+per cent and spread it over its dark surroundings. Visible emission has no noise except at edges; it is traced
+with as many samples as the ground truth and added after denoising.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ HALF_MAX = 65504.0
 COARSE_SAMPLES = 16
 """Paths per pixel of the coarse image whose exposure sets the firefly clamp."""
 MIN_LIT = 0.05
-"""Minimum share of lit pixels in the coarse image for clamping."""
+"""Minimum share of lit pixels in the coarse image for fireflies to be clamped."""
 _FULL_COVERAGE_SLACK = 1e-5  # rounding error of a sum of float32 shares
 
 
 class RenderError(RuntimeError):
-    """Raised for a view that is discarded because of NaN or Inf."""
+    """Raised for a view with NaN or Inf, which is discarded."""
 
 
 @dataclass
 class RenderedView:
-    """A finished view: ``buffers`` (H, W, C) by name, names of instances and materials by id, its record, and
-    ``seconds`` by stage.
+    """A finished view with ``buffers`` (H, W, C) by name, names of instances and materials by id, its record,
+    and ``seconds`` by stage.
     """
 
     index: int
@@ -64,8 +64,8 @@ IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
 class Finishing:
     """Denoisers and stopping criteria of views.
 
-    ``denoiser`` is for images, ``estimator`` for the halves from which the error is estimated. ``budget``:
-    None for the recipe's fixed number of samples. ``is_enough``: see :data:`IsEnough`.
+    ``denoiser`` is for images, ``estimator`` for the halves from which the error is estimated. If ``budget``
+    is None, the recipe's number of samples is used. ``is_enough`` may stop a view above its target error.
     """
 
     denoiser: Denoiser | None
@@ -99,7 +99,7 @@ class ViewJob:
         self.clamp_limit = self._clamp_limit()
 
     def steps(self, pool: ThreadPoolExecutor) -> Steps[RenderedView]:
-        """Run the job in steps, denoising in ``pool``; yield futures to wait for, and return the view."""
+        """Run the job in steps, denoising in ``pool``; yield the futures to await, and return the view."""
         if self.budget is None:
             self.add_pass(self.scene.recipe.path_samples or 0)
         else:
@@ -118,7 +118,7 @@ class ViewJob:
         return finishing.result()
 
     def add_pass(self, counts: int | NDArray[np.int64]) -> None:
-        """Trace ``counts`` more samples per pixel, (H, W) or one number; with a budget, in each half."""
+        """Trace ``counts`` more samples per pixel, (H, W) or one number; with a budget, for each half."""
         with self._timed("path"):
             sensor = self._sensor()
             for half, purpose in enumerate(["path"] if self.budget is None else ["path/a", "path/b"]):
@@ -220,7 +220,7 @@ class ViewJob:
         return {name: traced[name] for name in GROUND_TRUTH_BUFFERS}
 
     def _trace_visible_emission(self) -> NDArray[np.float32]:
-        """Visible emission (H, W, 3), traced only in pixels not entirely covered by reflecting surface."""
+        """Trace visible emission (H, W, 3), only in pixels not entirely covered by reflecting surface."""
         from datagen.rendering.transport.visible_emission import render_visible_emission
 
         mask = self.buffers["surface_mask"]
@@ -235,8 +235,8 @@ class ViewJob:
     def _clamp_limit(self) -> float:
         """Maximum radiance of a path of two or more bounces: ``firefly_clamp`` in units of the exposed white.
 
-        The exposure is that of a coarse image of reflected light, traced beforehand without a clamp. Infinite
-        if the recipe does not clamp, or if less than ``MIN_LIT`` of the image is lit.
+        The exposure is that of a coarse image of reflected light, traced beforehand without a clamp. The
+        limit is infinite if the recipe has no clamp or less than ``MIN_LIT`` of the image is lit.
         """
         if self.scene.recipe.firefly_clamp is None:
             return math.inf
@@ -252,7 +252,7 @@ class ViewJob:
         return self.scene.recipe.firefly_clamp / exposure_for(image)
 
     def _quality_record(self, sums: PathSums) -> dict[str, Any]:
-        """Fields of the record about error, clamp and truncation."""
+        """Fields of the record that describe error, clamp, irradiance cache and truncation."""
         fields: dict[str, Any] = {}
         if self.scene.truncation is not None:
             fields["max_energy_left"] = quantized(self.scene.truncation, 4)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Emitters of a scene: visibility to the camera, shadow rays and MIS weights.
 
-Emitters hidden from the camera are invisible to camera rays but not to rays after a bounce. Shadow rays are
-attenuated by the opacity of the surfaces that they cross, such as leaves and curtains.
+Emitters hidden from the camera are invisible to camera rays but not to rays after a bounce. Surfaces with
+partial opacity, such as leaves and curtains, attenuate shadow rays.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = Any
 
 
 class SceneEmitters:
-    """The emitters of a scene, chosen by ``light_sampler`` or, if that is None, uniformly by Mitsuba."""
+    """Emitters of a scene, sampled by ``light_sampler`` or, if that is None, uniformly by Mitsuba."""
 
     def __init__(self, built: BuiltScene):
         self.scene = built.scene
@@ -44,7 +44,7 @@ class SceneEmitters:
         return [self._is_hidden_shape, *([] if self.light_sampler is None else self.light_sampler.arrays())]
 
     def is_hidden(self, si: Any, depth: Array) -> Array:
-        """Mask of the hits ``si`` of camera rays (``depth`` 0) on emitters hidden from the camera."""
+        """Mask of the hits ``si`` by camera rays (``depth`` 0) of emitters hidden from the camera."""
         if self._is_hidden_shape is None:
             return mi.Bool(False)
         shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)
@@ -65,7 +65,7 @@ class SceneEmitters:
     def sample(self, si: Any, numbers: Any, record: Array, active: Array) -> tuple[Any, Any]:
         """Sample a direction to an emitter; return a DirectionSample3f and the attenuated radiance / density.
 
-        ``numbers`` is the path's sampler, ``record`` the irradiance cache record of ``si``, or 0.
+        ``numbers`` is the path's sampler; ``record`` is the irradiance cache record of ``si``, 0 for none.
         """
         if self.light_sampler is None:
             is_tested = not self.has_transparency

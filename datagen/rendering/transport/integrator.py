@@ -8,7 +8,7 @@ The estimator is that of Mitsuba's ``path`` (tests compare the two), extended by
 * learned light sampling (:mod:`.light_sampler`) and a guide through openings (:mod:`.sky_guide`);
 * optionally, termination of paths in an irradiance cache after the first bounce (:mod:`.irradiance_cache`).
 
-There is no film: the samples of a pixel are neighbours in one array and are summed in order, so results have
+There is no film; the samples of a pixel are adjacent in one array and are summed in order, so results have
 the same bytes for any number of threads. Camera, size, seed, sample count and clamp are arguments of the
 kernel, which is recorded once per scene and replayed.
 """
@@ -45,13 +45,13 @@ Array = Any
 MAX_LANES = 1 << 24
 """Maximum number of light paths per launch, at 36 bytes each; larger views need several launches."""
 TINY = 1e-30
-"""Keeps the clamp's quotient finite for paths without light."""
+"""Prevents division by 0 in the clamp for paths without light."""
 
 _LIVE: weakref.WeakSet[PathTracer] = weakref.WeakSet()
 
 
 def forget_recordings() -> None:
-    """Drop the recorded kernels of all tracers; to be called before Dr.Jit's kernel cache is emptied."""
+    """Drop the recorded kernels of all tracers; must precede any emptying of Dr.Jit's kernel cache."""
     for tracer in list(_LIVE):
         tracer.forget_recordings()
 
@@ -59,8 +59,8 @@ def forget_recordings() -> None:
 class PathTracer:
     """Traces the light paths of one scene.
 
-    ``max_depth`` counts segments from the camera to the light (1: emitters only, 2: direct light);
-    Russian roulette ends paths from ``russian_roulette_depth`` segments on.
+    ``max_depth`` is the maximum number of segments from the camera to the light (1: emitters only, 2: direct
+    light). Russian roulette is applied from ``russian_roulette_depth`` segments on.
     """
 
     def __init__(self, built: BuiltScene, max_depth: int, russian_roulette_depth: int):
@@ -69,7 +69,7 @@ class PathTracer:
         self.emitters = SceneEmitters(built)
         self.sky_guide: SkyGuide | None = None
         self.irradiance: IrradianceCache | None = None
-        # Recorded once: running the Python code of hundreds of materials takes longer than a small pass.
+        # Recorded once, since the Python code of hundreds of materials runs longer than a small pass.
         self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self._tables())
         _LIVE.add(self)
 
@@ -81,7 +81,7 @@ class PathTracer:
     # ---- state shared by all views -------------------------------------------------------------------
 
     def fit_sky_guide(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
-        """Estimate the sky guide, if there is a sky, from ``num_samples`` paths per pixel of ``sensors``."""
+        """Estimate a sky guide from ``num_samples`` paths per pixel of ``sensors``; none without a sky."""
         self.use_sky_guide(None)
         if self.scene.environment() is None:
             return
@@ -92,13 +92,13 @@ class PathTracer:
             )
 
     def use_sky_guide(self, guide: SkyGuide | None) -> None:
-        """Sample with ``guide``, or without a guide if None, from now on; drops the irradiance cache."""
+        """Set the guide of all later samples (None for no guide) and drop the irradiance cache."""
         self.sky_guide, self.irradiance = guide, None
         self.emitters.light_sampler = uniform_sampler(self.scene, guide)
         self.forget_recordings()
 
     def gather_irradiance(self, materials: SceneMaterials, sensors: Iterable[Any], seed: int) -> None:
-        """Estimate irradiance cache and light sampler from ``sensors``; later paths may end in the cache."""
+        """Estimate the irradiance cache, in which later paths may end, and the light sampler."""
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
@@ -107,7 +107,7 @@ class PathTracer:
             self.emitters.light_sampler = LightSampler(self.scene, self.sky_guide, weights)
 
     def _rays_of(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
-        """``num_samples`` rays through each pixel of a sensor, and the sampler of their paths."""
+        """Return ``num_samples`` rays through each pixel of a sensor, and the sampler of their paths."""
         from datagen.rendering.plugins import rays_through  # needs a selected variant
 
         width, height = (int(v) for v in sensor.film().crop_size())
@@ -140,24 +140,24 @@ class PathTracer:
         grid: tuple[int, int] | None = None,
         before: NDArray[np.int64] | int = 0,
     ) -> PathSums:
-        """Sums over ``num_samples`` paths per pixel, one number or an array (H, W).
+        """Return sums over ``num_samples`` paths per pixel, one number or an array (H, W).
 
-        Where a path's light of two or more bounces exceeds ``limit`` in its largest channel, it is scaled
+        If a path's light after two or more bounces exceeds ``limit`` in its largest channel, it is scaled
         down to the limit, and the removed luminance is summed too. Direct light, such as patches of sun, is
-        never clamped. ``grid`` (columns, rows) divides the image into cells other than its pixels.
-        ``before``: number of samples that each cell already has with this seed; the new ones continue its
-        sequence.
+        never clamped. ``grid`` (columns, rows) replaces the pixels by another division of the image.
+        ``before`` is the number of samples that each cell already has with this seed, whose sequence the new
+        ones continue.
         """
         width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
         wanted = np.broadcast_to(np.asarray(num_samples, np.int64), (height, width)).ravel()
-        step = int(np.gcd.reduce(wanted))  # samples of one entry of the list of pixels
+        step = int(np.gcd.reduce(wanted))  # samples per entry of the list of cells
         repeats = wanted // max(step, 1)
         cells = np.repeat(np.arange(wanted.size, dtype=np.uint32), repeats)
         earlier = np.arange(cells.size) - np.repeat(np.cumsum(repeats) - repeats, repeats)
         firsts = np.repeat(np.broadcast_to(before, (height, width)).ravel(), repeats) + step * earlier
         num_per_launch = max(1, MAX_LANES // max(step, 1))
         sums = np.zeros((wanted.size, 4))
-        if not self.scene.emitters():  # black; kernels without emitters cannot be recorded
+        if not self.scene.emitters():  # the image is black; kernels without emitters cannot be recorded
             cells = cells[:0]
         for start in range(0, cells.size, num_per_launch):
             part = slice(start, start + num_per_launch)
@@ -178,10 +178,10 @@ class PathTracer:
         with_visible_emission: bool,
         limit: float,
     ) -> list[NDArray[np.float64]]:
-        """Sums over ``count`` samples of N entries: red, green, blue and removed luminance, (N,) each.
+        """Sum ``count`` samples for each of N entries; return red, green, blue, removed luminance, (N,) each.
 
-        ``entries``: index (N,) of the cell of an image of ``size``, row by row, and position (N,) in the
-        cell's sequence of samples at which the entry starts.
+        ``entries`` are the index (N,), row by row, of a cell of an image of ``size`` (columns, rows), and the
+        first position (N,) in the cell's sequence of samples.
         """
         cells, firsts = entries
         num_lanes = cells.size * count
@@ -224,9 +224,9 @@ class PathTracer:
         limit: Array,
         with_visible_emission: bool,
     ) -> list[Array]:
-        """Red, green, blue and removed luminance of one path through each cell of the image.
+        """Return red, green, blue and removed luminance of one path per lane of ``sampler``.
 
-        Recorded and replayed: everything that differs between launches is an argument.
+        Since this is recorded and replayed, everything that differs between launches is an argument.
         """
         from datagen.rendering.plugins import rays_through  # needs a selected variant
 
@@ -237,18 +237,18 @@ class PathTracer:
 
     @dr.syntax
     def sample(self, sampler: Any, ray: Array, with_visible_emission: bool = True) -> tuple[Array, Array]:
-        """Radiance of one path per camera ray: after at most one bounce, and after more (Color3f each)."""
+        """Trace one path per camera ray; return radiance after at most one bounce, and after more."""
         scene, emitters, ctx = self.scene, self.emitters, mi.BSDFContext()
         cache: Any = self.irradiance
         walk = Walk(ray)  # current segment and previous vertex
-        direct = mi.Color3f(0.0)  # radiance by at most one bounce
-        indirect = mi.Color3f(0.0)  # radiance by two or more bounces
+        direct = mi.Color3f(0.0)  # radiance after at most one bounce
+        indirect = mi.Color3f(0.0)  # radiance after two or more bounces
         throughput = mi.Color3f(1.0)  # product of the BSDF weights and roulette factors of the path
-        record = mi.UInt32(0)  # this vertex's record in the irradiance cache
-        spread_m = mi.Float(0.0)  # side in metres of the area to which the path has spread
+        record = mi.UInt32(0)  # irradiance cache record of this vertex
+        spread_m = mi.Float(0.0)  # side in metres of the area over which the path has spread
         is_cached = mi.Bool(False)  # whether the path may end in the cache here
         cached = mi.Color3f(0.0)  # mean incident radiance from the cache
-        narrow_pdf: Any = mi.Float(NARROW_PDF)  # paths continue in directions of at least this density
+        narrow_pdf: Any = mi.Float(NARROW_PDF)  # density from which on paths do not end in the cache
         active = mi.Bool(True)  # lanes whose path continues
         while active:
             si = walk.intersect(scene, active)

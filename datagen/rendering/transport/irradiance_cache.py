@@ -2,7 +2,7 @@
 """Irradiance of a scene's surfaces, gathered once for all views of a configuration.
 
 Most of a path's time and variance is due to the segments after its first bounce, where all views of a room
-need the same quantity: the irradiance of the walls. Surfaces are divided into cells (cubes, each split by six
+need the same quantity, the irradiance of the walls. Surfaces are divided into cells (cubes, each split by six
 orientations), and the irradiance E of each cell is estimated beforehand from all cameras together
 (:mod:`.irradiance_gathering`). A path may then end where it has spread over more than a few cells:
 
@@ -10,8 +10,8 @@ orientations), and the irradiance E of each cell is estimated beforehand from al
 
 which is final gathering (Reichert 1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose
 records are means over cells. Sufficient spread is defined as by Mueller et al. (Real-time Neural Radiance
-Caching, 2021): by the area that corresponds to the densities of the path's directions. Neglected effects and
-the resulting errors: docs/decisions/0075.
+Caching, 2021), by the area that corresponds to the densities of the path's directions. docs/decisions/0075
+states the neglected effects and the resulting errors.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from datagen.rendering.transport.vertex import INVERSE_PI, facing_normal
 Array = Any
 
 PRIOR_SAMPLES = 4.0
-"""Weight of the neighbourhood's mean in the mean of a cell, in samples."""
+"""Weight of the mean of the neighbourhood in that of a cell, in samples."""
 LEVELS = 3
 """Number of nested neighbourhoods; each has twice the side of the next smaller one."""
 MIN_SPREAD = 8.0
-"""Minimum spread of a path, in cell sides, for ending in the cache."""
+"""Minimum spread, in cell sides, for a path to end in the cache."""
 NARROW_PDF = 0.4
-"""Minimum density [1/sr] of directions in which paths continue instead of ending in the cache, whose mean
-over all directions is too coarse for narrow lobes. A diffuse lobe has at most 1 / pi."""
+"""Density [1/sr] from which on paths continue instead of ending in the cache, whose mean over all directions
+is too coarse for narrow lobes. The density of a diffuse lobe is at most 1 / pi."""
 
 
 class SurfaceCells:
@@ -61,7 +61,7 @@ class SurfaceCells:
         return [self.low, self.side, self.counts]
 
     def index(self, point: Array, normal: Array) -> tuple[Any, Any]:
-        """Index of the cell of a surface point and its normal, and whether the point is inside the box."""
+        """Return the cell index of a surface point and its normal, and whether the point is in the box."""
         position = dr.floor((point - self.low) / self.side)
         is_inside = dr.all((position >= 0.0) & (position < mi.Vector3f(self.counts)))
         cube: Any = mi.Vector3u(dr.select(is_inside, position, 0.0))
@@ -76,7 +76,7 @@ class SurfaceCells:
 
 
 class IrradianceCache:
-    """Irradiance by cell: sums of samples, and their means as read by kernels.
+    """Irradiance by cell, as sums of samples and as means for kernels.
 
     Each cell with samples has a record, numbered from 1; all other cells share record 0.
     """
@@ -102,7 +102,7 @@ class IrradianceCache:
     def add(self, cells: NDArray[np.int64], samples: NDArray[np.float64]) -> None:
         """Add ``samples`` (N, 3 + T) to the means of ``cells`` (N,).
 
-        Columns: irradiance, and the squared contribution of each technique of the light sampler.
+        Columns are irradiance and the squared contribution of each of the light sampler's T techniques.
         """
         new = np.unique(cells[self._record_of_cell[cells] == 0])
         self._record_of_cell[new] = np.arange(len(self._counts), len(self._counts) + len(new))
@@ -137,7 +137,7 @@ class IrradianceCache:
     def light_weights(self) -> NDArray[np.float64]:
         """Weights (records + 1, T) of the light sampler's techniques, valid after :meth:`finish`.
 
-        They are the roots of the second moments of the techniques' contributions.
+        A weight is the square root of the second moment of a technique's contribution.
         """
         return np.sqrt(self._squares)
 
@@ -147,12 +147,12 @@ class IrradianceCache:
         self.means = mi.Float(np.column_stack([means, is_known]).astype(np.float32).ravel())
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
-        """Record of the cell of a surface point and its normal; 0 for none."""
+        """Record number of a surface point and its normal; 0 for none."""
         cell, is_inside = self.cells.index(point, normal)
         return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
 
     def record_at(self, si: Any, direction: Array, active: Array) -> Array:
-        """Record at the hit ``si`` of a ray of ``direction``; 0 for none."""
+        """Record number at the hit ``si`` of a ray with ``direction``; 0 for none."""
         return self.record(si.p, facing_normal(si, direction), active)
 
     def irradiance(self, record: Array, active: Array) -> tuple[Any, Any]:
@@ -165,9 +165,8 @@ class IrradianceCache:
     ) -> tuple[Any, Any]:
         """Mean incident radiance E / pi at a hit, and whether a path of spread ``spread_m`` may end there.
 
-        ``record`` is that of the hit. The lookup is jittered by up to half a cell, by ``sample`` in [0, 1)^2,
-        which blends neighbouring cells in the mean; if the jittered cell has no record, that of the hit is
-        used.
+        The lookup is jittered by up to half a cell, by ``sample`` in [0, 1)^2, to blend neighbouring cells in
+        the mean; if the jittered cell has no record, ``record``, that of the hit, is used.
         """
         normal = facing_normal(si, direction)
         is_wide = active & (spread_m > MIN_SPREAD * self.cells.side)
@@ -180,6 +179,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side [m] of the area at hit ``si`` that corresponds to a direction of density ``pdf`` [1/sr]."""
+    """Side [m] of the area at hit ``si`` that corresponds to the density ``pdf`` [1/sr] at ``previous``."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

@@ -2,8 +2,8 @@
 """Gathers the irradiance cache and the light sampler's moments along camera paths of all views.
 
 The first rounds trace whole paths, which distribute light through the scene. Later rounds solve for radiosity
-by sampling: from each point, a shadow ray and one cosine-distributed ray, whose hit has the radiance
-reflectance x E / pi according to earlier rounds.
+by sampling; they trace a shadow ray and one cosine-distributed ray from each point, and the radiance at the
+hit of the latter is reflectance x E / pi, with E from earlier rounds.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ if TYPE_CHECKING:
 Array = Any
 
 NUM_RAYS = 40960
-"""Number of camera rays of all views together, whatever their resolution, since all views share the noise of
-the cache; each ray gives samples of irradiance at up to four vertices."""
+"""Number of camera rays of all views together, independent of resolution since all views share the noise of
+the cache; each ray yields samples of irradiance at up to four vertices."""
 MAX_CELLS = 1 << 22
-"""Number of cells of the grid, nearly all of them empty: cubes of 0.06 m in a room of 5 m."""
+"""Approximate number of cells, nearly all empty; in a room of 5 m, cubes have a side of about 0.06 m."""
 BOX_PERCENTILE = 0.2
-"""Percentage of the visited points beyond each face of the grid's box, which excludes distant landscape."""
+"""Percentage of the visited points left out beyond each face of the grid's box, such as distant landscape."""
 BOX_MARGIN = 0.05
 """Margin of the box on each side, as a fraction of its longest side."""
 MIN_HITS = 64
 """Minimum number of hits on surfaces for gathering a cache."""
 BOUNCES = 3
-"""Number of bounces of a path in the later rounds, more where the irradiance is still unknown."""
+"""Number of bounces of a path in later rounds; paths continue where the irradiance is still unknown."""
 WARM_UP_BOUNCES = 64
-"""Maximum number of bounces of a path in the first rounds; later rounds add longer paths only slowly."""
+"""Maximum number of bounces of a path in the first rounds, large since later rounds lengthen paths slowly."""
 MAX_SURVIVAL = 0.95
 """Maximum probability that Russian roulette continues a path beyond the recorded vertices."""
 WARM_UP, ROUNDS = 6, 12
@@ -63,7 +63,7 @@ def gather_irradiance(
 ) -> IrradianceCache | None:
     """Gather the irradiance of surfaces along paths from ``sensors``; None if too few rays hit a surface.
 
-    An iterator of ``sensors`` may yield one object repeatedly, with another camera each time.
+    ``sensors`` may be an iterator that yields the same object repeatedly with different cameras.
     """
     views = [(sensor.view, tuple(int(v) for v in sensor.film().crop_size())) for sensor in sensors]
     rays = _camera_rays(views, NUM_RAYS, seed)
@@ -123,7 +123,7 @@ def _observed(
 
 
 def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: int) -> Any:
-    """``num_rays`` camera rays, divided equally between the views and uniform over each image."""
+    """Return ``num_rays`` camera rays, divided equally between the views and uniform over each image."""
     from datagen.rendering.plugins import rays_through  # needs a selected variant
 
     parts = []
@@ -143,7 +143,7 @@ def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: 
 
 
 def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
-    """Points (N, 3) hit by the rays ``ray`` and after their cosine-distributed bounces."""
+    """Points (N, 3) hit by the rays ``ray`` and by their continuations in cosine-distributed directions."""
     launch: Any = dr.opaque(mi.UInt32, (seed + 1) & 0xFFFFFFFF)
     lane: Any = dr.arange(mi.UInt32, dr.width(ray))
     numbers = OwenSobol(dr.zeros(mi.UInt32, dr.width(ray)), mi.sample_tea_32(lane, launch)[0])
@@ -161,19 +161,18 @@ def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
 def _walk(
     emitters: Any, scene: Any, materials: Any, cache: Any, sampler: Any, ray: Any, numbers: Any, is_warm: Any
 ) -> list[tuple[Any, ...]]:
-    """Trace a path; return for each vertex the cell, whether it is valid, a sample of the irradiance, and
-    :func:`_attributed` of the shadow ray.
+    """Trace a path; return for each vertex its cell, whether the cell is valid, a sample of the irradiance,
+    and the shadow ray's technique and contribution (see :func:`_attributed`).
 
-    The light from the next vertex is reflectance x cached irradiance if ``is_warm`` and this is known, else
-    that of the rest of the path.
+    If ``is_warm`` and the cached irradiance at the next vertex is known, it replaces the rest of the path.
     """
     walk = Walk(ray)  # current segment and previous vertex
     # One entry per recorded vertex:
     cells: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # cell of the irradiance cache
     is_found: list[Any] = [mi.Bool(False) for _ in range(BOUNCES + 1)]  # whether it is inside the grid
     irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]  # accumulated so far
-    techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # of the shadow ray
-    contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]  # of the shadow ray
+    techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # technique of the shadow ray
+    contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]  # see :func:`_attributed`
     # Factor from radiosity at the end of the segment to irradiance at the vertex
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     active = mi.Bool(True)  # lanes whose path continues
@@ -197,7 +196,7 @@ def _walk(
         arriving = np.pi * (emitted * weight) + dr.select(is_known, reflectance * known, 0.0)
 
         # ---- direct light at this vertex ------------------------------------------------------------------
-        # Beyond the recorded vertices, a path continues until the radiosity is known, since unknown is not 0.
+        # Beyond the recorded vertices, a path continues until the radiosity is known; assuming 0 adds bias.
         bounces = arrives & hits & (walk.depth <= dr.select(is_known, BOUNCES, WARM_UP_BOUNCES))
         ds, radiance = emitters.sample(si, numbers, mi.UInt32(0), bounces)
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
@@ -230,7 +229,7 @@ def _walk(
 
 
 def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, direct: Any) -> tuple[Any, Any]:
-    """Technique of a shadow ray, and luminance of ``direct`` x square root of the technique's probability.
+    """Return a shadow ray's technique, and luminance of ``direct`` x square root of technique probability.
 
     The mean square of the latter over all rays is the second moment over the technique's rays.
     """
@@ -244,9 +243,9 @@ def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, dire
 def specular_reflectance(channels: Any) -> Array:
     """Directional-hemispherical reflectance of the specular lobe, averaged over directions, in [0, 1].
 
-    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere. The change of both parts with
-    roughness is fitted to the BSDF, with errors up to 0.0025, since bounces multiply an error by
-    1 / (1 - reflectance).
+    Schlick's Fresnel term has the cosine-weighted mean S + (1 - S) / 21 over the hemisphere. The dependence
+    of both terms on roughness is fitted to the BSDF with errors up to 0.0025, small because multiple bounces
+    amplify an error by 1 / (1 - reflectance).
     """
     specular, r = channels.specular_albedo, channels.roughness
     normal = specular * (1.0 + r * r * (0.137 + r * (-0.540 + r * 0.057)))

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Learned light sampling: an emitter is chosen with probabilities that are estimated by cell.
+"""Learned light sampling: emitters are chosen with probabilities estimated by cell.
 
-Mitsuba chooses among emitters with equal probability: in a room with a lamp and a sky, half of the shadow
-rays go to the occluded one. While irradiance is gathered (:mod:`.irradiance_gathering`), the second moment of
-each technique is estimated in every cell. Techniques are the sampling of each emitter, and the sky guide
-(:mod:`.sky_guide`) if there is one. Technique k is then chosen with probability
+Mitsuba chooses among emitters with equal probability, so in a room with a lamp and an occluded sky half of
+the shadow rays are wasted. While irradiance is gathered (:mod:`.irradiance_gathering`), the second moment of
+each technique is estimated in every cell. The techniques are the sampling of each emitter and, if there is
+one, the sky guide (:mod:`.sky_guide`). Technique k is then chosen with probability
 
     q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k over the technique's samples,
 
-which minimises the variance of a choice among techniques. Every technique has a minimum probability, and
-densities are exact: bad estimates increase the variance but add no bias.
+which minimises the variance of a choice among techniques. Since every technique has a minimum probability and
+densities are exact, bad estimates increase the variance but add no bias.
 
-The choice reuses the first of two random numbers, which keeps low-discrepancy points well distributed.
+The choice uses the first of the two random numbers of a direction, rescaled for reuse, which preserves the
+distribution of low-discrepancy points.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ MAX_TECHNIQUES = 512
 """Maximum number of techniques, since the table's entries have 10 bits; with more, Mitsuba chooses uniformly,
 without a sky guide."""
 BELOW_ONE = 1.0 - 2.0**-20
-"""Keeps a rescaled random number below 1 after rounding."""
+"""Upper bound of rescaled random numbers, which rounding could raise to 1."""
 
 
 class LightSampler:
@@ -90,7 +91,7 @@ class LightSampler:
         return dr.gather(mi.Float, self.probabilities, self._row(record) * self.num_techniques + technique)
 
     def choose(self, record: Array, sample: Array) -> tuple[Any, Any]:
-        """Technique chosen at a record by ``sample`` in [0, 1), and ``sample`` rescaled for reuse."""
+        """Choose a technique by ``sample`` in [0, 1); also return ``sample`` rescaled for reuse."""
         scaled = sample * self.num_slots
         slot = cell_of(scaled, self.num_slots)
         packed: Any = dr.gather(mi.UInt32, self.table, self._row(record) * self.num_slots + slot)
@@ -100,9 +101,9 @@ class LightSampler:
     def sample_emitter(
         self, si: Any, record: Array, sample: Array, choice: Array, active: Array
     ) -> tuple[Any, Any]:
-        """Sample a direction to an emitter: a ``DirectionSample3f``, and its unoccluded radiance / density.
+        """Sample a direction to an emitter; return ``DirectionSample3f`` and unoccluded radiance / density.
 
-        ``sample`` in [0, 1)^2 chooses technique and direction, ``choice`` in [0, 1) the guide's cell.
+        ``sample`` in [0, 1)^2 selects technique and direction, ``choice`` in [0, 1) the guide's cell.
         """
         technique, rest = self.choose(record, sample.x)
         guide = self.guide
@@ -122,7 +123,7 @@ class LightSampler:
             through: Any = dr.zeros(mi.DirectionSample3f)
             through.d, through.n, through.dist = direction, -direction, guide.distance
             through.p = si.p + direction * guide.distance
-            # By pointer: on CUDA, Dr.Jit 1.5 aborts on recordings that call guide.environment directly.
+            # A pointer, since Dr.Jit 1.5 on CUDA aborts recordings that call guide.environment directly.
             index_of_sky: Any = mi.UInt32(self.environment_index)
             environment: Any = dr.gather(mi.EmitterPtr, self.scene.emitters_dr(), index_of_sky)
             through.emitter = environment
@@ -151,8 +152,8 @@ class LightSampler:
     def technique(self, ds: Any, radiance: Array) -> Array:
         """Technique to which the light of an emitter sample is attributed.
 
-        The sky's light is attributed to the guide, if there is one, unless its luminance ``radiance`` in the
-        direction of ``ds`` exceeds that of the sky without its sun.
+        Light of the sky is attributed to the guide, if there is one, unless its luminance ``radiance`` in the
+        direction of ``ds`` exceeds the maximum luminance of the sky without its sun.
         """
         index = self.index(ds.emitter)
         if self.guide is None:
@@ -162,9 +163,9 @@ class LightSampler:
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """The sampler without estimates: ``guide.share`` for the guide, equal parts of the rest for emitters.
+    """Return a sampler that uses the guide with probability ``guide.share``, otherwise a uniform emitter.
 
-    None for less than two techniques or more than :data:`MAX_TECHNIQUES`.
+    Returns None for fewer than two techniques or more than :data:`MAX_TECHNIQUES`.
     """
     num_emitters = len(scene.emitters())
     if not 2 <= num_emitters + (guide is not None) <= MAX_TECHNIQUES:
@@ -176,7 +177,7 @@ def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
 
 
 def whole_slots(weights: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
-    """Slots (P, T) of each technique, ``num_slots`` per row: one each, the rest by ``weights`` (P, T)."""
+    """Number of slots (P, T) of each technique: one, plus a share by ``weights`` (P, T) of the others."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.full_like(weights, 1.0 / weights.shape[1])
     parts = np.divide(weights, total, out=uniform, where=total > 0.0)

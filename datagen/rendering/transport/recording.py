@@ -13,8 +13,8 @@ def undisturbed() -> Iterator[None]:
     """Suspend Python's garbage collector in this context.
 
     Dr.Jit aborts the process ("enqueue_host_func(): this function cannot be recorded") if an array in NumPy's
-    memory is freed while a function is recorded. The collector may free arrays of an earlier scene at any
-    time; reference counting does not.
+    memory is freed while a function is recorded. Unlike reference counting, the collector may free arrays of
+    an earlier scene at any time.
     """
     was_enabled = gc.isenabled()
     gc.disable()

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""The sky guide: environment light sampled through the openings of a room.
+"""The sky guide samples environment light through the openings of a room.
 
-An environment that lights a room through a window covers a few per cent of the directions at most points.
+At most points of a room, an environment is visible through a window in only a few per cent of the directions.
 Emitter sampling chooses directions by their radiance, and nearly all of its shadow rays hit walls. Manually
 placed portals are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment Map Sampling,
-2015). Here the openings are estimated: paths from the cameras record where rays that leave the room cross the
-box around it, weighted by the radiance outside (:mod:`.sky_observation`).
+2015). Here, the openings are estimated from paths from the cameras: where rays leave the room through the
+faces of the box around it is recorded, weighted by the radiance outside (:mod:`.sky_observation`).
 
-From a point x inside a convex box every direction leaves through exactly one point of its faces. Faces are
-divided into cells; cell c is chosen with the estimated probability P_c and a point q in it uniformly. Then
+From a point x inside a box, every direction leaves through exactly one point of the faces. Faces are divided
+into cells; cell c is chosen with the estimated probability P_c, and a point q in it uniformly. The density
 
     p(w) = P_c / A_c * |q - x|^2 / |cos|
 
-is known for every direction, whatever the shape of the openings. The guide is thus a further technique of
-multiple importance sampling and adds no bias, however poor the estimate.
+of direction w, with the cell's area A_c and the cosine at the face, is then known for openings of any shape.
+The guide is thus a further technique of multiple importance sampling; a poor estimate adds no bias.
 """
 
 from __future__ import annotations
@@ -31,16 +31,15 @@ from mitsuba_plugins.cells import cell_of
 Array = Any
 
 CELLS = 32
-"""Cells of a face along each side, of 0.15 m in a room of 5 m."""
+"""Number of cells along each side of a face; cells measure 0.16 m in a room of 5 m."""
 TABLE = 1 << 16
-"""Entries of the table from which a cell is drawn; probabilities are multiples of the inverse."""
+"""Number of entries of the table from which a cell is drawn; probabilities are multiples of its inverse."""
 BOX_PERCENTILE = 2.0
-"""Percentage of the visited points beyond each face of the box, which excludes surfaces outside."""
+"""Percentage of the visited points left out beyond each face of the box, such as surfaces outside."""
 BOX_MARGIN = 0.02
-"""Margin of the box on each side, as a fraction of its longest side, so that walls lie inside."""
+"""Margin of the box on each side, as a fraction of its longest side, which keeps walls inside the box."""
 NEIGHBOUR_SHARE = 0.05
-"""Fraction of a cell's weight added to each of its eight neighbours, since openings are larger than observed.
-"""
+"""Fraction of a cell's weight added to each of its eight neighbours, since rays miss parts of openings."""
 MIN_ESCAPES = 256
 """Minimum number of rays that leave the room for fitting a guide."""
 MAX_SHARE = 0.5
@@ -52,7 +51,7 @@ MIN_SHARE = 0.1
 class SkyGuide:
     """A distribution of directions towards openings, for points inside a box.
 
-    ``share``: fraction of the shadow rays sampled from it until :mod:`.light_sampler` has estimates by cell.
+    ``share`` is the fraction of shadow rays sampled from it while :mod:`.light_sampler` has no estimates.
     """
 
     def __init__(
@@ -63,8 +62,8 @@ class SkyGuide:
         share: float,
         brightest: float,
     ):
-        """``box_m`` (2, 3): lower and upper corner; ``probabilities`` (6 CELLS^2,), by face, column, row;
-        ``brightest``: maximum luminance of the sky without its sun.
+        """``box_m`` (2, 3) are the lower and upper corner, ``probabilities`` (6 CELLS^2,) those of cells by
+        face, column and row; ``brightest`` is the maximum luminance of the sky without its sun.
         """
         from datagen.rendering.plugins import outside_distance  # needs a selected variant
 
@@ -118,9 +117,9 @@ def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
-    """Exits of rays from a box: cell, distance, and the direction's component normal to the face.
+    """Return cell and distance at which rays exit a box, and the direction's component normal to the face.
 
-    The cell is always valid, even for NaN input of lanes without a vertex.
+    The cell index is always valid, even for NaN input of lanes without a vertex.
     """
     far = [
         dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, upper, lower) - p) / d)
@@ -139,7 +138,7 @@ def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[
 
 
 def fit_sky_guide(scene: Any, observations: SkyObservations) -> SkyGuide | None:
-    """Fit a guide; None if too few rays leave the scene or too little of the light is from the sky."""
+    """Fit a guide; None if too few rays leave the scene or the sky's share of the light is too small."""
     from scipy import ndimage
 
     share = observations.sky_share()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Observes the environment from inside a scene: the radiance of rays that leave surfaces and the scene.
+"""Observes the environment from inside a scene, along rays that leave the scene after a bounce.
 
-Paths from the cameras bounce twice in cosine-distributed directions, whatever the materials.
+Paths from the cameras bounce twice in cosine-distributed directions, regardless of the materials.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from datagen.rendering.transport.vertex import MAX_CROSSINGS_BEFOREHAND, Walk, c
 
 BOUNCES = 2
 RADIANCE_PERCENTILE = 99.5
-"""Percentile to which the radiance of rays that leave is clamped: the sun's disc is sampled separately."""
+"""Percentile to which the radiance of escaping rays is clamped; the sun's disc is sampled separately."""
 _NO_RAY, _HIT, _LEFT = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class SkyObservations:
-    """P surface points with one cosine-distributed ray each; E of the rays leave the scene.
+    """P surface points ``points_m`` (P, 3) with one cosine-distributed ray each; E of the rays escape.
 
-    ``points_m`` (P, 3). Of the rays that leave: ``origins_m`` and ``directions`` (E, 3), luminance
-    ``radiance`` (E,). ``environment`` and ``others``: luminance of the mean irradiance at the points by
-    emitter sampling, from the environment (sun included) and from all other lights.
+    Escaping rays have ``origins_m`` (E, 3), ``directions`` (E, 3) and the luminance ``radiance`` (E,).
+    ``environment`` and ``others`` are the luminance of the mean irradiance at the points, by emitter
+    sampling, from the environment (sun included) and from all other lights.
     """
 
     points_m: NDArray[np.float64]
@@ -40,7 +40,7 @@ class SkyObservations:
     others: float
 
     def clamped_radiance(self) -> NDArray[np.float64]:
-        """``radiance`` (E,) clamped to its 99.5th percentile; rays hit the sun's disc only by chance."""
+        """Return ``radiance`` (E,) clamped to its 99.5th percentile, as rays hit the sun only by chance."""
         return np.minimum(self.radiance, np.percentile(self.radiance, RADIANCE_PERCENTILE))
 
     def sky_share(self) -> float:
@@ -57,8 +57,8 @@ def observe_sky(
 ) -> SkyObservations:
     """Observe the sky along paths from the cameras.
 
-    ``camera_rays``: for each camera, its rays and the sampler of their paths. ``is_hidden(si, depth)``: mask
-    of hits on lights hidden from the camera.
+    ``camera_rays`` are the rays of each camera and the sampler of their paths. ``is_hidden(si, depth)``
+    returns the mask of hits on lights hidden from the camera.
     """
     points, origins, directions, radiance = [], [], [], []
     sums = np.zeros(2)
@@ -82,8 +82,8 @@ def observe_sky(
 
 @dr.syntax
 def _walk(scene: Any, is_hidden: Any, ray: Any, numbers: Any) -> tuple[list[tuple[Any, ...]], list[Any]]:
-    """Trace paths. Returns origin, direction, luminance of the environment and kind of end of the segment
-    after each bounce, and the sums over all vertices of irradiance from the environment and other lights.
+    """Trace paths. Return origin, direction, environment luminance and kind of end of the segment after each
+    bounce, and the luminance of irradiance from environment and other lights, summed over a path's vertices.
     """
     walk = Walk(ray)  # current segment and previous vertex
     environment: Any = mi.EmitterPtr(scene.environment())

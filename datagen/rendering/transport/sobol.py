@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Owen-scrambled Sobol' points: low-discrepancy random numbers for light paths.
 
-The samples of a pixel are the first points of a (0, 2)-sequence: the first 2^k of them, for any k, are
+The samples of a pixel are the first points of a (0, 2)-sequence. The first 2^k of them, for any k, are
 stratified over the unit square, and later passes continue the sequence. Every pair of dimensions of a path
-uses this sequence, shuffled and with another scramble (padding). Scrambles are hashes (Laine and Karras 2011;
+uses this sequence with another shuffle and scramble (padding). Scrambles are hashes (Laine and Karras 2011;
 Burley, Practical Hash-Based Owen Scrambling, 2020, with its constants); the second dimension is computed by
 the Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
 Compact, 2024). With Owen scrambling, every single point is uniformly distributed, so estimates are unbiased.
@@ -23,10 +23,10 @@ _UNIT = 2.0**-24
 
 
 class OwenSobol:
-    """Sampler of one sequence per lane, usable as state of a loop and as argument of recorded functions.
+    """Sampler with one sample index per lane, usable as loop state and as argument of recorded functions.
 
-    ``index``: index of the lane's sample within its pixel; ``key``: hash of the pixel. Lanes with equal keys
-    and different indices are points of one sequence; the sequences of different keys are independent.
+    ``index`` is the index of the lane's sample within its pixel, ``key`` a hash of the pixel. Lanes with
+    equal keys yield points of one sequence; the sequences of different keys are independent.
     """
 
     # Dr.Jit uses the names only; the types, all mi.UInt32, are unknown until a variant is selected.
@@ -38,18 +38,18 @@ class OwenSobol:
         self.dimension: Any = dr.zeros(mi.UInt32, dr.width(self.reversed_index))
 
     def _next(self) -> tuple[Any, Any]:
-        """Index into the next, shuffled sequence, and the hash of its scrambles."""
+        """Return the shuffled index for the next dimensions, and the hash that seeds their scrambles."""
         hashed = _hash(self.key ^ (self.dimension * 0x9E3779B9 + 0x632BE5AB))
         self.dimension = self.dimension + 1
         return dr.brev(_scramble(self.reversed_index, hashed)), hashed
 
     def next_1d(self) -> Array:
-        """A sample in [0, 1)."""
+        """Return a sample in [0, 1)."""
         index, hashed = self._next()
         return _to_unit(_scramble(index, _hash(hashed + 1)))
 
     def next_2d(self) -> Array:
-        """A sample in [0, 1)^2, as Point2f."""
+        """Return a sample in [0, 1)^2 as Point2f."""
         index, hashed = self._next()
         other = index
         for shift, mask in _PASCAL:
@@ -76,5 +76,5 @@ def _hash(x: Array) -> Array:
 
 
 def _to_unit(reversed_bits: Array) -> Array:
-    """Bit-reversed number as a float in [0, 1), from its upper 24 bits."""
+    """Convert a bit-reversed number to a float in [0, 1) with 24 bits."""
     return mi.Float(dr.brev(reversed_bits) >> 8) * _UNIT

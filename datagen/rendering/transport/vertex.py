@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Steps of random walks inside kernels, for path integrator, irradiance cache and sky guide.
 
-Surfaces that a ray passes through (partial opacity, lights hidden from the camera) are not vertices: they do
+Surfaces that a ray passes through (partial opacity, lights hidden from the camera) are not vertices; they do
 not add to the path depth, and the MIS weight of emission behind them is that of the last bounce.
 """
 
@@ -18,12 +18,12 @@ Array = Any
 MAX_CROSSINGS = 32
 """Maximum number of surfaces that a path or shadow ray may pass through; with more, it is blocked."""
 MAX_CROSSINGS_BEFOREHAND = 8
-""":data:`MAX_CROSSINGS` of the paths from which irradiance cache and sky guide are estimated."""
+"""Like :data:`MAX_CROSSINGS`, for paths from which irradiance cache and sky guide are estimated."""
 INVERSE_PI = 1.0 / np.pi
 
 
 class Walk:
-    """State of one random walk per lane, usable as state of Dr.Jit's loops."""
+    """State of one random walk per lane, usable as the state of Dr.Jit loops."""
 
     # Dr.Jit uses the names only; the types are unknown until a variant is selected.
     DRJIT_STRUCT: ClassVar[dict[str, type]] = dict.fromkeys(
@@ -54,8 +54,8 @@ class Walk:
         is_delta: Array = False,
         record: Array = 0,
     ) -> None:
-        """Set the next segment, from ``si``: where ``bounces``, in ``direction`` sampled with density ``pdf``
-        [1/sr], else straight on. ``passes``: mask of rays that pass through the surface without a vertex.
+        """Start the next segment at ``si``, along ``direction`` of density ``pdf`` [1/sr] where ``bounces``,
+        else straight on. The mask ``passes`` marks rays that pass through the surface without a bounce.
         """
         self.ray = si.spawn_ray(dr.select(bounces, direction, self.ray.d))
         self.previous = dr.select(bounces, mi.Interaction3f(si), self.previous)
@@ -67,18 +67,18 @@ class Walk:
 
 
 def facing_normal(si: Any, direction: Array) -> Array:
-    """Geometric normal at hit ``si``, on the side that a ray of ``direction`` arrives from."""
+    """Geometric normal at hit ``si``, oriented against the ray's ``direction``."""
     return dr.mulsign(mi.Vector3f(si.n), -dr.dot(si.n, direction))
 
 
 def cosine_bounce(normal: Array, sample: Array) -> tuple[Any, Any]:
-    """Cosine-distributed direction around ``normal`` and its density [1/sr], from two numbers in [0, 1)."""
+    """Sample a cosine-distributed direction about ``normal`` by ``sample`` in [0, 1)^2, and its density."""
     local = mi.warp.square_to_cosine_hemisphere(sample)
     return mi.Frame3f(normal).to_world(local), local.z * INVERSE_PI
 
 
 def power_heuristic(pdf: Array, other: Array) -> Array:
-    """MIS weight, by Veach's power heuristic, of a sample of density ``pdf``; 0 if both densities are 0."""
+    """MIS weight (Veach's power heuristic) of a sample with density ``pdf``; 0 if both densities are 0."""
     square, other_square = dr.square(pdf), dr.square(other)
     total = square + other_square
     return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)

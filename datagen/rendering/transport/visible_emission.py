@@ -26,7 +26,7 @@ LATTICE = (0.7548776662466927, 0.5698402909980532)
 def render_visible_emission(
     emitters: SceneEmitters, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int
 ) -> NDArray[np.float32]:
-    """Visible emission (P, 3) of the pixels with flat indices (P,), from ``num_samples`` rays each."""
+    """Visible emission (P, 3) of ``pixels``, flat indices (P,), from ``num_samples`` rays each."""
     width, height = (int(v) for v in sensor.film().crop_size())
     with dr.suspend_grad():
         count = dr.opaque(mi.UInt32, num_samples)
@@ -58,7 +58,7 @@ def _summed(
 
 @dr.syntax
 def _emission_ahead(emitters: Any, ray: Array) -> Array:
-    """Emitted radiance along a camera ray, through surfaces of partial opacity."""
+    """Emitted radiance along a camera ray, attenuated by surfaces with partial opacity."""
     scene = emitters.scene
     result = mi.Color3f(0.0)  # emitted radiance so far
     throughput = mi.Color3f(1.0)  # transmittance of the surfaces passed through so far
