@@ -25,7 +25,7 @@ def collect(
 ) -> DatasetIndex:
     """Write ``index.json`` from the manifests of finished units, and return the index.
 
-    Unfinished units are listed in ``missing``; ``progress(done, total)`` counts units. Remains of killed
+    Unfinished units are listed in ``missing``; ``progress(done, total)`` counts units. Files left by killed
     attempts are removed, and ``on_removed`` is called with each path. Raises :class:`InputError` with all
     shards that are outside the folder or, if ``deep``, whose SHA-256 differs from the manifest's.
     """
@@ -66,7 +66,7 @@ def collect(
         )
     progress(len(plan.units), len(plan.units))
     raise_problems(problems)
-    # only folder names: paths of the machine that made the dataset are private
+    # only folder names, since paths of the machine that made the dataset are private
     library = tuple(Path(path).name for path in recipe.library)
     index = DatasetIndex(
         recipe=recipe.model_copy(update={"library": library}),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Interface of the queues of ``datagen farm``: write scripts, submit them, find and cancel jobs.
+"""Interface of ``datagen farm`` to queues, to write and submit scripts and to find and cancel jobs.
 
-An engine is a module with a class that implements :class:`Engine`, and a line in ``submission.ENGINES``. Even
-if a queue repeats, requeues or loses a job, ``work_unit`` commits each result exactly once.
+An engine is a class that implements :class:`Engine`, with an entry in ``submission.ENGINES``. Even if a queue
+repeats or requeues a job, ``work_unit`` commits each result exactly once.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from datagen.foundation.errors import input_error
 
 @dataclass(frozen=True)
 class Script:
-    """A job script: its name in ``jobs/`` of the dataset folder, and its text."""
+    """A job script, with its file name in ``jobs/`` of the dataset folder."""
 
     name: str
     text: str
 
 
 class Engine(Protocol):
-    """Interface to a queue; ``program`` is its command that submits, '' if the user runs the scripts."""
+    """Interface to a queue; ``program`` is its submission command, '' if the user runs the scripts."""
 
     program: str
 
@@ -36,37 +36,37 @@ class Engine(Protocol):
         """Raise :class:`InputError` for options that the queue's scripts cannot express."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
-        """Scripts that run ``datagen run FOLDER --unit INDEX``, repeated after exit code 75, for each index.
+        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each of the ascending ``indices``.
 
-        ``indices`` are in ascending order.
+        The scripts repeat the command after exit code 75.
         """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        """The script that collects, verifies and reports after all units; None if the engine has none."""
+        """Script that indexes, verifies and reports after all units; None if the engine has none."""
 
     def send(self, script: Path, after: Sequence[str]) -> str:
-        """Submit a script, to start when the jobs with the ids ``after`` have ended; returns its job's id."""
+        """Submit a script that starts when the jobs with ids ``after`` have ended; return its job id."""
 
     def jobs(self, root: Path) -> list[str]:
         """Ids of the pending and running jobs of the dataset folder ``root``."""
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
-        """Cancel the jobs with these ids."""
+        """Cancel the jobs ``ids`` of the dataset folder ``root``."""
 
 
 def job_name(root: Path) -> str:
-    """Common name of all jobs of a dataset folder, unique to the folder."""
+    """Name shared by all jobs of a dataset folder and by no others."""
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 
 def with_setup(options: SlurmOptions, root: Path) -> str:
-    """First shell lines of every job: the user's setup code and the definition of ``$folder``."""
+    """First shell lines of every job, with the user's setup code and the definition of ``$folder``."""
     setup = f"{options.setup.rstrip()}\n" if options.setup.strip() else ""
     return f"set -u\n{setup}folder={shlex.quote(str(root.resolve()))}"
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """Shell commands of the job that collects, verifies and reports; exit code: that of the last failure."""
+    """Shell commands that index, verify and report; their exit code is that of the last failure."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?
@@ -79,7 +79,7 @@ exit "$code"
 def ask(where: Path, expected: str, *command: str) -> str:
     """Run a queue's command and return its output.
 
-    Raises :class:`InputError`, with ``where``, ``expected`` and the error output, if the command fails.
+    If it fails, raises :class:`InputError` with ``where``, ``expected`` and the error output.
     """
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The dataset folder: plan, work in progress, shards and markers.
+"""The dataset folder, with plan, work in progress, shards and manifests.
 
     recipe.yaml                   the resolved recipe
     dataset.json                  inputs of the folder (recipe, library, versions)
@@ -14,7 +14,7 @@
     failed/<id>.json, logs/       units that failed, and the output of their processes
     index.json                    the index, collected from the manifests
 
-No other state exists, so any process with access to this folder can continue the work.
+There is no other state, so any process with access to this folder can continue the work.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from datagen.foundation.errors import InputError, Problem, Problems, input_error
 from datagen.foundation.paths import inside
 
 _NEITHER_LINKS_NOR_PIPES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-"""Flags that open a file without following links or waiting for pipes; Windows has neither."""
+"""Flags to open a file without following links or waiting for pipes; 0 on Windows, which lacks them."""
 
 
 class FolderRecord(StrictModel):
-    """``dataset.json``: hashes and versions of the folder's inputs, which never change."""
+    """Content of ``dataset.json``, the hashes and versions of the folder's inputs, which never change."""
 
     format: Literal["scene-materials/folder"] = "scene-materials/folder"
     version: Literal[1] = 1
@@ -59,7 +59,7 @@ class FolderRecord(StrictModel):
 
 
 class PlannedUnit(StrictModel):
-    """A unit in ``plan.json``; ``key`` is the hash of everything that affects the unit's bytes."""
+    """A unit in ``plan.json``; ``key`` is a hash of everything that affects the unit's bytes."""
 
     index: Annotated[int, Field(ge=0)]
     id: Slug
@@ -71,7 +71,7 @@ class PlannedUnit(StrictModel):
 
 
 class Plan(StrictModel):
-    """``plan.json``: the list of units."""
+    """Content of ``plan.json``, the list of units with the variant, versions and assets that they use."""
 
     format: Literal["scene-materials/plan"] = "scene-materials/plan"
     version: Literal[1] = 1
@@ -82,14 +82,14 @@ class Plan(StrictModel):
 
 
 class ViewTiming(StrictModel):
-    """Time spent on one view, in seconds by stage of rendering."""
+    """Seconds spent on one view, by stage of rendering."""
 
     view: str
     seconds: dict[str, float]
 
 
 class UnitManifest(StrictModel):
-    """``units/<key>.json``: marks a unit as done, and identifies its shard."""
+    """Content of ``units/<key>.json``, which marks a unit as done and identifies its shard."""
 
     format: Literal["scene-materials/unit"] = "scene-materials/unit"
     version: Literal[1] = 1
@@ -107,7 +107,7 @@ class UnitManifest(StrictModel):
 
 
 class FailureRecord(StrictModel):
-    """``failed/<id>.json``: a unit of which all attempts failed, its log, and the command that repeats it."""
+    """Content of ``failed/<id>.json``: a unit whose attempts all failed, its log, and the repeat command."""
 
     id: Slug
     index: int
@@ -129,7 +129,7 @@ class _Inside:
 
 @dataclass(frozen=True)
 class DatasetFolder:
-    """Paths of a dataset folder, and readers of its files."""
+    """Paths and contents of a dataset folder; reading a faulty file raises :class:`InputError`."""
 
     root: Path
 
@@ -147,7 +147,7 @@ class DatasetFolder:
         return self.rooms_path / f"{asset_id}.zip"
 
     def library_paths(self) -> list[Path]:
-        """Folders of the dataset's library, and of its generated rooms."""
+        """Folders of the dataset's library and, if there are any, of its generated rooms."""
         return [*map(Path, self.read_record().library_paths), *rooms_of(self.root)]
 
     def configuration_path(self, unit_id: str) -> Path:
@@ -166,7 +166,7 @@ class DatasetFolder:
         return read_json(FolderRecord, inside(self.root, self.record_path))
 
     def read_plan(self) -> Plan:
-        """The plan; raises :class:`InputError` if the folder has none."""
+        """Read the plan. Raises :class:`InputError` if the folder has none."""
         if not self.plan_path.is_file():
             raise input_error(
                 self.plan_path, "", "no plan here", "a dataset folder with a plan", "run `datagen plan` first"
@@ -177,7 +177,7 @@ class DatasetFolder:
         return read_json(Configuration, inside(self.root, self.configuration_path(unit.id)))
 
     def read_manifest(self, unit: PlannedUnit) -> UnitManifest | None:
-        """The unit's manifest, or None if it does not exist. Raises :class:`InputError` for a damaged one."""
+        """Read the unit's manifest; None if there is none. Raises :class:`InputError` if it is damaged."""
         path = self.manifest_path(unit)
         try:  # opens the file, since network file systems cache negative look-ups
             os.close(os.open(path, os.O_RDONLY | _NEITHER_LINKS_NOR_PIPES))
@@ -191,7 +191,7 @@ class DatasetFolder:
         return manifest
 
     def read_failure(self, unit_id: str) -> FailureRecord:
-        """The record of a failed unit. Raises :class:`InputError` if there is none."""
+        """Read the record of a failed unit. Raises :class:`InputError` if there is none."""
         return read_json(FailureRecord, inside(self.root, self.failed_path / f"{unit_id}.json"))
 
     def is_done(self, unit: PlannedUnit) -> bool:
@@ -209,7 +209,7 @@ class DatasetFolder:
         return stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
 
     def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
-        """Raise :class:`InputError` unless the folder is empty or has the same ``recipe`` and ``record``."""
+        """Raise :class:`InputError` unless the folder is empty or was started with these inputs."""
         if not self.record_path.exists():
             if any(not path.name.startswith(".") for path in self.root.iterdir()):
                 expected = "a new or empty folder, or a dataset folder"
@@ -237,7 +237,7 @@ class DatasetFolder:
 
 
 def unit_key(configuration: Configuration, recipe: Recipe, variant: str, versions: dict[str, str]) -> str:
-    """SHA-256, in hexadecimal, of everything that affects the bytes of a unit."""
+    """Return the hexadecimal SHA-256 of everything that affects the bytes of a unit."""
     parts = {
         "configuration": configuration.model_dump(mode="json"),
         "render": recipe.render.model_dump(mode="json"),
@@ -250,13 +250,13 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
 
 
 def rooms_of(path: Path) -> list[Path]:
-    """A list of the folder of generated rooms of the dataset ``path``; empty if there is none."""
+    """List the folder of generated rooms of the dataset ``path``; empty if it has none."""
     rooms = DatasetFolder(path).rooms_path
     return [rooms] if rooms.is_dir() else []
 
 
 def library_of(path: Path) -> list[Path] | None:
-    """Folders of a dataset's library and generated rooms; None if one, or ``dataset.json``, is missing."""
+    """Folders of a dataset's library and generated rooms; None if any or ``dataset.json`` is missing."""
     try:
         paths = DatasetFolder(path).library_paths()
     except InputError:

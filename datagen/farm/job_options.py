@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Resource requests of job scripts, checked before a script is written.
 
-A script is parsed by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. User input must
-therefore match a pattern, or contain no character that ends a line, a quotation or a comment.
+Both Slurm, for the ``#SBATCH`` directives, and bash parse a script line by line. User input must therefore
+match a pattern, or contain no character that ends a line, a quotation or a comment.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _RESERVED = {
     "time", "mem", "cpus-per-task", "gres", "partition", "account", "qos", "constraint", "exclude",
     "mail-user", "mail-type",
 }  # fmt: skip
-"""Options of sbatch that the scripts set, or that have a field of :class:`SlurmOptions`."""
+"""Options of sbatch that the scripts set or for which :class:`SlurmOptions` has a field."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,8 @@ class SlurmOptions:
 
     ``notice_s`` seconds before its time limit, a unit is signalled to finish its view, then requeued.
     ``setup`` is shell code that makes ``datagen`` callable on a node. Plans longer than ``max_array`` (the
-    cluster's MaxArraySize) become several array jobs. The collecting job has its own resources; it shares
-    account, qos, exclude, mail and, by default, partition with the units. Raises :class:`InputError` with all
-    faults.
+    cluster's MaxArraySize) become several array jobs. The collecting job has separate resources, but account,
+    qos, exclude, mail and, by default, partition of the units. Raises :class:`InputError` with all faults.
     """
 
     time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00"
@@ -131,13 +130,13 @@ def seconds_of(time_limit: str) -> int:
 
 
 def option_name(field: str) -> str:
-    """The command-line option of a field of :class:`SlurmOptions`."""
+    """Return the command-line option of a field of :class:`SlurmOptions`."""
     return declared_options(SlurmOptions)[field][0]
 
 
 def _wrong_setup(setup: str) -> list[Problem]:
-    """The problem of ``setup``, if any: control characters, invalid bash, or an incomplete command, which
-    bash would continue on the following lines.
+    """Return the problem of ``setup``, if any: control characters, invalid bash, or an incomplete command,
+    which bash would continue on the following lines.
     """
     if not setup.strip():
         return []
@@ -146,7 +145,7 @@ def _wrong_setup(setup: str) -> list[Problem]:
     if bad is not None:
         return [Problem(_WHERE, "--setup", f"{bad!r} in {setup!r}", "lines of text", remedy)]
     checked = subprocess.run(["bash", "-n"], input=setup, text=True, capture_output=True)
-    fault = " ".join(checked.stderr.split())  # also if bash only warns, as for an unterminated here-document
+    fault = " ".join(checked.stderr.split())  # including warnings, as for an unterminated here-document
     if (len(setup) - len(setup.rstrip("\\"))) % 2:
         fault = "a backslash at its end, which joins it with the next line"
     if checked.returncode != 0 or fault:
@@ -173,20 +172,20 @@ def _wrong_option(option: str, text: str) -> list[Problem]:
 
 
 def is_one_line(text: str) -> bool:
-    """Whether a text is one line of valid UTF-8 without control characters."""
+    """Whether a text is a single line, encodable in UTF-8, without control characters."""
     return not any(unicodedata.category(character) in _UNSAFE_CATEGORIES for character in text)
 
 
 def can_be_directive(text: str) -> bool:
-    """Whether Slurm reads a double-quoted text in a directive unchanged.
+    """Whether Slurm reads ``text``, double-quoted in a directive, unchanged.
 
-    Slurm treats a backslash as an escape, and in file names a backslash disables the replacement of ``%a``.
+    Slurm treats a backslash as an escape, which in file names disables the replacement of ``%a``.
     """
     return is_one_line(text) and '"' not in text and "\\" not in text
 
 
 def check_folder(root: Path, engine: str) -> None:
-    """Raise :class:`InputError` for a folder whose path this engine's scripts cannot contain."""
+    """Raise :class:`InputError` for a folder whose path the scripts of ``engine`` cannot contain."""
     path = str(root.resolve())
     remedy = "rename the folder, or reach it by another path"
     if not is_one_line(path):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Finds and removes the files that killed attempts left in a dataset folder.
 
-A crash between a shard's rename and its marker leaves a tar file that no marker names; an earlier crash
-leaves a partial one. A second process on a unit may write views after the first has committed the unit.
+A crash between publication of a shard and its manifest leaves a tar file that no manifest names; an earlier
+crash leaves a partial one. A second process on a unit may write views after the first has committed it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _PARTIAL_MARKER = re.compile(r"\.+(?P<key>[0-9a-f]{64})\.json\.[0-9a-f]{12}\.par
 def find_leftovers(root: Path) -> list[Path]:
     """Sorted paths of the unneeded files and folders of planned units that are not in progress.
 
-    Files whose names this project does not use are ignored. Raises :class:`InputError` if there is no plan.
+    Files with unknown names are ignored. Raises :class:`InputError` if there is no plan.
     """
     folder = DatasetFolder(root)
     units = folder.read_plan().units
@@ -45,7 +45,7 @@ def find_leftovers(root: Path) -> list[Path]:
 
 
 def remove_leftovers(root: Path) -> list[Path]:
-    """Remove the files and folders of :func:`find_leftovers`; returns the removed paths."""
+    """Remove the files and folders of :func:`find_leftovers`, and return the removed paths."""
     removed = []
     for path in find_leftovers(root):
         if path.is_dir() and not path.is_symlink():
@@ -60,16 +60,16 @@ def remove_leftovers(root: Path) -> list[Path]:
 
 
 def _is_needed(folder: DatasetFolder, unit: PlannedUnit, name: str, now: float) -> bool:
-    """Whether the file ``name`` is the unit's shard, or may become it since an attempt is running."""
+    """Whether the file ``name`` is the unit's shard or may belong to a running attempt."""
     if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S:
         return True
     try:
         manifest = folder.read_manifest(unit)
     except InputError:
-        return True  # a damaged marker does not identify its shard
+        return True  # a damaged manifest does not identify its shard
     return manifest is not None and Path(manifest.shard).name == name
 
 
 def _is_over(folder: DatasetFolder, unit: PlannedUnit, now: float) -> bool:
-    """Whether the unit is done and no process is working on it."""
+    """Whether the unit is done and has no recent heartbeat."""
     return folder.is_done(unit) and age_of_attempt(folder.work_path(unit), now) >= RUNNING_AGE_S

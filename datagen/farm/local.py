@@ -2,8 +2,8 @@
 """Runs units on this machine, in worker processes that may crash without affecting each other.
 
 The parent sends unit indices over pipes and never imports mitsuba. If a worker dies, its unit is tried again
-in a new process and, after all attempts, recorded as failed with its log and the command that reproduces the
-failure. Workers are replaced after a number of units or when their memory has grown.
+in a new process; after the last attempt, it is recorded as failed, with its log and the command that
+reproduces the failure. Workers are replaced after a number of units or when their memory has grown.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from datagen.farm.worker import STOP_SIGNALS, available_cpus, check_writable, pl
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from mitsuba_plugins.variant import check_variant
 
-GRACE_S = 20.0  # time that workers have to stop before they are killed
+GRACE_S = 20.0  # time for workers to stop before they are killed
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,18 @@ class LocalOptions:
 
 @dataclass
 class RunSummary:
-    """Outcome of a run; ``done`` lists ids, and ``already_done`` counts the units finished before it."""
+    """Outcome of a run, with the ids of ``done`` units and the number ``already_done`` before the run."""
 
     done: list[str] = field(default_factory=list)
     already_done: int = 0
     failures: list[FailureRecord] = field(default_factory=list)
     interrupted: bool = False
     disk_full: str = ""
-    """Message about the full disk that stopped the run, or ''; the units affected do not count as failed."""
+    """Message about a full disk that stopped the run, or ''; affected units do not count as failed."""
 
     @property
     def set_aside(self) -> list[str]:
-        """Ids of the units of which all attempts failed."""
+        """Ids of the units whose attempts all failed."""
         return [failure.id for failure in self.failures]
 
 
@@ -69,7 +69,7 @@ maximum number of attempts), with kind "retry" or "set_aside".
 
 
 class _Worker:
-    """Handle of a worker process: its pipe, current unit, and number of finished units."""
+    """Handle of a worker process, with its pipe, current unit and number of finished units."""
 
     def __init__(self, root: Path, threads: int, stages: tuple[str, ...]):
         context = get_context("spawn")
@@ -97,7 +97,7 @@ class _Worker:
         return self.num_units >= options.max_units_per_worker or grown > options.max_growth_mb
 
     def dismiss(self) -> None:
-        """Send an idle worker process the message to end, and wait until it has ended."""
+        """Tell an idle worker process to end, and wait for its end."""
         with suppress(OSError):  # the process may already have ended
             self.connection.send(None)
         self.process.join(GRACE_S)
@@ -115,9 +115,9 @@ def run_local(
 ) -> RunSummary:
     """Run every unfinished unit of the plan, or of ``options.only``, and return the outcome.
 
-    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop; a full disk stops the
-    run as soon as it is noticed. Units that failed ``attempts`` times are in ``set_aside`` and under
-    ``failed/``. Raises :class:`InputError` without a plan, or if the folder is not writable.
+    After SIGINT, SIGTERM or SIGUSR1, the run stops once views in progress are finished, at most 20 s later; a
+    full disk stops it immediately. Units that failed ``attempts`` times are listed in ``set_aside`` and
+    recorded in ``failed/``. Raises :class:`InputError` without a plan or for a folder that is not writable.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
@@ -136,7 +136,7 @@ def run_local(
 
 @dataclass
 class _LocalRun:
-    """A run's queue of units, its workers and its outcome so far."""
+    """A run in progress, with its queue of units, its workers and its outcome so far."""
 
     folder: DatasetFolder
     options: LocalOptions
@@ -211,7 +211,7 @@ class _LocalRun:
             self.summary.disk_full = self.summary.disk_full or reason
         elif outcome == "failed":
             self._fail(unit, reason, worker.log)
-        else:  # the worker was stopped from outside: its unit is tried again
+        else:  # the worker was stopped from outside, so the attempt does not count
             self.attempts[unit.id] -= 1
             self.todo.append(unit)
         if outcome == "failed" or worker.is_spent(memory_mb, self.options):
@@ -234,7 +234,7 @@ class _LocalRun:
             command=f"datagen run {shlex.quote(str(root.resolve()))} --unit {unit.index} --attempts 0",
         )
         self.summary.failures.append(record)
-        # a full disk may also prevent the record, which the summary contains
+        # the summary contains the record even if a full disk prevents writing it
         with suppress(OSError):
             self.folder.failed_path.mkdir(exist_ok=True)
             write_bytes_atomically(self.folder.failed_path / f"{unit.id}.json", canonical_json(record))
@@ -242,7 +242,7 @@ class _LocalRun:
 
 
 def _ready(workers: list[_Worker]) -> list[_Worker]:
-    """Workers that have sent a message or ended; waits at most 1 s, to react to signals."""
+    """Wait up to 1 s, to react to signals, and return the workers that sent a message or ended."""
     handles = {
         handle: worker for worker in workers for handle in (worker.connection, worker.process.sentinel)
     }
@@ -261,7 +261,7 @@ def _end_of(exit_code: int) -> str:
 
 
 def _stop_all(workers: list[_Worker]) -> None:
-    """Signal every worker to stop after its view, and wait for their outcomes, at most ``GRACE_S``."""
+    """Signal every worker to stop after its view, and wait for their outcomes for up to ``GRACE_S``."""
     for worker in workers:
         if worker.process.is_alive():
             worker.process.terminate()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``datagen recipe new``: writes a recipe from four answers, and its schema for editors."""
+"""The command ``datagen recipe new``, which writes a recipe from four answers, and its schema for editors."""
 
 from __future__ import annotations
 
@@ -65,7 +65,10 @@ def new(
 def write_recipe(
     file: Path, configurations: int, views: int, resolution: str, quality: str, seed: int = 0
 ) -> Path:
-    """Write a recipe and, in its folder, the schema. Raises :class:`InputError` for invalid answers."""
+    """Write a recipe and, to the same folder, its schema; return ``file``.
+
+    Raises :class:`InputError` for invalid answers and an existing file.
+    """
     import yaml
 
     from datagen.formats.base import parse_model, write_bytes_atomically

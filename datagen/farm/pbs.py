@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Runs a plan on PBS (OpenPBS, PBS Professional) by array jobs.
 
-PBS arrays have consecutive members and at least two of them, so the script lists the unit of each member. PBS
-sends no signal before a time limit, so the script does. Unfinished units then submit themselves again.
+PBS arrays have at least two members with consecutive numbers, so the script lists the unit of each member.
+PBS sends no signal before a time limit, so the script does. Unfinished units then submit themselves again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "c
 
 
 class PbsEngine:
-    """The engine for PBS, which calls ``qsub``, ``qselect`` and ``qdel``; ``--partition`` is a PBS queue."""
+    """Engine for PBS, which calls ``qsub``, ``qselect`` and ``qdel``; ``--partition`` is a PBS queue."""
 
     program = "qsub"
 

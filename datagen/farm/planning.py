@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plans a dataset folder from a recipe: writes all configurations, then the list of units."""
+"""Plans a dataset folder from a recipe, by writing all configurations and then the list of units."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from mitsuba_plugins.variant import check_variant, resolve_variant
 
 
 def check_start(recipe: Recipe, library: Library) -> None:
-    """Raise :class:`InputError` for faults of recipe, library or LLVM that make every unit fail."""
+    """Raise :class:`InputError` for faults of recipe, library or Mitsuba variant before work starts."""
     check_recipe(recipe, library)
     check_variant(recipe.render.variant)
 
 
 def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
-    """Create or reopen a dataset folder. Raises :class:`InputError` if recipe, library or versions differ."""
+    """Create or reopen a dataset folder. Raises :class:`InputError` if it was started with other inputs."""
     folder = DatasetFolder(root)
     record = FolderRecord(
         recipe_sha256=sha256_hex(canonical_json(recipe)),
@@ -78,9 +78,9 @@ def create_plan(
     report: Advance = no_advance,
     tell: Callable[[str], None] = lambda note: None,
 ) -> Plan:
-    """Assemble the missing configurations and write the plan; if there is a plan, read it.
+    """Assemble the missing configurations and write the plan; if there is already a plan, return it.
 
-    ``report(done, total)`` is called for each assembled configuration, ``tell`` with each note of
+    ``report(done, total)`` is called for each assembled configuration, ``tell`` for each note of
     :func:`notes_before`. Raises :class:`InputError` for faults of recipe, library or folder.
     """
     if not DatasetFolder(root).plan_path.exists():
@@ -110,7 +110,7 @@ def create_plan(
 
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """Notes on valid but unusual content: objects that do not fit, implausible sizes, rooms without a sky."""
+    """List notes on valid but unusual content: unplaceable objects, implausible sizes, skyless rooms."""
     return [
         *map(str, unplaceable(recipe, library)),
         *implausible_sizes(recipe, library),

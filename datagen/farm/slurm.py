@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Runs a plan on Slurm, or on any queue that can run one command per unit.
 
-Slurm may run a job twice: the job of a lost node is requeued while its old process may still run;
-``work_unit`` commits one result. Nothing is identified by a job id, since a restarted controller may reuse
-ids.
+Slurm may run a job twice, since it requeues the job of a lost node whose process may still run;
+``work_unit`` commits only one result. Job ids identify nothing, since a restarted controller may reuse them.
 """
 
 from __future__ import annotations
@@ -21,9 +20,10 @@ from datagen.foundation.errors import input_error
 
 
 def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> str:
-    """Format ``#SBATCH`` lines: None is an option without value; an option with the value '' is left out.
+    """Format ``#SBATCH`` lines; the value None is an option without value, and '' leaves an option out.
 
-    Values are double-quoted if necessary (otherwise ``#`` would begin a comment).
+    Values are double-quoted if necessary, as ``#`` would begin a comment. Raises :class:`InputError` for
+    values that cannot be quoted.
     """
     lines = []
     for name, value in [*directives.items(), *map(split_option, options)]:
@@ -38,7 +38,7 @@ def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> 
 
 
 def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | None]:
-    """Directives common to the array jobs and the collecting job."""
+    """Directives common to array jobs and collecting job."""
     return {
         "job-name": job_name(root),
         "account": options.account,
@@ -53,7 +53,7 @@ def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | Non
 def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[int]) -> str:
     """Script of an array job for the units ``indices``; task i runs unit ``offset + i``.
 
-    The offset keeps the array's indices below Slurm's limit.
+    The offset keeps task numbers below Slurm's limit.
     """
     check_folder(root, "slurm")
     throttle = f"%{options.throttle}" if options.throttle else ""
@@ -97,7 +97,7 @@ exit "$code"
 
 
 def collect_script(root: Path, options: SlurmOptions) -> str:
-    """Script of the collecting job, which runs :func:`collect_commands` and requests no GPU."""
+    """Script of the collecting job, which runs :func:`collect_commands` without a GPU."""
     check_folder(root, "slurm")
     directives: dict[str, str | None] = {
         **_shared_directives(root, options),
@@ -128,7 +128,7 @@ def _escaped(path: Path) -> str:
 
 
 class SlurmEngine:
-    """The engine for Slurm, which calls ``sbatch``, ``squeue`` and ``scancel``."""
+    """Engine for Slurm, which calls ``sbatch``, ``squeue`` and ``scancel``."""
 
     program = "sbatch"
 
@@ -162,7 +162,7 @@ class SlurmEngine:
 
 
 class ShellEngine:
-    """The engine that writes a list of commands and submits nothing."""
+    """Engine that writes a list of commands and submits nothing."""
 
     program = ""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Estimates the disk space that the remaining units need, and compares it with the free space."""
+"""Estimates the disk space needed by the unfinished units, and compares it with the free space."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS
 from datagen.foundation.errors import input_error
 
 VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2
-"""Upper bound of bytes per pixel of a view in progress: 16 float32 channels before and after statistics."""
+"""Bound of bytes per pixel of a view in progress, for 16 float32 channels before and after statistics."""
 _PACKED_SHARE = 0.37
-"""Size of a packed view relative to its buffers, measured by `datagen run smoke.yaml`."""
+"""Size of a packed view relative to its buffers, as measured with `datagen run smoke.yaml`."""
 
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Estimated bytes of the shards of ``num_units`` unfinished units, and of the views in progress."""
+    """Estimated bytes of the shards of ``num_units`` unfinished units, and of simultaneous work on them."""
 
     num_units: int
     shard_bytes: float
@@ -30,8 +30,9 @@ class SpaceNeed:
 
 
 def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
-    """Estimate the space for the unfinished units, ``workers`` at a time, from finished shards or, if none,
-    from the resolution.
+    """Estimate the space for the unfinished units, ``workers`` of which run at a time.
+
+    The size of shards is estimated from finished ones or, if there are none, from the resolution.
     """
     plan, recipe = folder.read_plan(), folder.read_recipe()
     pixels = recipe.resolution[0] * recipe.resolution[1]
@@ -52,7 +53,7 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
 
 
 def check_space(folder: DatasetFolder, workers: int) -> None:
-    """Raise :class:`InputError` if the unfinished units are estimated to need more than the free space."""
+    """Raise :class:`InputError` if the space of :func:`needed_space` exceeds the free space."""
     need = needed_space(folder, workers)
     free = shutil.disk_usage(folder.root).free
     if need.total_bytes > free:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads the state of a plan's units from its folder; manifests are authoritative, logs are not."""
+"""Reads the state of a plan's units from the dataset folder, in which manifests are authoritative."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.paths import inside
 
 RUNNING_AGE_S = 600.0
-"""A unit whose heartbeat is younger than this, in seconds, counts as running."""
+"""Age in seconds below which the heartbeat of a unit indicates that it is running."""
 
 
 @dataclass(frozen=True)
 class FarmStatus:
     """Progress of a plan: numbers of units and views, ids of running units, times and rates.
 
-    ``core_seconds`` is the total running time of finished units; ``array_spec`` lists the unfinished units in
-    the syntax of Slurm's ``--array``.
+    ``core_seconds`` is the total wall-clock time of finished units; ``array_spec`` lists the unfinished units
+    in the syntax of Slurm's ``--array``.
     """
 
     total: int
@@ -58,10 +58,7 @@ def names_in(folder: Path) -> set[str]:
 
 
 def read_status(root: Path) -> FarmStatus:
-    """Read the progress of a dataset folder. Raises :class:`InputError` if there is no plan.
-
-    Each folder is listed once, and each manifest is read once.
-    """
+    """Read the progress of a dataset folder. Raises :class:`InputError` if there is no plan."""
     folder = DatasetFolder(root)
     plan = folder.read_plan()
     markers = names_in(folder.units_path)
@@ -104,7 +101,7 @@ def read_status(root: Path) -> FarmStatus:
 
 
 def file_system_now(folder: DatasetFolder) -> float:
-    """Current time in seconds by the file system's clock, from a touched file; clocks of hosts differ."""
+    """Current time in seconds by the file system's clock, which is common to all hosts."""
     probe = folder.root / f".clock.{os.getpid()}"
     try:
         probe.touch()
@@ -112,12 +109,12 @@ def file_system_now(folder: DatasetFolder) -> float:
     except OSError:
         return time.time()  # status also works on a read-only folder
     finally:
-        with suppress(OSError):  # read-only: no heartbeat was written either
+        with suppress(OSError):  # the folder is read-only
             probe.unlink(missing_ok=True)
 
 
 def age_of_attempt(work: Path, now: float) -> float:
-    """Seconds since the last heartbeat of an attempt in the folder ``work``; infinite if there is none."""
+    """Seconds between the last heartbeat in the folder ``work`` and ``now``; infinite if there is none."""
     try:
         return abs(now - (work / "running").stat().st_mtime)  # abs: the clock may have been set back
     except OSError:
@@ -137,7 +134,7 @@ def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureR
 
 
 def _rate_per_hour(times: list[float], now: float) -> float | None:
-    """Units finished per hour since the first one of the last hour; None if fewer than two were finished."""
+    """Rate since the first finish time in the last hour; None if the last hour has fewer than two."""
     recent = [t for t in times if now - t <= 3600]
     if len(recent) < 2:
         return None
@@ -146,7 +143,7 @@ def _rate_per_hour(times: list[float], now: float) -> float | None:
 
 
 def forget_failures(root: Path) -> list[str]:
-    """Remove the records of failed units; returns their ids."""
+    """Remove the records of failed units, and return the units' ids."""
     folder = DatasetFolder(root)
     forgotten = []
     for unit in folder.read_plan().units:
@@ -158,7 +155,7 @@ def forget_failures(root: Path) -> list[str]:
 
 
 def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
-    """The last ``count`` lines of a log in the folder; empty if ``log`` is ''."""
+    """Last ``count`` lines of a log in the folder; empty if ``log`` is '', a note if it is unreadable."""
     if not log:
         return []
     try:
@@ -171,7 +168,7 @@ def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
 
 
 def print_status(root: Path, cost_per_core_hour: float = 0.0) -> FarmStatus:
-    """Print and return the status of a dataset folder; the price is that of a unit's resources per hour."""
+    """Print and return the status of a dataset folder; a running unit costs ``cost_per_core_hour``."""
     status = read_status(root)
     hours = status.core_seconds / 3600
     print(

@@ -23,7 +23,7 @@ ENGINES: dict[str, Engine] = {"slurm": SlurmEngine(), "pbs": PbsEngine(), "shell
 
 @dataclass(frozen=True)
 class Submission:
-    """Result of :func:`submit`: scripts, job ids (empty if not submitted) and number of unfinished units."""
+    """Result of :func:`submit`: scripts, job ids (none without submission), number of unfinished units."""
 
     scripts: tuple[Path, ...]
     job_ids: tuple[str, ...]
@@ -31,7 +31,7 @@ class Submission:
 
 
 def engine_of(name: str) -> Engine:
-    """The engine with this name. Raises :class:`InputError` for an unknown name."""
+    """Return the engine called ``name``. Raises :class:`InputError` for an unknown name."""
     if name not in ENGINES:
         raise input_error("farm", "engine", name, ", ".join(ENGINES), "choose one of them")
     return ENGINES[name]
@@ -46,8 +46,8 @@ def submit(
 ) -> Submission:
     """Write job scripts for the unfinished units, and submit them unless ``dry_run``.
 
-    Raises :class:`InputError` for faults of options, folder or queue, and if the disk lacks space for the
-    shards and the views of ``throttle`` units in progress (1 if it is 0).
+    Raises :class:`InputError` for faults of options, folder or queue and, if ``is_space_checked``, for a disk
+    without space for the shards and the views of ``throttle`` units in progress (1 if it is 0).
     """
     folder, queue = DatasetFolder(root), engine_of(engine)
     indices = [unit.index for unit in folder.read_plan().units if not folder.is_done(unit)]
@@ -79,7 +79,7 @@ def submit(
 
 
 def cancel(root: Path, engine: str = "slurm") -> list[str]:
-    """Cancel every job of a dataset folder and return the jobs' ids; finished units are kept."""
+    """Cancel all jobs of a dataset folder and return their ids; finished units are kept."""
     DatasetFolder(root).read_plan()
     queue = engine_of(engine)
     ids = queue.jobs(root)

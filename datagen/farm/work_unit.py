@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Runs a unit, from its configuration to its committed shard, interruptible and resumable at any point.
 
-Stages communicate through files only: ``render`` writes finished views, ``stats`` writes views with
-statistics, ``pack`` writes the shard and its manifest. Every file is written atomically, the manifest last by
-``os.link``: of two processes on a unit, the first to finish commits it, the second has no effect.
+Stages communicate only through files: ``render`` writes views, ``stats`` writes views with statistics, and
+``pack`` writes the shard and its manifest. Every file is written atomically, the manifest last, by
+``os.link``. If two processes run a unit, the first to finish commits it, and the second has no effect.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Interrupted(Exception):
 class UnitRun:
     """State of an attempt at a unit. ``report(stage, done, total)`` is called after each view.
 
-    ``should_stop`` is called between views; if it returns True, :class:`Interrupted` is raised.
+    ``should_stop`` is called between views; if it returns true, :class:`Interrupted` is raised.
     """
 
     folder: DatasetFolder
@@ -88,7 +88,7 @@ class UnitRun:
 
     @property
     def heartbeat_path(self) -> Path:
-        """File touched while an attempt is running, read by :mod:`datagen.farm.status`."""
+        """File that a running attempt touches, and by which :mod:`datagen.farm.status` recognises it."""
         return self.work / "running"
 
     def progress(self, stage: str, done: int, total: int) -> None:
@@ -97,14 +97,14 @@ class UnitRun:
         self.report(stage, done, total)
 
     def check_stop(self) -> None:
-        """Raise :class:`Interrupted` if ``should_stop`` returns True."""
+        """Raise :class:`Interrupted` if ``should_stop`` returns true."""
         if self.should_stop():
             raise Interrupted(self.unit.id)
 
     # ------------------------------------------------------------------ views on disk
 
     def read_record(self, folder: Path, view: str) -> ViewRecord | None:
-        """The record of a finished view, or None if it is missing or does not match its EXR file."""
+        """Read the record of a finished view; None if it is missing or does not match its EXR file."""
         try:
             record = read_json(ViewRecord, folder / f"{view}.json")
             if sha256_file(folder / f"{view}.exr") == record.exr_sha256:
@@ -124,7 +124,7 @@ class UnitRun:
 
 
 def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) -> bool:
-    """Run ``stages`` of a unit; returns False if it is already committed.
+    """Run ``stages`` of a unit; return whether the unit was not yet committed.
 
     Raises :class:`Interrupted`, :class:`InputError`, or any error of the renderer; finished views are kept.
     """
@@ -142,14 +142,14 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
         raise
     finally:
         run.heartbeat_path.unlink(missing_ok=True)
-        # also if another process has committed the unit: this one may have written files since
+        # even if another process has committed the unit, since this one may have written files afterwards
         if run.folder.is_done(run.unit):
             shutil.rmtree(run.work, ignore_errors=True)
     return True
 
 
 def _check_planned(run: UnitRun, configuration: Configuration) -> None:
-    """Raise :class:`InputError` for files that changed since the plan, or other software versions."""
+    """Raise :class:`InputError` if files or software versions have changed since planning."""
     where = run.folder.configuration_path(run.unit.id)
     versions = pixel_versions(has_light=run.recipe.statistics.light)
     if run.versions != versions:
@@ -206,7 +206,7 @@ def _render(run: UnitRun, configuration: Configuration) -> None:
 
 
 def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
-    """Compute the multi-view statistics of all views and publish the complete views."""
+    """Compute the multi-view statistics of all views, and publish the views with them."""
     start = time.perf_counter()
     names = [camera.name for camera in configuration.cameras]
     run.complete_path.mkdir(parents=True, exist_ok=True)
@@ -281,7 +281,7 @@ def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:
 
 
 def _pack(run: UnitRun, configuration: Configuration) -> None:
-    """Write the complete views into a shard, commit it, and write the manifest."""
+    """Write the complete views to a shard, and commit it by its manifest."""
     start = time.perf_counter()
     run.heartbeat_path.touch()
     names = [camera.name for camera in configuration.cameras]
@@ -302,7 +302,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         digest = sha256_file(partial)
         shard = run.folder.shards_path / f"{configuration.id}-{digest[:16]}.tar"
         num_bytes = partial.stat().st_size
-        run.heartbeat_path.touch()  # keeps the shard, which no marker names yet, from being removed
+        run.heartbeat_path.touch()  # prevents removal of the shard, which no manifest names yet
         publish(partial, shard)
     except BaseException as error:
         partial.unlink(missing_ok=True)
@@ -314,7 +314,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         try:
             timings.append(read_json(ViewTiming, run.rendered_path / f"{name}.timing"))
         except InputError:
-            timings.append(ViewTiming(view=name, seconds={}))  # not written by an attempt that was killed
+            timings.append(ViewTiming(view=name, seconds={}))  # an attempt was killed before writing it
     run.seconds["pack"] = round(time.perf_counter() - start, 3)
     manifest = UnitManifest(
         key=run.unit.key,
@@ -333,7 +333,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
 
 
 def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
-    """Publish a unit's manifest, unless another attempt has published a valid one."""
+    """Publish a unit's manifest unless another attempt has published a valid one."""
     path = run.folder.manifest_path(run.unit)
     partial = path.with_name(f".{path.name}.{run.attempt}.partial")
     write_bytes_atomically(partial, canonical_json(manifest))
@@ -345,7 +345,7 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
         except InputError:
             other = None
         is_wrong = other is not None and other.shard == manifest.shard and other.sha256 != manifest.sha256
-        if other is None or is_wrong or not run.folder.is_done(run.unit):  # damaged, or without its shard
+        if other is None or is_wrong or not run.folder.is_done(run.unit):  # it is damaged or lacks its shard
             publish(partial, path)
         elif other.shard != manifest.shard:
             (run.folder.root / manifest.shard).unlink(missing_ok=True)
@@ -354,4 +354,4 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
 
 
 STAGES = {"render": _render, "stats": _gather_statistics, "pack": _pack}
-"""The function of each stage."""
+"""Function that runs each stage."""

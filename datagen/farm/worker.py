@@ -22,14 +22,14 @@ from datagen.library import Library
 from mitsuba_plugins.variant import check_variant, select_variant
 
 EXIT_INTERRUPTED = 75
-"""Exit code (EX_TEMPFAIL) of a unit that a signal stopped and that is to be run again."""
+"""Exit code (EX_TEMPFAIL) of a unit that a signal stopped and that must be run again."""
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1") if hasattr(signal, name)
 )  # missing on Windows
 
 
 def available_cpus() -> int:
-    """Number of processors that this process may use; a queue may grant fewer than the machine has."""
+    """Number of processors that this process may use, which a queue may limit."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -46,14 +46,14 @@ def check_writable(root: Path) -> None:
 
 
 def planned_unit(plan: Plan, root: Path, index: int) -> PlannedUnit:
-    """The unit with this index. Raises :class:`InputError` if the plan has none."""
+    """Return unit ``index`` of the plan of ``root``. Raises :class:`InputError` if there is none."""
     if not 0 <= index < len(plan.units):
         raise input_error(root, "unit", index, f"0 to {len(plan.units) - 1}", "correct the index")
     return plan.units[index]
 
 
 def worker_main(connection: Connection, root: str, threads: int, stages: tuple[str, ...]) -> None:
-    """Main function of a worker process: receive an index, run the unit, send the outcome, repeat."""
+    """Main function of a worker process: receive unit indices, run the units, and send the outcomes."""
     signals: list[int] = []
     parent = os.getppid()
     for number in STOP_SIGNALS:  # Ctrl-C and queues signal all processes; only the parent reacts
@@ -92,12 +92,12 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
 
 
 def _full(error: OSError, root: Path) -> str:
-    """Message of the error of a write to a full disk."""
+    """Message about a write error on a full disk."""
     return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
 
 
 class _redirected_output:
-    """Context that appends the process's stdout and stderr, also of native code, to a log file."""
+    """Context manager that appends the process's stdout and stderr, even of native code, to a log file."""
 
     def __init__(self, log: Path):
         self.log = log
@@ -121,7 +121,7 @@ class _redirected_output:
 
 
 class _WorkerContext:
-    """Plan, recipe and library, read once per process; with ``threads`` None, Dr.Jit's default is used."""
+    """Plan, recipe and library of a process. If ``threads`` is None, Dr.Jit's default is used."""
 
     def __init__(self, folder: DatasetFolder, threads: int | None):
         self.folder = folder
@@ -150,7 +150,7 @@ def _run_one(
     report: Callable[[str, int, int], None],
     should_stop: Callable[[], bool],
 ) -> tuple[str, str]:
-    """Run a unit; returns done, already, interrupted, failed or full (disk), and the reason of a failure."""
+    """Run a unit; return done, already, interrupted, failed or full (disk), and the reason of a failure."""
     from datagen.farm.work_unit import Interrupted, UnitRun, run_unit
 
     try:
@@ -189,9 +189,9 @@ def run_unit_here(
     stages: tuple[str, ...] = ("render", "stats", "pack"),
     report: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> int:
-    """Run one unit in this process, as job scripts and reproductions of failures do.
+    """Run one unit in this process, for job scripts and to reproduce failures.
 
-    Returns an exit code: 0 done, 75 stopped by SIGTERM, SIGINT or SIGUSR1 (run it again), 1 failed.
+    Returns the exit code: 0 if done, 75 if stopped by SIGTERM, SIGINT or SIGUSR1 (run it again), 1 if failed.
     """
     signals: list[int] = []
     for number in STOP_SIGNALS:

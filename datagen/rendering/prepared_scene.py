@@ -115,7 +115,7 @@ class PreparedScene:
         return self.configuration.cameras[index].camera()
 
     def sensor(self, camera: Camera) -> Any:
-        """Mitsuba sensor of ``camera``, valid until the next call, as cameras of equal size share a sensor."""
+        """Mitsuba sensor of ``camera``, valid until the next call since cameras of equal size share one."""
         size = (camera.width_px, camera.height_px)
         if size not in self._sensors:
             self._sensors[size] = sensor_for(camera)
