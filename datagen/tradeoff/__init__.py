@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Measures error and time of all settings that affect time, and recommends a setting for a given error."""
+"""Measures error and time of all settings that affect time; recommends the fastest within error limits."""

@@ -79,7 +79,7 @@ def _announce(sweep: Sweep) -> None:
 
 
 def _run(sweep: Sweep) -> None:
-    """Measure with a progress bar; an interrupt ends the command with exit code 75."""
+    """Run the sweep with a progress bar; an interrupt ends the command with exit code 75."""
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
     with Bars("steps") as bars:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """References for the tradeoff: converged views of a configuration, rendered once and stored.
 
-A reference contains, for each view, two independent images (whose noise does not affect the expectation of
-errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views, computed from
-the denoised means of both images with traced visibility and the maximum number of best views. Its name is the
-hash of everything that affects it, so it is never reused for another library, configuration, resolution,
-sample count or renderer.
+For each view, a reference contains two independent images (whose noise does not affect the expectation of
+errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views. These are
+computed from the denoised means of both images, with traced visibility and the maximum number of best views.
+The name of a reference is a hash of everything that affects it, so it is never reused for another library,
+configuration, resolution, sample count or renderer.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ STATISTICS = ("color_min", "color_median", "color_max")
 
 
 def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -> Configuration:
-    """The configuration at resolution ``size`` (width, height) with ``num_views`` evenly spaced views."""
+    """Reduce a configuration to resolution ``size`` (width, height) and ``num_views`` evenly spaced views."""
     total = len(configuration.cameras)
     count = min(num_views, total)
     chosen = [configuration.cameras[k * total // count] for k in range(count)]
@@ -50,7 +50,7 @@ def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -
 
 
 def reference_key(configuration: Configuration, samples: int) -> str:
-    """Hash of everything that affects a reference; the configuration contains the hashes of its assets."""
+    """Hash everything that affects a reference, including the asset hashes in the configuration."""
     parts = {
         "configuration": configuration.model_dump(mode="json"),
         "samples": samples,
@@ -64,7 +64,7 @@ def reference_key(configuration: Configuration, samples: int) -> str:
 
 @dataclass(frozen=True)
 class Reference:
-    """Converged views on disk: ``folder`` contains ``view_000.npz``, ... and ``statistics.npz``."""
+    """Converged views in ``folder``, as files ``view_000.npz`` and so on, and ``statistics.npz``."""
 
     folder: Path
     num_views: int
@@ -101,7 +101,7 @@ class Reference:
             return {name: data[f"{name}_{index}"] for name in STATISTICS}
 
     def exposure(self, index: int) -> float:
-        """Exposure of view ``index``, by which errors of radiance are multiplied."""
+        """Exposure factor of view ``index``, which scales errors of radiance."""
         first, second = self.halves(index)
         return exposure_for(0.5 * (first + second))
 
@@ -140,7 +140,7 @@ def make_reference(
 
 
 def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np.float32]:
-    """Mean radiance (H, W, 3) of ``samples`` paths per pixel, with seeds that depend on ``half``, 0 or 1."""
+    """Mean radiance (H, W, 3) of ``samples`` paths per pixel; seeds differ between ``half`` 0 and 1."""
     sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
     total, done = np.zeros((1, 1, 3)), 0
     while done < samples:
@@ -154,7 +154,7 @@ def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np
 def _statistics(
     renderer: Any, configuration: Configuration, reference: Reference
 ) -> dict[str, NDArray[np.float32]]:
-    """Statistics of all views from their converged and denoised colours, by buffer and view."""
+    """Statistics of the converged and denoised colours of all views, by name ``BUFFER_VIEW``."""
     denoiser = make_denoiser(renderer.variant)
     views = []
     for index, camera in enumerate(configuration.cameras):
@@ -164,7 +164,7 @@ def _statistics(
         normal = maps["normal_world"]
         if denoiser.wants_camera_normals:
             normal = normal @ camera.camera().world_from_camera[:3, :3].astype(np.float32)
-        # denoising impairs visible lights, whose pixels have no statistics
+        # denoising impairs visible lights, but their pixels have no statistics
         color = denoiser.denoise(mean, albedo, normal)
         views.append(StatisticsView.from_buffers(camera.camera(), {**maps, "beauty": color}))
     options = StatisticsOptions(best_views=BEST_VIEWS, visibility=VisibilityOptions(mode="trace"))

@@ -23,7 +23,7 @@ RENDER_FIELDS = (
     "firefly_clamp",
     "irradiance_cache",
 )
-"""Fields that a recommendation may change; the others change the content of a view."""
+"""Fields in which a recommendation may differ from the base; the others change the content of a view."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Point:
 
 
 def points_of(trials: Iterable[Trial]) -> list[Point]:
-    """Points of the settings that were measured on every configuration of ``trials``."""
+    """Average the trials of each setting that was measured on every configuration of ``trials``."""
     by_setting: dict[Setting, dict[str, Trial]] = {}
     for trial in trials:
         by_setting.setdefault(Setting(**trial.setting), {})[trial.configuration] = trial
@@ -66,8 +66,8 @@ def points_of(trials: Iterable[Trial]) -> list[Point]:
 def pareto_front(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
     """Indices of the pairs (cost, error) that no other dominates, cheapest first.
 
-    A pair dominates another if neither its cost nor its error is larger and one of them is smaller. Of equal
-    pairs the first is kept.
+    A pair dominates another if neither its cost nor its error is larger and one of them is smaller. The first
+    of equal pairs is kept.
     """
     order = sorted(range(len(costs)), key=lambda k: (costs[k], errors[k], k))
     front: list[int] = []
@@ -89,9 +89,9 @@ def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
 
 
 def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) -> Point:
-    """The cheapest comparable point whose errors are at most ``limits`` (by field of :class:`Point`).
+    """Return the cheapest comparable point with errors of at most ``limits``, by field of :class:`Point`.
 
-    Raises :class:`InputError`, which states the smallest errors measured, if there is none.
+    If there is none, raises :class:`InputError` with the smallest errors measured.
     """
     found = comparable(points, base)
     meets = [p for p in found if all(getattr(p, name) <= limit for name, limit in limits.items())]
@@ -110,8 +110,8 @@ def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s"
     """Cost of ``point`` divided by the cost at which the Pareto front of ``others`` reaches its error.
 
     ``cost`` is a field of :class:`Point`. The front is interpolated in logarithms between its points. The
-    result is below 1 for a point that extends the front, and 0 for an error below the whole front. An error
-    above that of the front's cheapest point is compared with this point.
+    result is below 1 for a point that extends the front, and 0 for an error below the whole front. For an
+    error above the whole front, the cost of the front's cheapest point is used.
     """
     costs = [getattr(p, cost) for p in others]
     front = [others[k] for k in pareto_front(costs, [p.rel_mse for p in others])]
@@ -124,6 +124,6 @@ def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s"
 
 
 def as_row(point: Point) -> dict[str, Any]:
-    """Fields of the point's setting and its means in one dictionary."""
+    """Combine the fields of a point's setting and the point's means in one dictionary."""
     values = asdict(point)
     return {**values.pop("setting"), **values}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Settings that trade accuracy for time: one setting, the sweeps around a base point, and the factorial.
+"""Settings that trade accuracy for time, in sweeps around a base point and in a factorial design.
 
 Every field of :class:`Setting` affects time. The base point has the recipe's defaults and a fixed number of
-samples; a sweep varies one field, and the factorial combines the four fields that interact: auxiliary buffers
+samples. A sweep varies one field, and the factorial combines four fields that interact: auxiliary buffers
 matter only to the denoiser, both affect the number of samples needed, and the irradiance cache makes samples
 cheaper and less noisy.
 """
@@ -21,17 +21,17 @@ from datagen.foundation.exr import COMPRESSIONS
 from datagen.rendering.denoiser import uses_optix
 
 DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
-"""No denoiser; OIDN's qualities, with guides; OIDN's ``high`` without guides; OptiX."""
+"""No denoiser, three qualities of OIDN with guides, OIDN's ``high`` without guides, or OptiX."""
 
 
 @dataclass(frozen=True)
 class Setting:
     """Options for rendering, processing and storing a view.
 
-    ``quality`` names a target of the recipe, which then determines samples, clamp and auxiliary samples.
-    ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
-    ``texture_shrink`` is the side in texels of the squares that are averaged to one texel. ``image_scale`` is
-    a factor on width and height; images are enlarged for comparison. ``storage`` ``float`` keeps every
+    ``quality``, if not '', determines samples, clamp, irradiance cache and auxiliary samples instead of their
+    fields. ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
+    ``texture_shrink`` is the side in texels of the squares that are averaged to one texel. ``image_scale``
+    multiplies width and height; images are enlarged for comparison. ``storage`` ``float`` stores every
     channel in single precision.
     """
 
@@ -52,7 +52,7 @@ class Setting:
     variant: str = "llvm_ad_rgb"
 
     def recipe(self) -> RenderRecipe:
-        """Recipe for the renderer with the fields of the setting that concern it."""
+        """Convert the fields that concern the renderer to a recipe."""
         common = {
             "variant": self.variant,
             "max_depth": self.max_depth,
@@ -67,12 +67,12 @@ class Setting:
         return RenderRecipe.model_validate({**common, **samples, **clamp, **cache})
 
     def differences(self, base: Setting) -> dict[str, Any]:
-        """Values of the fields in which the setting differs from ``base``."""
+        """Fields, with values, in which the setting differs from ``base``."""
         theirs = asdict(base)
         return {name: value for name, value in asdict(self).items() if value != theirs[name]}
 
     def text(self, base: Setting) -> str:
-        """Short description of the setting by its differences from ``base``."""
+        """Short description of the setting by its differences from ``base``, or "base"."""
         found = self.differences(base)
         return ", ".join(f"{name} {value}" for name, value in found.items()) or "base"
 
@@ -94,14 +94,14 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "variant": ("llvm_ad_rgb", "cuda_ad_rgb"),
     "quality": tuple(QUALITIES),
 }
-"""Values of each field for its sweep."""
+"""Default values of each field in its sweep."""
 FACTORIAL: dict[str, tuple[Any, ...]] = {
     "path_samples": (2, 4, 8, 16, 32),
     "auxiliary_samples": (16, 64),
     "denoiser": ("fast", "balanced", "high"),
     "irradiance_cache": (0, 1),
 }
-"""Values of the fields of the factorial, of which all combinations are measured."""
+"""Values of the four fields of the factorial; all combinations are measured."""
 _LIMITS: dict[str, tuple[float, float]] = {
     "firefly_clamp": (0.0, 1e6),
     "irradiance_cache": (0, 1),
@@ -116,9 +116,9 @@ def base_setting(variant: str) -> Setting:
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
-    """The base point, the sweeps and the factorial: each setting once, in a fixed order.
+    """List the base point, the sweeps and, except on CUDA, the factorial, without duplicates.
 
-    A sweep is a field's name, or ``NAME=VALUE,VALUE``. Raises :class:`InputError` with all invalid sweeps.
+    A sweep is a field's name or ``NAME=VALUE,VALUE``. Raises :class:`InputError` with all invalid sweeps.
     """
     settings, problems = [base], []
     for text in sweeps:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs a sweep: references, then trials, in one worker process per variant, with all results on disk.
+"""Runs a sweep of references and trials in worker processes, with all results on disk.
 
 ``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` are finished results; an interrupted sweep
 continues from them, and other sweeps in the same folder reuse them.
@@ -68,7 +68,7 @@ class SweepOptions:
 
 @dataclass(frozen=True)
 class Subject:
-    """A configuration at the sweep's resolution, its library and its reference."""
+    """A configuration at the sweep's resolution, with its library and reference."""
 
     configuration: Configuration
     library_paths: tuple[str, ...]
@@ -76,7 +76,7 @@ class Subject:
     reference_samples: int
 
     def trial_path(self, out: Path, setting: Setting) -> Path:
-        """Path of a trial's result, named by a hash of setting, quality and software versions."""
+        """Path of a trial's result, named after the reference and a hash of setting and software versions."""
         meaning = QUALITIES[setting.quality] if setting.quality else None  # type: ignore[index]
         key = sha256_hex(canonical_json([asdict(setting), meaning, pixel_versions()]))[:16]
         return out / "trials" / f"{self.reference.folder.name}-{key}.json"
@@ -129,7 +129,7 @@ class Sweep:
         return [read_trial(path) for path in paths if path.is_file()]
 
     def description(self) -> dict[str, str]:
-        """Conditions of the sweep, by name, for its report."""
+        """Conditions of the sweep for its report, by name."""
         options = self.options
         return {
             "configurations": ", ".join(s.configuration.id for s in self.subjects),
@@ -143,8 +143,8 @@ class Sweep:
     def run(self, report: Callable[[str, int], None] = lambda what, done: None) -> list[Trial]:
         """Compute the missing references and trials, and return all trials of the sweep.
 
-        ``report(what, steps)`` is called when views or trials are finished. Finished results are kept after
-        an interrupt, and if the worker process dies, which raises :class:`RuntimeError`.
+        ``report(what, steps)`` is called when views or trials are finished. Raises :class:`RuntimeError` if a
+        worker process dies; finished results are kept, as after an interrupt.
         """
         for subject in self.subjects:
             if not subject.reference.is_complete:
@@ -193,7 +193,7 @@ def _check(out: Path, options: SweepOptions) -> None:
 
 
 def read_trial(path: Path) -> Trial:
-    """Read a stored trial. Raises :class:`InputError` if the file is unreadable or no trial."""
+    """Read a stored trial. Raises :class:`InputError` if the file is unreadable or not a trial."""
     try:
         return Trial(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
@@ -202,7 +202,7 @@ def read_trial(path: Path) -> Trial:
 
 @contextmanager
 def _worker() -> Iterator[ProcessPoolExecutor]:
-    """Pool of one process, since a process cannot change its variant. RuntimeError if the process dies."""
+    """Yield a pool of one new process, which is limited to one variant. Raises RuntimeError if it dies."""
     pool = ProcessPoolExecutor(1, get_context("spawn"), _start_worker)
     try:
         yield pool

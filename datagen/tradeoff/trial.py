@@ -3,12 +3,12 @@
 
 Stages run one after the other so that their seconds can be measured separately; in production they overlap,
 and a view takes about their processor seconds divided by the number of cores. The first view is rendered
-twice, which excludes compilation. Seconds are medians over views, plus a view's share of the preparation of
-the scene.
+twice, which excludes compilation times. Seconds are medians over views, plus a view's share of the time to
+prepare the scene.
 
-* ``rel_mse``: exposed relMSE of the stored beauty (``datagen.rendering.error``), mean over views;
+* ``rel_mse``: mean over views of the exposed relMSE of the stored beauty (``datagen.rendering.error``);
 * ``maps_error``: mean absolute error of D, S, R and the normal, over surface pixels;
-* ``statistics_error``: mean absolute error of minimum, median and maximum at the view's exposure.
+* ``statistics_error``: mean absolute error of minimum, median and maximum colour at the view's exposure.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the seconds of this context as an entry of stage ``name``."""
+        """Add the seconds spent in this context as an entry of stage ``name``."""
         cpu, wall = time.process_time(), time.perf_counter()
         yield
         entry = (time.perf_counter() - wall, time.process_time() - cpu)
         self.seconds.setdefault(name, []).append(entry)
 
     def medians(self) -> dict[str, dict[str, float]]:
-        """Medians over views, ``wall_s`` and ``cpu_s``, of each stage, and their sums as ``total``."""
+        """Medians ``wall_s`` and ``cpu_s`` of each stage over its entries, and their sums as ``total``."""
         kinds = ("wall_s", "cpu_s")
         found = {
             name: dict(zip(kinds, map(stats.median, zip(*entries, strict=True)), strict=True))
@@ -71,7 +71,7 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Trial:
-    """Result of a setting on a configuration; the module's docstring defines errors and seconds."""
+    """Result of a setting on a configuration, with errors and seconds as defined by this module."""
 
     configuration: str
     setting: dict[str, Any]
@@ -98,7 +98,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
     build_cpu_s = time.process_time() - start
     preparing, watch = Stopwatch(), Stopwatch()
-    with preparing.stage("learn"):  # again, with compiled kernels
+    with preparing.stage("learn"):  # repeated with compiled kernels
         renderer.prepare_paths()
     renderer.render_view(0)
     rendered = []
@@ -156,7 +156,7 @@ def _scaled(configuration: Configuration, share: float) -> Configuration:
 
 
 def _denoiser(setting: Setting) -> OidnDenoiser | None:
-    """The denoiser of a setting; None keeps the renderer's default."""
+    """Create the OIDN denoiser of a setting; None keeps the renderer's default."""
     if setting.denoiser in ("none", "optix"):
         return None
     is_guided = setting.denoiser != "unguided"
@@ -170,7 +170,7 @@ def _gather(
     scene: Any,
     watch: Stopwatch,
 ) -> Iterator[dict[str, NDArray]]:
-    """Yield the statistics of each view by buffer, timed without the compilation of the first launch."""
+    """Yield the statistics of each view by buffer name, and time them after a first run that compiles."""
     views = [
         StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
         for camera, buffers in zip(configuration.cameras, stored, strict=True)
@@ -186,7 +186,7 @@ def _gather(
 
 
 def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
-    """Encode a view as an EXR file, as in shards or with every float channel in single precision."""
+    """Encode a view as an EXR file, either as in shards or with float channels in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
     channels = {}
@@ -202,7 +202,7 @@ def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
 
 
 def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> dict[str, float]:
-    """Errors, by measure, of the stored buffers of view ``index`` against the reference."""
+    """Errors of the stored ``buffers`` of view ``index`` against the reference, by name."""
     first, second = reference.halves(index)
     size = (first.shape[1], first.shape[0])
     found = {"rel_mse": relative_mse(_at_size(buffers["beauty"], size), first, second, exposed=True)}
@@ -219,7 +219,7 @@ def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> di
 
 
 def _at_size(array: NDArray, size: tuple[int, int]) -> NDArray[np.float32]:
-    """``array`` (H, W, C) resampled to ``size`` (width, height)."""
+    """Resample ``array`` (H, W, C) to ``size`` (width, height)."""
     image = array.astype(np.float32)
     if image.shape[1::-1] == size:
         return image

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Writes a sweep's results as CSV, JSON, two figures and one self-contained HTML page."""
+"""Writes the results of a sweep as CSV, JSON, two figures and a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _COLORS = {"fast": "#e69f00", "balanced": "#56b4e9", "high": "#0072b2", "none": 
 
 @dataclass(frozen=True)
 class Results:
-    """Trials and conditions of a sweep, and the recommended point with the error limits that it meets."""
+    """Trials and conditions of a sweep; ``recommended`` is the cheapest point within the error ``limits``."""
 
     trials: Sequence[Trial]
     base: Setting
@@ -55,13 +55,13 @@ class Results:
 
 
 def csv_columns() -> list[str]:
-    """Names of the CSV file's columns, in order."""
+    """Names of the columns of the CSV file, in order."""
     setting = [field.name if field.name != "path_samples" else "samples_asked" for field in fields(Setting)]
     return ["configuration", *setting, *MEASURES, *(f"{stage}_cpu_s" for stage in STAGES)]
 
 
 def write_results(results: Results, out: Path) -> list[Path]:
-    """Write ``tradeoff.csv``, ``.json``, ``.html`` and the figures ``front.png``, ``sweeps.png``."""
+    """Write ``tradeoff.csv``, ``.json``, ``.html`` and figures to the folder ``out``; return their paths."""
     out.mkdir(parents=True, exist_ok=True)
     points = points_of(results.trials)
     figures = {"front.png": _png(front_figure(points, results))}
@@ -178,7 +178,7 @@ def _add_legend(axes: Axes) -> None:
 
 
 def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
-    """Plot errors, time and bytes relative to the base, one panel per swept field; None without a sweep."""
+    """Plot errors, time and bytes relative to the base, with a panel per swept field; None without sweeps."""
     from matplotlib.figure import Figure
 
     base_point = next((p for p in points if p.setting == base), None)
@@ -198,7 +198,7 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
         axes.set_yscale("log", base=2)
         axes.axhline(1.0, color="#333333", lw=0.7)
         low, high = axes.get_ylim()
-        # a minimum range keeps small differences from looking large
+        # a minimum range prevents small differences from looking large
         axes.set_ylim(min(low, 0.5), max(high, 2.0))
         axes.set_title(f"{name} (base {getattr(base, name)})", fontsize=9)
         axes.tick_params(axis="x", labelrotation=45 if max(map(len, values)) > 4 else 0, labelsize=8)
@@ -214,7 +214,7 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
 
 
 def _one_at_a_time(points: Sequence[Point], base: Setting, name: str) -> list[Point]:
-    """The base and the points that differ from it only in field ``name``, in the order of its values."""
+    """Select the base and the points that differ from it only in field ``name``, sorted by its value."""
     some = [p for p in points if set(p.setting.differences(base)) <= {name}]
     order = {value: k for k, value in enumerate(SWEEPS[name])}
     return sorted(some, key=lambda p: (order.get(getattr(p.setting, name), 0.5), getattr(p.setting, name)))
