@@ -4,8 +4,8 @@
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
 For each main class, this prints the number of materials, the 5th, 50th and 95th percentiles over materials of
-the brightest channel of mean D and of mean R, each with its limits of variation, and the medians over
-materials of the standard deviation of texels of hue (in turns), saturation and value (as factors) and R.
+the brightest channel of mean D and of mean R, each with its limits of variation, and medians over materials
+of the standard deviations over texels: of hue in turns, of saturation and value as factors, and of R.
 """
 
 from __future__ import annotations

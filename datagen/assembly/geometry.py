@@ -195,7 +195,7 @@ def _is_opaque(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
 
 
 class GeometryCache:
-    """Geometry by package hash; above ``max_triangles`` in total, the least recently used is evicted."""
+    """Cache of geometries by package hash; drops the least recently used above ``max_triangles`` in total."""
 
     def __init__(self, max_triangles: int = _MAX_CACHED_TRIANGLES):
         self._max_triangles = max_triangles

@@ -223,7 +223,7 @@ class Rectangle:
     def is_crossed(
         self, origins: Floats, directions: Floats, limit_m: Floats | float = np.inf
     ) -> NDArray[np.bool_]:
-        """Mask (R,) of rays (R, 3) that cross the rectangle, opposite to its normal, within ``limit_m``."""
+        """Mask (R,) of rays (R, 3) that cross the rectangle from its front within ``limit_m``."""
         cosine = directions @ self.normal
         height = (self.origin - origins) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -69,7 +69,7 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """Ranges of the adjustments that move means of a material into those of a look; None if none does.
+    """Ranges of the adjustments that move a material's means into the ranges of a look; None if none does.
 
     The limits of the class are widened for untextured materials of classes with a wide range of hues.
     """

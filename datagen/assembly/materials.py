@@ -77,7 +77,7 @@ Ranges of R cover the finishes of a class (a glaze is never matt, plaster never 
 
 @dataclass(frozen=True)
 class MeanMaterial:
-    """Averages of a material over its textures: D, S, R, and emitted radiance in W/(m² sr) (linear RGB)."""
+    """Averages of a material over its textures: D, S, R in [0, 1], and emitted radiance in W/(m² sr)."""
 
     diffuse_albedo: tuple[float, float, float]
     specular_albedo: tuple[float, float, float]
@@ -273,7 +273,7 @@ def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
 def _drawn(
     fitting: list[Package], class_weights: Mapping[MaterialClass, float], pick: NDArray[np.float64]
 ) -> Package | None:
-    """Select a package by ``pick`` (2,) in [0, 1), for class and package; None if all class weights are 0."""
+    """Select a class, then a package, by ``pick`` (2,) in [0, 1); None if all class weights are 0."""
     by_class: dict[MaterialClass, list[Package]] = {}
     for package in fitting:
         assert isinstance(package.asset, MaterialAsset)

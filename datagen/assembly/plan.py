@@ -107,9 +107,9 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
 
     If too few objects or views are found, all are drawn again, in the same room or, if it is generated, in
     another one, up to :data:`NUM_TRIES` draws in total; ``rejections`` counts the repetitions as
-    ``configuration.retried``. :func:`datagen.assembly.generated.room_of` returns a generated room, which is
-    not in ``library``. Raises :class:`IndexError` for an index out of range, :class:`InputError` if the
-    library cannot satisfy the recipe.
+    ``configuration.retried``. A generated room is not in ``library``;
+    :func:`datagen.assembly.generated.room_of` returns it. Raises :class:`IndexError` for an index out of
+    range, :class:`InputError` if the library cannot satisfy the recipe.
     """
     if not 0 <= index < recipe.configurations:
         raise IndexError(f"configuration {index} of {recipe.configurations}")
@@ -248,7 +248,7 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
 def _likely_dresser(
     recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
 ) -> LikelyDresser | None:
-    """Return the dresser of a configuration with likely materials; None if it is drawn to be arbitrary."""
+    """Draw whether materials are likely or arbitrary; return a dresser for likely ones, else None."""
     weights = recipe.materials.variation
     draws = Draws(*key[:2], "style")
     if not draws.chance(weights.likely / (weights.likely + weights.wild)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Placement of cameras, as a person would photograph a room.
+"""Places cameras as a person would to photograph a room.
 
 Candidates are drawn in free space, aimed at objects or across the room, and ray-traced at low resolution.
 Those that are too close, show too little, are too dark or overlap too little with other views are rejected
@@ -86,7 +86,7 @@ class Subject:
 
     @classmethod
     def of(cls, scene: WorldScene) -> Subject:
-        """Find the objects and furniture of a scene; large parts of the room count as walls or floors."""
+        """Find the objects and furniture of a scene; parts that span most of the room are walls or floors."""
         order = np.argsort(scene.instance_of_face, kind="stable")
         instances, starts = np.unique(scene.instance_of_face[order], return_index=True)
         corners = scene.rays.corners[order]
@@ -117,7 +117,7 @@ class Subject:
 
 @dataclass
 class ViewFinder:
-    """Finds the cameras of one configuration; ``key`` seeds the draws, ``rejections`` counts by reason."""
+    """Finds the cameras of a configuration; ``key`` seeds draws, ``rejections`` counts reasons to reject."""
 
     scene: WorldScene
     shell: Shell
@@ -243,7 +243,7 @@ class ViewFinder:
         return Candidate(camera, preview, hits.distance_m.reshape(shape), points, is_room=is_room)
 
     def _shows_enough(self, faces: NDArray[np.int64], num_pixels: int, subject: Subject) -> bool:
-        """Whether the triangles ``faces`` hit by pixels include enough instances, objects and furniture."""
+        """Whether pixels whose rays hit triangles ``faces`` show enough instances, objects and furniture."""
         pixels = np.bincount(self.scene.instance_of_face[faces], minlength=self.scene.num_instances)
         num_seen = int((pixels >= max(2.0, _MIN_INSTANCE_PIXELS * num_pixels)).sum())
         if num_seen < self.recipe.min_content:
@@ -253,7 +253,7 @@ class ViewFinder:
         return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
 
     def _planes(self, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Pixel count of each visible plane, in descending order; normals and offsets are rounded to 0.1."""
+        """Pixel counts of visible planes, in descending order; normal and offset [m] are rounded to 0.1."""
         normals = self.scene.rays.normals[faces]
         offsets = (normals * self.scene.rays.corners[faces, 0]).sum(axis=1)
         planes = np.round(np.column_stack([normals, offsets]) * 10).astype(np.int64) + 1000

@@ -107,7 +107,7 @@ class UnitManifest(StrictModel):
 
 
 class FailureRecord(StrictModel):
-    """Content of ``failed/<id>.json``: a unit whose attempts all failed, its log, and the repeat command."""
+    """Content of ``failed/<id>.json``: a unit whose attempts all failed, its log, and a command to run it."""
 
     id: Slug
     index: int
@@ -250,7 +250,7 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
 
 
 def rooms_of(path: Path) -> list[Path]:
-    """List the folder of generated rooms of the dataset ``path``; empty if it has none."""
+    """Return a list of the folder of generated rooms of the dataset ``path``; empty if it has none."""
     rooms = DatasetFolder(path).rooms_path
     return [rooms] if rooms.is_dir() else []
 

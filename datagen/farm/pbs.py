@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs a plan on PBS (OpenPBS, PBS Professional) by array jobs.
+"""Runs a plan on PBS (OpenPBS, PBS Professional) in array jobs.
 
 PBS arrays have at least two members with consecutive numbers, so the script lists the unit of each member.
 PBS sends no signal before a time limit, so the script does. Unfinished units then submit themselves again.

@@ -2,7 +2,7 @@
 """Runs a plan on Slurm, or on any queue that can run one command per unit.
 
 Slurm may run a job twice, since it requeues the job of a lost node whose process may still run;
-``work_unit`` commits only one result. Job ids identify nothing, since a restarted controller may reuse them.
+``work_unit`` commits only one result. No job is identified by its id, as a restarted controller may reuse it.
 """
 
 from __future__ import annotations

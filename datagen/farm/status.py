@@ -134,7 +134,7 @@ def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureR
 
 
 def _rate_per_hour(times: list[float], now: float) -> float | None:
-    """Rate since the first finish time in the last hour; None if the last hour has fewer than two."""
+    """Units per hour since the first of the finish ``times`` in the last hour; None for fewer than two."""
     recent = [t for t in times if now - t <= 3600]
     if len(recent) < 2:
         return None
@@ -168,7 +168,7 @@ def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
 
 
 def print_status(root: Path, cost_per_core_hour: float = 0.0) -> FarmStatus:
-    """Print and return the status of a dataset folder; a running unit costs ``cost_per_core_hour``."""
+    """Print and return a dataset folder's status; ``cost_per_core_hour`` is the price of a unit per hour."""
     status = read_status(root)
     hours = status.core_seconds / 3600
     print(

@@ -124,7 +124,7 @@ class UnitRun:
 
 
 def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) -> bool:
-    """Run ``stages`` of a unit; return whether the unit was not yet committed.
+    """Run ``stages`` of a unit; return False if an earlier or concurrent run has committed it.
 
     Raises :class:`Interrupted`, :class:`InputError`, or any error of the renderer; finished views are kept.
     """

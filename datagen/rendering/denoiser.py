@@ -45,8 +45,8 @@ def auxiliary_albedo(
 ) -> NDArray[np.float32]:
     """Albedo guide (H, W, 3), the reflectance at normal incidence, (1 - S) D + S, times ``mask``.
 
-    ``mask`` (H, W, 1) is the share of the pixel covered by surface, since the image contains only reflected
-    light and likewise fades to 0 at edges.
+    With ``mask`` (H, W, 1), the share of the pixel covered by surface, the guide fades to 0 at edges like the
+    image, which contains only reflected light.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
@@ -95,7 +95,7 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """Create and commit a filter (slowly) and its image buffers for ``shape`` (H, W)."""
+        """Create and commit a filter, which is slow, and its image buffers for ``shape`` (H, W)."""
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
@@ -167,7 +167,7 @@ def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """Create OIDN at a quarter of the cost, for error estimates; None without denoising or with OptiX."""
+    """Create a fast OIDN denoiser for error estimates; None if the recipe disables it or uses OptiX."""
     from mitsuba_plugins.variant import select_variant
 
     uses_oidn = not uses_optix(select_variant(recipe.variant))

@@ -28,7 +28,7 @@ MAX_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:
-    """Decoded meshes by package and file; above 256 MB in total, the least recently used are dropped."""
+    """Cache of decoded meshes by package and file; drops the least recently used above 256 MB in total."""
 
     def __init__(self) -> None:
         self.num_bytes = 0

@@ -44,7 +44,7 @@ _ENVIRONMENT_FROM_MITSUBA = np.array(
 
 @dataclass
 class LightSetup:
-    """Lights as ``entries`` of Mitsuba's scene dictionary; ``hidden`` are keys of those the camera skips."""
+    """Lights as ``entries`` of a Mitsuba scene dictionary; ``hidden``: keys of lights hidden from the camera."""
 
     entries: dict[str, Any] = field(default_factory=dict)
     hidden: set[str] = field(default_factory=set)
@@ -150,7 +150,7 @@ def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -
 
 
 def area_light_mesh(light: AreaLight) -> Mesh:
-    """World-space mesh of an area light, with its front, in the direction edge_u x edge_v, emitting."""
+    """World-space mesh of an area light, whose front, with the normal edge_u x edge_v, emits light."""
     origin, u, v = (np.asarray(a, dtype=np.float64) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     if light.shape == "rectangle":
         corners = np.stack([origin, origin + u, origin + u + v, origin + v])

@@ -22,10 +22,10 @@ MAX_DEPTH = 64
 
 
 def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
-    """Mean reflectance in [0, 1] of the surfaces in views with ground truth ``buffers``, (H, W, C) by name.
+    """Reflectance in [0, 1] that represents all surfaces in views with ``buffers``, (H, W, C) by name.
 
-    It is the largest channel's root mean square over pixels, since a mean would neglect that bright surfaces
-    contribute more light; 0 without surfaces.
+    It is the largest root mean square of a channel over pixels, since the mean would underestimate the share
+    of light from bright surfaces; 0 without surfaces.
     """
     squares, weight = np.zeros(3), 0.0
     for view in buffers:

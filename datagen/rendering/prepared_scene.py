@@ -138,7 +138,7 @@ class PreparedScene:
         release_memory()
 
     def _path_depth(self) -> tuple[int, float | None]:
-        """Return the maximum path depth, and its truncation if the recipe sets a bound of this, else None."""
+        """Return the maximum path depth and, if the recipe bounds the truncation, its value, else None."""
         if self.recipe.max_energy_left is None:
             return self.recipe.max_depth or DEFAULT_MAX_DEPTH, None
         reflectance = reflectance_met(list(self.coarse_maps()))

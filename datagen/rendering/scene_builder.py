@@ -248,7 +248,7 @@ class _Builder:
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """UV scale of a part, as assigned or else for real size; 1 if neither is defined."""
+    """UV scale of a part: as assigned, else for the real size of an assigned material, else 1."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

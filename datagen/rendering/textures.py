@@ -34,8 +34,8 @@ _MIN_SATURATION = 1e-3  # below, S is grey up to rounding
 def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustment) -> NDArray[np.float32]:
     """Adjust channel values, (H, W, 3) for colours and (H, W) for scalars; results are clamped to [0, 1].
 
-    Hue, saturation and value of D are adjusted in linear HSV, hue and saturation of coloured texels of S; the
-    offset is added to R. Opacity and normals are returned unchanged.
+    In linear HSV, hue, saturation and value of D and, for coloured texels, hue and saturation of S are
+    adjusted; the offset is added to R. Opacity and normals are returned unchanged.
     """
     if role == "roughness":
         return np.clip(values + np.float32(adjustment.roughness_offset), 0.0, 1.0)
@@ -66,7 +66,7 @@ def adjusted_constant(
 
 
 class TextureCache:
-    """Uploaded textures by content; above 256 MB in total, the least recently used are dropped.
+    """Cache of uploaded textures by content; drops the least recently used above 256 MB in total.
 
     Adjusted textures, which hardly ever recur in another configuration, are kept until
     :meth:`forget_variations`. Before upload, linear values are averaged over squares with a side of
@@ -92,7 +92,7 @@ class TextureCache:
         *,
         flip_green: bool = False,
     ) -> Any:
-        """Return the Mitsuba texture of a material channel; for a constant, the dictionary of a texture.
+        """Return the Mitsuba texture of a material channel, for a constant as a dictionary.
 
         ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
         and for images with NaN or Inf.

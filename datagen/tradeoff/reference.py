@@ -41,7 +41,7 @@ STATISTICS = ("color_min", "color_median", "color_max")
 
 
 def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -> Configuration:
-    """Reduce a configuration to resolution ``size`` (width, height) and ``num_views`` evenly spaced views."""
+    """Copy a configuration with resolution ``size`` (width, height) and ``num_views`` evenly spaced views."""
     total = len(configuration.cameras)
     count = min(num_views, total)
     chosen = [configuration.cameras[k * total // count] for k in range(count)]

@@ -44,7 +44,7 @@ class SceneEmitters:
         return [self._is_hidden_shape, *([] if self.light_sampler is None else self.light_sampler.arrays())]
 
     def is_hidden(self, si: Any, depth: Array) -> Array:
-        """Mask of the hits ``si`` by camera rays (``depth`` 0) of emitters hidden from the camera."""
+        """Mask of the hits ``si`` by camera rays (``depth`` 0) that are on emitters hidden from them."""
         if self._is_hidden_shape is None:
             return mi.Bool(False)
         shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)

@@ -98,7 +98,7 @@ class PathTracer:
         self.forget_recordings()
 
     def gather_irradiance(self, materials: SceneMaterials, sensors: Iterable[Any], seed: int) -> None:
-        """Estimate the irradiance cache, in which later paths may end, and the light sampler."""
+        """Estimate the irradiance cache, in which later paths may end, and light sampler from ``sensors``."""
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():

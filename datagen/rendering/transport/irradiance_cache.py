@@ -45,7 +45,7 @@ class SurfaceCells:
     """
 
     def __init__(self, box_m: NDArray[np.float64], max_cells: int):
-        """``box_m`` (2, 3): lower and upper corner."""
+        """``box_m`` (2, 3) are the lower and upper corner of the box."""
         extent = np.maximum(box_m[1] - box_m[0], 1e-6 * (box_m[1] - box_m[0]).max())
         side = max(float((6.0 * extent.prod() / max_cells) ** (1.0 / 3.0)), float(extent.max()) / 512.0)
         self.shape = tuple(int(n) for n in np.ceil(extent / side))
@@ -179,6 +179,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side [m] of the area at hit ``si`` that corresponds to the density ``pdf`` [1/sr] at ``previous``."""
+    """Side [m] of the area at hit ``si`` over which a direction of density ``pdf`` [1/sr] spreads."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

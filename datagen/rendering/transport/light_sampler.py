@@ -177,7 +177,7 @@ def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
 
 
 def whole_slots(weights: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
-    """Number of slots (P, T) of each technique: one, plus a share by ``weights`` (P, T) of the others."""
+    """Slots (P, T) of each technique: ``num_slots`` per row, at least one each, by ``weights`` (P, T)."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.full_like(weights, 1.0 / weights.shape[1])
     parts = np.divide(weights, total, out=uniform, where=total > 0.0)

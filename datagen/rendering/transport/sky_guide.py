@@ -4,8 +4,8 @@
 At most points of a room, an environment is visible through a window in only a few per cent of the directions.
 Emitter sampling chooses directions by their radiance, and nearly all of its shadow rays hit walls. Manually
 placed portals are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment Map Sampling,
-2015). Here, the openings are estimated from paths from the cameras: where rays leave the room through the
-faces of the box around it is recorded, weighted by the radiance outside (:mod:`.sky_observation`).
+2015). Here, the openings are estimated from the points at which camera paths leave the box around the room,
+weighted by the radiance outside (:mod:`.sky_observation`).
 
 From a point x inside a box, every direction leaves through exactly one point of the faces. Faces are divided
 into cells; cell c is chosen with the estimated probability P_c, and a point q in it uniformly. The density
