@@ -19,7 +19,7 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
     "dusk": (0.02, 0.15),
     "night": (5e-4, 4e-3),
 }
-"""Range of the panorama's share of the irradiance, relative to lamp shares; at night, from street lights."""
+"""Range of the panorama's share of the irradiance, relative to lamp shares; at night from street lights."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
 """Times of day at which lamps are always on."""
 

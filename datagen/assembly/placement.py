@@ -30,7 +30,7 @@ MAX_PENETRATION_M = 5e-4
 SURFACE_TOLERANCE_M = 0.02  # largest distance of a declared support from the mesh, such as a rug on a floor
 # an object whose centre of mass is nearer to the rim of the contact hull could topple
 MIN_CONTACT_MARGIN_M = 2e-3
-_MIN_UP = 0.98  # contacts with a normal flatter than 11 degrees do not count
+_MIN_UP = 0.98  # poses with a contact on ground tilted by more than 11 degrees are rejected
 _WALL_HEIGHT_M = 0.9  # floor-standing objects above this height are often placed with their back to a wall
 _WALL_PROBABILITY = 0.65
 _ATTEMPTS_A_SCALE = 12  # per scale, since each scale needs a new collision tree (0.5 s for a large mesh)

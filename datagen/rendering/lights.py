@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 DISK_CORNERS = 64
-"""Corners of the polygon that approximates an elliptic light, to within 0.08 % of the radius."""
+"""Number of corners of the polygon that approximates an elliptic light to within 0.08 % of the radius."""
 _MIN_AREA_M2 = 1e-12  # Mitsuba divides by the area
 # From Mitsuba's envmap frame (Y up, centre column along +Z) to the project's (Z up, centre column along +Y).
 _ENVIRONMENT_FROM_MITSUBA = np.array(
@@ -44,7 +44,7 @@ _ENVIRONMENT_FROM_MITSUBA = np.array(
 
 @dataclass
 class LightSetup:
-    """Lights as ``entries`` of a Mitsuba scene dictionary; ``hidden``: keys of lights hidden from the camera."""
+    """Lights as ``entries`` of Mitsuba's scene dictionary, and keys of those ``hidden`` from the camera."""
 
     entries: dict[str, Any] = field(default_factory=dict)
     hidden: set[str] = field(default_factory=set)

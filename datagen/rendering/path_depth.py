@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MIN_DEPTH = 2
-"""Direct light only."""
+"""Minimum depth, with only direct light."""
 MAX_DEPTH = 64
 """Maximum depth, for nearly white surfaces; Russian roulette ends nearly all paths earlier."""
 

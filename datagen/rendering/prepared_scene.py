@@ -55,7 +55,7 @@ def release_memory() -> None:
     from datagen.rendering.transport.integrator import forget_recordings
 
     forget_recordings()
-    gc.collect()  # scenes and their materials refer to each other
+    gc.collect()  # scenes and their materials form reference cycles
     dr.flush_malloc_cache()
     dr.flush_kernel_cache()
     with contextlib.suppress(OSError, AttributeError):  # a C library other than glibc

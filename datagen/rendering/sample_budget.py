@@ -42,8 +42,8 @@ BIAS_PER_SPREAD = 1.0
 TILE_PX = 4
 """Side of the tiles that get the same number of samples; small, because edges and highlights are narrow."""
 AROUND_PX = 3
-"""Side of the squares over which errors are averaged, to suppress outliers, and the maximum of these means is
-taken, to add samples to edges whose halves agree by chance."""
+"""Side of the squares over which errors are averaged, to suppress outliers, and of those over which these
+means are maximised, to add samples to edges whose halves agree by chance."""
 MAX_GROWTH = 4
 """Maximum factor by which a pass multiplies a tile's samples, since errors from few samples are imprecise."""
 MIN_SHARE = 0.05
@@ -53,7 +53,7 @@ CLAMP_BLUR_PX = 2.0
 MIN_PASS = 0.1
 """Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
 SAMPLE_STEP = 4
-"""Number whose multiples are added to the samples of a tile's half, which keeps lists of pixels short."""
+"""Step of the number of samples added to a tile's half; multiples keep the lists of pixels short."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _clamped_error(
         return 0.0
     level = luminance(finished)
     kept, *lost = (ndimage.gaussian_filter(image, CLAMP_BLUR_PX) for image in (level, *removed))
-    light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # keeps 0 / 0 out of unlit areas
+    light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # prevents 0 / 0 in unlit areas
     weight = (scale * level) ** 2 / ((scale * level) ** 2 + EPSILON)
     return float((weight * (lost[0] / light) * (lost[1] / light)).mean())
 

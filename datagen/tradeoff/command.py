@@ -105,7 +105,7 @@ def _write(sweep: Sweep, limits: dict[str, float]) -> None:
     if limits:
         try:
             recommended = recommend(points, sweep.base, limits)
-        except InputError as error:  # results are written even after an interrupt
+        except InputError as error:  # raised below, after the results are written
             failure = error
     results = Results(trials, sweep.base, sweep.unavailable, sweep.description(), recommended, limits or None)
     for path in write_results(results, sweep.out):

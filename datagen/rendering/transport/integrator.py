@@ -257,7 +257,7 @@ class PathTracer:
             is_seen = active & ~emitters.is_hidden(si, walk.depth)
             shown = is_seen
             if dr.hint(not with_visible_emission, mode="scalar"):
-                shown = is_seen & (walk.depth > 0)  # a new array: in place it would change is_seen too
+                shown = is_seen & (walk.depth > 0)  # a new array, since &= would also change is_seen
             emission, weight = emitters.emission(si, walk, is_seen, shown)
             met = throughput * emission * weight
 

@@ -76,7 +76,7 @@ class SkyGuide:
         drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # the table's exact probabilities
         self.low, self.high = _corners(box_m)
         self.brightest = mi.Float(brightest)
-        self.distance = mi.Float(outside_distance(scene))  # where the environment's light comes from
+        self.distance = mi.Float(outside_distance(scene))  # from which the environment's light arrives
         self.table = mi.UInt32(table.astype(np.uint32))
         self.density = mi.Float((drawn / np.repeat(areas / CELLS**2, CELLS**2)).astype(np.float32))
         dr.make_opaque(self.low, self.high, self.brightest, self.distance)
