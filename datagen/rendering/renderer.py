@@ -34,8 +34,8 @@ class SceneRenderer(PreparedScene):
     """Renders the views of one configuration.
 
     Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. ``estimator`` denoises
-    the halves from which the error is estimated, by default with the view's denoiser; ``is_enough`` may stop
-    a view early. Raises the errors of :class:`PreparedScene`.
+    the halves from which the error is estimated and defaults to the view's denoiser; ``is_enough`` may stop a
+    view early. Raises the errors of :class:`PreparedScene`.
     """
 
     def __init__(
