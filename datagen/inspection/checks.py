@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Checks of a view's buffers (name to (H, W, C) array), as pure functions that return faults.
+"""Pure functions that check a view's buffers, arrays (H, W, C) by name, and return faults.
 
-The functions never raise on invalid pixels. Their limits pass every sound dataset and reject pixels that
+The functions never raise on invalid pixels. Their limits accept every sound dataset and reject pixels that
 would impair training.
 """
 
@@ -18,7 +18,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
 from datagen.inspection.findings import Fault, Severity
 
-RANGE_TOLERANCE = 2e-3  # half floats near 1 differ by 5e-4, and averages are rounded
+RANGE_TOLERANCE = 2e-3  # adjacent half floats below 1 differ by 5e-4, and averages are rounded
 UNIT_TOLERANCE = 5e-3  # three half floats, each rounded by up to 2.5e-4
 MAX_SHARE_OF_BAD_NORMALS = 1e-3  # opposite sides of a thin sheet may cancel within a pixel
 FIREFLY_FACTOR, FIREFLY_MAX_SIZE = 20.0, 4
@@ -27,7 +27,7 @@ BLACK_LUMINANCE, BLACK_EXPOSED, BURNT_EXPOSED = 1e-5, 0.01, 4.0
 MAX_SHARE_CLIPPED = 0.01
 _HALF_MAX = 65504.0
 MIN_ROUGHNESS_PIXELS, MIN_ROUGHNESS_RANGE = 500, 2e-3
-SOLID_COVERAGE = 0.999  # share of pixels with averages over a single surface
+SOLID_COVERAGE = 0.999  # minimum surface coverage of pixels without lamp, opening or background
 
 
 View = Mapping[str, NDArray]
@@ -92,7 +92,7 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Mask (H, W) of isolated pixels brighter than 20 times the medians of their 5x5 neighbourhood and frame.
+    """Mask (H, W) of isolated pixels above 20 times the median luminance of 5x5 neighbourhood and frame.
 
     A firefly has at most 4 pixels, none within 2 pixels of lamps, openings or background.
     """
@@ -102,7 +102,7 @@ def firefly_mask(view: View) -> NDArray[np.bool_]:
     surroundings = cv2.medianBlur(np.ascontiguousarray(light), 5)
     is_bright = light > FIREFLY_FACTOR * np.maximum(surroundings, max(float(np.median(light)), 1e-6))
     num_near = cv2.boxFilter(is_bright.astype(np.float32), -1, (5, 5), normalize=False)
-    if "surface_mask" in view:  # lamps, windows and adjacent pixels are bright without a fault
+    if "surface_mask" in view:  # lamps, windows and adjacent pixels may be this bright
         other = (np.nan_to_num(view["surface_mask"][..., 0]) < SOLID_COVERAGE).astype(np.uint8)
         is_bright &= cv2.dilate(other, np.ones((5, 5), np.uint8)) == 0
     return is_bright & (num_near <= FIREFLY_MAX_SIZE + 0.5)
@@ -117,7 +117,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 
 
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Find fireflies; up to a limit, they are a warning, or none if all are on metal or glossy pixels."""
+    """Find fireflies: an error above a limit, else a warning, or no fault if all are on metal or gloss."""
     mask = firefly_mask(view)
     count = int(mask.sum())
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
@@ -131,7 +131,7 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Find a black, flat or overexposed view; ``exposure`` is the median exposure of the configuration."""
+    """Find a view that is black, flat or overexposed at ``exposure``, the configuration's median factor."""
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     bright, middle = np.percentile(light, [95, 50])
     expected = "a visible scene"
@@ -151,10 +151,10 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
 
 
 def check_statistics(view: View, max_views: int, has_own: bool, where: str) -> list[Fault]:
-    """Find statistics out of order, wrong counts, and pixels with count 0 but statistics of another colour.
+    """Find wrong order of min, median and max, wrong counts, and wrong colours of pixels with count 0.
 
     Counts must be 0 on background, at most ``max_views``, and, if ``has_own`` (the statistics of a pixel
-    include the pixel itself), above 0 on surfaces.
+    include the pixel itself), above 0 on surfaces. Pixels with count 0 must have their own colour.
     """
     low, middle, high = (view[f"color_{n}"].astype(np.float32) for n in ("min", "median", "max"))
     count = view["observation_count"][..., 0]
@@ -194,7 +194,7 @@ def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
 def merge_ranges(
     first: dict[int, tuple[int, float, float]], second: dict[int, tuple[int, float, float]]
 ) -> dict[int, tuple[int, float, float]]:
-    """Merge the numbers of pixels and the ranges of two views by material id."""
+    """Merge two results of :func:`roughness_ranges`: add the counts and unite the ranges."""
     merged = dict(first)
     for material, (count, low, high) in second.items():
         old = merged.get(material, (0, np.inf, -np.inf))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommands ``doctor``, ``library``, ``verify`` and ``report``; heavy modules are imported in them."""
+"""The subcommands ``doctor``, ``library``, ``verify`` and ``report``; they import heavy modules on demand."""
 
 from __future__ import annotations
 

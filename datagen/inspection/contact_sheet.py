@@ -52,7 +52,7 @@ _NEEDS_SURFACE = (*MATERIAL_MAPS, "normal_world")
 
 @dataclass(frozen=True)
 class Scales:
-    """Exposure factor of radiance, and depth and number of views at the upper ends of their colour scales."""
+    """Exposure factor of radiance, and upper ends of the colour scales of depth and observation count."""
 
     exposure: float
     farthest_m: float
@@ -60,14 +60,14 @@ class Scales:
 
 
 def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
-    """Indices of at most ``max_rows`` of ``num_views`` views, evenly spaced, the first included."""
+    """Indices of at most ``max_rows`` of ``num_views`` views, evenly spaced from the first to the last."""
     if num_views <= max_rows:
         return list(range(num_views))
     return sorted({round(i * (num_views - 1) / (max_rows - 1)) for i in range(max_rows)})
 
 
 def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
-    """Choose the scales of views (buffers by name): exposure, 98th percentile of depth, largest count."""
+    """Choose scales for ``views`` (arrays by buffer): exposure, 98th percentile of depth, largest count."""
     colors, depths, counts = [np.zeros((0, 3))], [np.zeros(0)], [1.0]
     for view in views:
         if "beauty" in view:
@@ -122,9 +122,9 @@ def _color_map() -> Callable[[NDArray], NDArray]:
 def make_contact_sheet(
     views: Sequence[Mapping[str, NDArray]], names: Sequence[str], title: str, scales: Scales | None = None
 ) -> Image.Image:
-    """Draw ``views`` (buffers by name), one row each with its name from ``names``, under ``title``.
+    """Draw each view (arrays by buffer) as a row labelled with its name, under the heading ``title``.
 
-    Buffers that no view has get no column. Without ``scales``, they are chosen from the views, with one
+    Buffers that no view has get no column. If ``scales`` is None, scales are chosen from the views, with one
     exposure per view. Raises :class:`InputError` if there are no views or one lacks ``beauty``.
     """
     from PIL import Image, ImageDraw
@@ -189,7 +189,7 @@ def _cell(picture: NDArray[np.uint8]) -> Image.Image:
 def _draw_foot(
     sheet: Image.Image, draw: ImageDraw.ImageDraw, place: tuple[int, int, int], name: str, scales: Scales
 ) -> None:
-    """Draw the legend of a column at ``place`` (x, y, width): a colour scale with its ends, or a text."""
+    """Draw the legend of a column at ``place`` (x, y, width): a labelled colour scale, or a text."""
     from PIL import Image
 
     x, y, width = place
@@ -221,7 +221,7 @@ def _text_width(text: str, size: int) -> int:
 
 
 def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
-    """Contact sheet of a shard. Raises :class:`InputError` for a shard that is damaged or without views."""
+    """Draw the contact sheet of a shard. Raises :class:`InputError` if it is damaged or has no views."""
     reader = ShardReader(shard)
     records = list(reader.records())
     chosen = [records[index] for index in choose_rows(len(records), max_rows)]
@@ -241,7 +241,7 @@ def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
 
 
 def write_dataset_sheets(folder: Path, progress: Advance = no_advance) -> list[Path]:
-    """Write ``sheets/<configuration>.png`` for each finished configuration without a current one.
+    """Write the missing and outdated ``sheets/<configuration>.png`` of finished configurations.
 
     ``progress(done, total)`` counts configurations. Returns the paths of the new sheets. Raises
     :class:`InputError` if the folder has neither index nor plan.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks the installation: prints a table, and gives an exit code for scripts."""
+"""Checks the installation and prints the findings as a table: ``datagen doctor``."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ OPTIONAL = {
     "blender": ("the exporter, FBX and USD, and UVs where xatlas fails (Python 3.11)", ("bpy",)),
     "notebook": ("the notebook in the tutorials", ("ipykernel", "nbclient")),
 }
-"""Extras of the project: purpose, and the distributions that an extra installs."""
+"""Optional extras of the project by name: purpose and installed distributions."""
 PROGRAMS = {
     "COLMAP": ("colmap", "cameras and meshes of your own photographs", "colmap"),
     "Slurm": ("sbatch", "`datagen farm submit` on a cluster, where it is installed", "slurm-client"),
     "PBS": ("qsub", "`datagen farm submit --engine pbs` on a cluster, where it is installed", ""),
     "Blender": ("blender", "the add-on in Blender's window (4.5 or later)", ""),
 }
-"""Optional programs: command, purpose, and Debian's package."""
+"""Optional programs by title: command, purpose and Debian package ('' if none)."""
 MIN_BLENDER = (4, 5)
 CHECKPOINTS = ("small.safetensors", "no-rp.safetensors")
 _AGAIN = "install the project again: pip install --force-reinstall scene-materials, or -e . in a checkout"
@@ -74,7 +74,7 @@ class Finding:
 
 
 def _probe(name: str, code: str, remedy: str) -> Finding:
-    """Run ``code`` in a separate process, which keeps an abort of native code from ending the check."""
+    """Run ``code`` in a separate process, since native code may abort."""
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     if result.returncode == 0:
         output = result.stdout.strip()
@@ -118,7 +118,7 @@ def examine(folder: Path | None = None) -> list[Finding]:
 
 
 def _failed(error: InputError) -> tuple[str, bool, bool, str]:
-    """Value, is_fine, is_required and remedy of the finding of a failed check."""
+    """Fields of the finding for a failed check: value, is_fine, is_required and remedy."""
     (problem,) = error.problems
     return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
 
@@ -145,7 +145,7 @@ def checkpoint_finding() -> Finding:
 
 
 def program_finding(title: str, command: str, purpose: str, debian: str) -> Finding:
-    """Check whether a program is on the path and recent enough."""
+    """Check whether a program is on the search path and, for Blender, recent enough."""
     path = shutil.which(command)
     if path is None:
         how = _installing(title, debian)
@@ -179,7 +179,7 @@ def _package(name: str, is_required: bool, remedy: str) -> Finding:
 
 
 def gpu_finding() -> Finding:
-    """The GPU, and whether its driver can denoise."""
+    """Check for an NVIDIA GPU whose driver includes the OptiX denoiser."""
     if not has_cuda():
         return Finding("GPU", "none; rendering runs on the CPU", True, False)
     command = ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"]

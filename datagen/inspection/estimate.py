@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Predicts time, disk and memory of a recipe from two timed samples.
+"""Predicts time, disk space and memory of a recipe from two timed samples.
 
-Two plans of one configuration with the recipe's settings, with up to 4 and up to 8 views, run through all
-stages in a temporary folder. Costs per view and per configuration, and those that grow with the number of
-views (statistics and memory), are extrapolated linearly.
+Each sample plans one configuration with the recipe's settings but at most 4 or 8 views, and runs it through
+all stages in a temporary folder. Time and disk space are extrapolated linearly to all views and
+configurations; memory and the time of the statistics per view, linearly in a configuration's views.
 """
 
 from __future__ import annotations
@@ -80,7 +80,10 @@ def _line(x1: float, y1: float, x2: float, y2: float, x: float) -> float:
 
 
 def estimate(recipe: Recipe, library: Library, report: Advance = no_advance) -> Estimate:
-    """Time two samples of ``recipe`` and predict the whole; ``report(done, total)`` counts samples."""
+    """Predict the cost of ``recipe`` from two timed samples, counted by ``report(done, total)``.
+
+    Raises :class:`InputError` if a sample fails.
+    """
     begin = time.perf_counter()
     samples = []
     with tempfile.TemporaryDirectory(prefix="datagen-estimate-") as folder:
@@ -116,7 +119,7 @@ def estimate(recipe: Recipe, library: Library, report: Advance = no_advance) -> 
 
 
 def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: bool = False) -> bool:
-    """Print the prediction; returns whether the disk has enough space."""
+    """Print the prediction; returns whether ``free_bytes`` suffice, including files of units in progress."""
     needed = result.total_bytes + workers * result.working_bytes
     if as_json:
         import json

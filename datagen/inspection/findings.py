@@ -26,12 +26,12 @@ CHECKS = {
     "split": "splits share no assets, if the recipe sets splits.disjoint",
     "recheck": "recorded errors and brightness agree with plain paths (--recheck)",
 }
-"""Checks and what they assert, in the order of the report."""
+"""Assertion of each check, in the order of the report."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault: ``check`` is a key of :data:`CHECKS`, ``where`` names a file or view."""
+    """A fault: failed check (a key of :data:`CHECKS`), file or view, value found and value expected."""
 
     check: str
     where: str

@@ -12,9 +12,9 @@ from datagen.formats.configuration import MIN_GLOSS_SHARE, MIN_METAL_SHARE, Conf
 
 
 def plan_summary(configurations: Iterable[Configuration]) -> str:
-    """Describe the coverage over all configurations in a few lines; '' if none records its coverage.
+    """Describe the surfaces that planned views cover in a few lines; '' if no configuration records them.
 
-    A last line warns if the views of the training split lack metal or gloss.
+    The last line warns if the views of the training split lack metal or gloss.
     """
     found = [
         (c.coverage, len(c.cameras), c.split == "train") for c in configurations if c.coverage is not None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Page of a dataset in progress: ``datagen run --preview`` keeps ``preview.html`` current.
+"""Writes ``preview.html``, which shows the progress of ``datagen run --preview``.
 
-It is one file that opens from disk: latest views, rate, time left and failures. It reloads every few seconds
-until the run has ended.
+The page opens from disk and shows the latest views, the rate, the time left and failures. It reloads every
+few seconds until the run has ended.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ small { overflow-wrap: anywhere; }
 
 
 class Preview:
-    """The preview page of a run with ``total`` views, of which ``before`` were done before it."""
+    """Preview page of a run with ``total`` views, of which earlier runs finished ``before``."""
 
     def __init__(self, root: Path, total: int, before: int = 0):
         self.root, self.total, self.before = root, total, before
         self.start = time.monotonic()
         self.path = root / PREVIEW_FILE
         self.said: list[str] = []
-        self._pictures: dict[str, str] = {}  # view to data URI, oldest first: packed units' files are removed
+        self._pictures: dict[str, str] = {}  # data URI by view, oldest first; packing removes a unit's files
         self._known = {path for path in self._views()}
         self._next = 0.0
 
@@ -55,7 +55,7 @@ class Preview:
         self.said.append(sentence)
 
     def update(self, done: int, is_over: bool = False) -> None:
-        """Rewrite the page for ``done`` finished views if it is 3 s old, or if the run is over."""
+        """Rewrite the page for ``done`` finished views if it is at least 3 s old or the run is over."""
         now = time.monotonic()
         if now < self._next and not is_over:
             return
@@ -64,11 +64,11 @@ class Preview:
         self._next = time.monotonic() + _SECONDS
 
     def _views(self) -> list[Path]:
-        """Paths of the records of rendered views of units in progress."""
+        """Paths of the view records of units in progress."""
         return list((self.root / "work").glob("*/rendered/*.json"))
 
     def _update_pictures(self) -> None:
-        """Make pictures of the newest views that are not known yet."""
+        """Encode pictures of the newest views that have none yet, and drop the oldest pictures."""
         found = []
         for path in self._views():
             if path not in self._known:

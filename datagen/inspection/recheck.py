@@ -4,8 +4,8 @@
 All accelerations are off: paths have up to 65 segments, emitters are sampled by Mitsuba with equal
 probability, and there is no sky guide, irradiance cache, clamp or denoiser. The samples form four independent
 images. The error is the mean product of a view's differences from two of these images, to which their noise
-contributes 0 in expectation (:mod:`datagen.rendering.error`); the spread of the images gives the standard
-errors of error and bias.
+contributes 0 in expectation (:mod:`datagen.rendering.error`). The standard errors of error and bias are
+computed from the spread of the images.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ DEPTH, ROULETTE_DEPTH = 65, 5
 """Maximum number of segments of a path, and the first segment at which Russian roulette may end it."""
 PARTS = 4
 CHUNK = 64
-"""Paths per pixel of one launch."""
+"""Maximum number of paths per pixel in one kernel launch."""
 SEED = 0x0EC4EC40
-"""Seed of the first launch, different from all seeds of datasets."""
+"""Base of the launches' seeds, different from all seeds of datasets."""
 MAX_RATIO = 4.0
-"""A true error above this multiple of the recorded one is a fault."""
+"""Maximum ratio of true to recorded error."""
 MAX_BIAS = 0.05
 """Maximum relative deviation of the mean luminance."""
 SURE = 3.0
@@ -66,7 +66,7 @@ class Rechecked:
         return f"{self.configuration}/{self.view}"
 
     def faults(self) -> Iterable[Fault]:
-        """Yield warnings about deviations that exceed their limits by more than the noise."""
+        """Yield a warning for each deviation above its limit by more than :data:`SURE` standard errors."""
         if self.recorded is not None and self.rel_mse - SURE * self.rel_mse_error > MAX_RATIO * self.recorded:
             got = f"relMSE {self.rel_mse:.4f} +- {self.rel_mse_error:.4f}, {self.recorded:.4f} is recorded"
             yield Fault("recheck", self.where, got, f"at most {MAX_RATIO:g} times the record", "warning")
@@ -84,10 +84,11 @@ def recheck(
     report: Report,
     progress: Callable[[int, int], object] | None = None,
 ) -> list[Rechecked]:
-    """Render ``count`` views again with ``samples`` paths per pixel, a multiple of 4.
+    """Render ``count`` random views again with ``samples`` paths per pixel, and compare them.
 
     The recipe's seed selects the views. Faults and notes are added to ``report``; a configuration whose
-    assets have changed is skipped with a note. Raises :class:`InputError` if there is no dataset.
+    assets have changed is skipped with a note. ``progress(done, total)`` counts views. Raises
+    :class:`InputError` if ``folder`` is no dataset, or if ``samples`` is not a multiple of 4.
     """
     if samples < PARTS or samples % PARTS:
         expected = f"a multiple of {PARTS}, the number of images that are compared"
@@ -166,7 +167,7 @@ def compared(view: View, parts: Sequence[NDArray[np.floating]]) -> Rechecked:
 
 
 def print_rechecked(found: list[Rechecked], samples: int) -> None:
-    """Print a table of recorded errors and of errors against plain paths."""
+    """Print a table of recorded and true errors; ``samples`` is the number of plain paths per pixel."""
     from rich.table import Table
 
     from datagen.foundation.console import table_console

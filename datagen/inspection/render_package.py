@@ -2,8 +2,8 @@
 """Renders an environment package with its own materials, lights and cameras, without assembly.
 
 ``python -m datagen.inspection.render_package PACKAGE... --out OUT`` writes ``OUT/<folder>/view_000.exr`` and
-so on, one linear EXR file per camera. The Blender add-on's fidelity report runs it in a separate process,
-since Blender and Mitsuba cannot share one.
+so on, one linear EXR file per camera. The Blender add-on's fidelity report runs this module in a separate
+process, since Blender and Mitsuba cannot share a process.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks that depth and cameras of different views agree, by points of one view projected into others.
+"""Checks that depth and cameras of different views agree, by projecting points of one view into others.
 
 A point p of view a, with normal n, is projected into view b, where the pixel's depth gives a point q. Either
 q is on p's surface, or q is in front (p is occluded in b, which is allowed), or q is behind, so b shows
@@ -22,9 +22,9 @@ from datagen.inspection.findings import Fault
 POINTS_A_VIEW = 3000
 MAX_PARTNERS = 8
 MIN_POINTS = 150
-MATCH_DISTANCE = 0.05  # relative depth within which q may be p's surface
+MATCH_DISTANCE = 0.05  # maximum relative depth difference between q and p on one surface
 MIN_COSINE = 0.2  # at grazing angles a pixel spans too much depth to compare
-# limits for pixels at silhouettes, whose share falls with the resolution
+# the limits allow for pixels at silhouettes, whose share falls with the resolution
 _THROUGH_FLOOR, _THROUGH_PIXELS = 0.04, 8.0
 _RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.75  # normal maps tilt the plane within a pixel
 
@@ -41,7 +41,7 @@ class Geometry:
 
     @classmethod
     def from_buffers(cls, name: str, camera: Camera, view: dict[str, NDArray]) -> Geometry:
-        """A view's geometry from its buffers by name; pixels that are not finite are excluded."""
+        """Create a view's geometry from its buffers by name; pixels that are not finite are no surface."""
         depth = view["depth_z_m"][..., 0]
         normal = view["normal_world"]
         is_surface = (view["surface_mask"][..., 0] >= 0.5) & (depth > 0)
@@ -53,8 +53,8 @@ class Geometry:
 class Agreement:
     """Agreement of a view's depth with the points of another view; NaN for too few comparable points.
 
-    ``seen_through`` is the share of the points that are not occluded where the view has no surface at their
-    depth; ``median_residual`` is relative to depth.
+    ``num_points`` counts the points that are not occluded, and ``seen_through`` is the share of them at whose
+    depth the view has no surface; ``median_residual`` is the median of the residual above.
     """
 
     num_points: int
@@ -63,7 +63,7 @@ class Agreement:
 
 
 def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
-    """World points and unit normals, (N, 3) each, of up to :data:`POINTS_A_VIEW` surface pixels."""
+    """World points and unit normals, (N, 3) each, of up to :data:`POINTS_A_VIEW` random surface pixels."""
     rng = np.random.default_rng([seed, 0x7265])
     rows, columns = np.nonzero(view.is_surface)
     if len(rows) > POINTS_A_VIEW:
@@ -77,7 +77,7 @@ def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
 
 
 def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
-    """Compare world points (N, 3) with unit normals (N, 3) to the depth of view ``other``."""
+    """Project world points (N, 3) with unit normals (N, 3) into view ``other``, and compare the depths."""
     camera = other.camera
     offset = points - camera.position_m
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
@@ -102,7 +102,7 @@ def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
 
 
 def partners_of(index: int, count: int) -> list[int]:
-    """Indices of up to :data:`MAX_PARTNERS` evenly spaced views of ``count``, without ``index``."""
+    """Indices of up to :data:`MAX_PARTNERS` evenly spaced views among ``count``, other than ``index``."""
     others = [i for i in range(count) if i != index]
     if len(others) <= MAX_PARTNERS:
         return others
@@ -137,7 +137,7 @@ def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Faul
 def _excess(
     pairs: Sequence[tuple[int, int, Agreement]], index: int, view: Geometry
 ) -> tuple[float, str, str]:
-    """Larger ratio of a view's median deviation to its limit, and the fault's ``got`` and ``expected``."""
+    """Larger ratio of a view's two median deviations to their limits, with the fault's texts."""
     mine = [agreement for a, b, agreement in pairs if index in (a, b)]
     through = float(np.median([agreement.seen_through for agreement in mine]))
     gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]

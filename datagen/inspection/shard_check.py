@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Verifies one shard: its members, each view, then the views against each other."""
+"""Verifies one shard: its members, each view, then the agreement of views."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def verify_dataset(
     """Verify a dataset folder, or a single shard (``.tar``).
 
     Without the dataset's ``library``, roughness is not checked, which is noted in the report.
-    ``progress(done, total)`` counts shards. Raises :class:`InputError` if ``path`` is neither.
+    ``progress(done, total)`` counts shards. Raises :class:`InputError` for any other ``path``.
     """
     report = Report(str(path))
     if path.is_file() and path.suffix == ".tar":
@@ -80,7 +80,7 @@ def _run(jobs: list[ShardJob], workers: int) -> Iterable[Report]:
 
 
 def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
-    """Jobs for the shards of the index or, if it is unreadable, of the folder; reports the index's faults."""
+    """Create a job per shard in the index, or in the folder if the index is unreadable; report its faults."""
     report.applied["index"] += 1
     on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
     try:
@@ -153,7 +153,8 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
 def expected_roughness(configuration: Configuration, library: Library) -> dict[str, float]:
     """Range of roughness of each material with a roughness texture, by its name in the views' records.
 
-    The range is the difference of the 99th and 1st percentiles after the configuration's offset. Raises
+    The range is the difference of the texture's 99th and 1st percentiles, with the configuration's roughness
+    offset added and clipped to [0, 1]. Raises
     :class:`InputError` if the library lacks an asset or an image.
     """
     ranges: dict[str, float] = {}
@@ -213,7 +214,7 @@ def verify_command(
     recheck: int = 0,
     recheck_samples: int = 256,
 ) -> int:
-    """Verify, print a table (or JSON) and return the exit code.
+    """Verify a dataset or shard, print a table (or JSON) and return the exit code.
 
     Without ``library_paths``, the dataset's libraries are used if they still exist. ``recheck`` views are
     rendered again by plain path tracing, with ``recheck_samples`` paths per pixel. Raises :class:`InputError`

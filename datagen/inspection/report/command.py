@@ -37,7 +37,10 @@ def report_command(
     library_paths: Iterable[Path] | None = None,
     is_dry_run: bool = False,
 ) -> int:
-    """Write the report with a progress bar, and print its plan and path; returns the exit code."""
+    """Print the planned output and, unless ``is_dry_run``, write the report; returns the exit code.
+
+    Raises :class:`InputError` if the disk has too little space, or for the reasons of :func:`write_report`.
+    """
     index = Dataset(folder).index
     target = out if out is not None else folder / "report"
     first = predicted_configurations(index, options.predictions)

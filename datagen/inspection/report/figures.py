@@ -46,7 +46,7 @@ class Axis:
         return cls(title, unit, tuple(np.geomspace(low, high, num + 1).tolist()), "log")
 
     def count(self, values: NDArray | Sequence[float]) -> NDArray[np.int64]:
-        """Number of ``values`` in each bin, (len(edges) - 1,); NaN is not counted."""
+        """Count ``values`` by bin, (len(edges) - 1,), without NaN."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         flat = flat[~np.isnan(flat)]
         return np.histogram(np.clip(flat, self.edges[0], self.edges[-1]), self.edges)[0]
@@ -80,8 +80,8 @@ def hue_deg(colors: NDArray) -> NDArray:
 def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.int64]]:
     """Histograms of a view's surface pixels, by name in :data:`PIXEL_AXES`, and a joint histogram of R and D.
 
-    The latter has :data:`NUM_COVERAGE_BINS` bins a side over [0, 1]: R by row, luminance of D by column.
-    Histograms of absent buffers are absent.
+    The joint histogram has :data:`NUM_COVERAGE_BINS` bins per side over [0, 1]: R by row, luminance of D by
+    column. A buffer that the view lacks has no histogram.
     """
     mask = surface_pixels(view)
     values: dict[str, NDArray] = {}
@@ -106,7 +106,7 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
 
 
 def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
-    """Numbers of a view's surface pixels, of those on metal and of those on glossy materials."""
+    """Count a view's surface pixels in total, on metal and on glossy materials."""
     mask = surface_pixels(view)
     return {
         "surface_pixels": int(mask.sum()),
@@ -116,7 +116,7 @@ def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
 
 
 def nice_axis(title: str, unit: str, values: Sequence[float], num: int = 24, log: bool = False) -> Axis:
-    """An axis of ``num`` bins that spans the finite ``values``; with ``log``, between powers of 10."""
+    """An axis of ``num`` bins over the finite ``values``; logarithmic between powers of 10 if ``log``."""
     finite = [v for v in values if np.isfinite(v) and (v > 0 or not log)]
     low, high = (min(finite), max(finite)) if finite else (0.1, 1.0)
     if log:

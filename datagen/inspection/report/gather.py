@@ -40,7 +40,7 @@ _INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
 
 @dataclass(frozen=True)
 class GatherJob:
-    """A shard to process; ``with_pixels`` writes tiles, ``with_sources`` also each pixel's source views."""
+    """A shard to process, with tiles if ``with_pixels``, and also with source views if ``with_sources``."""
 
     shard: Path
     record: ShardRecord
@@ -60,7 +60,7 @@ class GatherJob:
 
 
 def kept_result(path: Path, key: str) -> dict[str, Any] | None:
-    """The result that an earlier report stored in the file ``path``, or None if its key is not ``key``."""
+    """The result that an earlier report stored in ``path`` under ``key``, or None if there is none."""
     try:
         kept = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -71,7 +71,7 @@ def kept_result(path: Path, key: str) -> dict[str, Any] | None:
 def gather_shard(job: GatherJob) -> dict[str, Any]:
     """Measure one shard; returns plain data and writes thumbnails, tiles and the configuration's script.
 
-    Stored results are reused. Raises :class:`InputError` if the shard is damaged.
+    A stored result is reused. Raises :class:`InputError` if the shard is damaged.
     """
     kept = kept_result(job.kept_path, job.key)
     if kept is not None:
@@ -127,7 +127,7 @@ def _placed(placed: PlacedAsset) -> dict[str, Any]:
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
-    """Type of a light, with luminance and unit of its emission; for skies and images, their scale factor."""
+    """Type of a light, and luminance and unit of its emission, or the scale factor of a sky or image."""
     units = {"intensity": "W/sr", "irradiance": "W/m^2", "radiance": "W/(m^2 sr)"}
     if light.type == "sky":
         return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}
@@ -151,7 +151,7 @@ def _pixels_by_name(view: View, buffer: str, names: dict[str, str]) -> dict[str,
 
 
 def _view_figures(view: View) -> dict[str, Any]:
-    """Measured values of one view, by which the page displays and sorts views."""
+    """Measured values of one view that the page displays or sorts by."""
     record, buffers = view.record, view.buffers
     camera = record.camera.camera()
     mask = surface_pixels(buffers)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Compares predicted maps of a dataset's views with their ground truth, and writes them for the viewer.
 
-A method's folder contains one EXR file per view with D, S and R as half floats under the dataset's names of
-channels, at the first of these paths that exists:
+A method's folder contains one EXR file per view with D, S and R as half floats under the dataset's channel
+names, at the first of these paths that exists:
 
     FOLDER/<configuration>/<view>.exr
     FOLDER/<configuration>/views/<view>.exr    from ``materials infer SHARD --out FOLDER/<configuration>``
@@ -73,7 +73,7 @@ class Method:
 def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Method, ...]:
     """Create the methods from the values of ``--predictions`` and ``--label``.
 
-    Labels belong to folders in order; methods without a label are named after their folder. Raises
+    Labels are assigned to folders in order; methods without a label are named after their folder. Raises
     :class:`InputError` for missing folders, and for labels that are surplus, empty or not unique.
     """
     problems = [
@@ -98,7 +98,7 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
 
 @dataclass(frozen=True)
 class CompareJob:
-    """A shard to compare with a method's maps; ``with_pixels`` also writes the maps as tiles."""
+    """A shard to compare with a method's maps, which are also written as tiles if ``with_pixels``."""
 
     shard: Path
     record: ShardRecord
@@ -108,7 +108,7 @@ class CompareJob:
 
     @property
     def key(self) -> str:
-        """Hash of everything on which the result depends, with files by size and modification time."""
+        """Hash of everything on which the result depends; files count by size and modification time."""
         configuration = self.record.configuration
         folders = [self.method.folder / configuration, self.method.folder / configuration / "views"]
         if self.method.own_configuration() == configuration:
@@ -161,7 +161,7 @@ def compare_shard(job: CompareJob) -> dict[str, Any]:
 def _compare_view(
     method: Method, view: View, truth: Mapping[str, NDArray]
 ) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """A view's errors and problems, and its valid predicted maps."""
+    """A view's errors and problems, and its readable predicted maps."""
     name = view.record.name
     path = method.find(view.record.configuration, name)
     figures: dict[str, Any] = {"name": name, "file": path is not None, "pixels": 0}
@@ -207,7 +207,7 @@ def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], 
 
 
 def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool_]) -> float | None:
-    """Mean squared error over the pixels of ``mask`` and all channels; None if it is empty or not finite."""
+    """Mean squared error over the pixels of ``mask`` and all channels; None if empty or not finite."""
     difference = predicted[mask].astype(np.float64) - truth[mask].astype(np.float64)
     return float(np.mean(difference**2)) if difference.size and np.isfinite(difference).all() else None
 
@@ -217,9 +217,9 @@ def prediction_table(
 ) -> dict[str, Any]:
     """Combine the results of :func:`compare_shard` into the page's data.
 
-    The key ``methods`` contains each method's totals over all counted pixels. ``errors`` contains, for each
-    method, a row per view in the page's order, or None without prediction: the error of each map (None if
-    unknown) and a bit mask of the maps that can be displayed.
+    The key ``methods`` contains each method's totals over all counted pixels. ``errors`` contains, by method
+    and view in the page's order, a list of the maps' errors (None if unknown) and a bit mask of the maps that
+    can be displayed; the list is None for a view without a prediction.
     """
     by_place: dict[tuple[str, str, str], dict[str, Any]] = {}
     for result in compared:

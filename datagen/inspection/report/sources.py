@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Determines the views that each pixel's statistics use, by the kernel that computed the statistics."""
+"""Determines the views that each pixel's statistics use, with the kernel that computed the statistics."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from datagen.inspection.plan_summary import lack_for_training
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, nice_axis
 from datagen.library import Library, asset_classes
 
-_COARSE = 8  # cells a side of the grid in which missing regions are listed
+_COARSE = 8  # cells per side of the grid by which missing regions are listed
 _MISSING_SHARE = 1e-3
 """A coarse cell with a smaller share of the surface pixels than this counts as missing."""
 _UNKNOWN = "not in the library"
@@ -120,7 +120,7 @@ def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
 def assets(
     gathered: Sequence[dict[str, Any]], index: DatasetIndex, library: Library | None
 ) -> dict[str, Any]:
-    """List all assets with class, use and licence, shares of pixels by material and class, unused assets."""
+    """List all assets with class, use and licence, pixel shares by material and class, and unused assets."""
     placed: Counter[str] = Counter()
     used_in: Counter[str] = Counter()
     pixels: Counter[str] = Counter()
@@ -182,7 +182,7 @@ def _class_of(material: str, library: Library | None) -> str:
 
 
 def _without_variant(material: str) -> str:
-    """A material's name without the suffix ``#2`` of a second variation: an asset's id, or ``asset/slot``."""
+    """Remove the suffix of a variation (``#2``) from a material's name (``asset`` or ``asset/slot``)."""
     return re.sub(r"#\d+$", "", material)
 
 
@@ -221,7 +221,7 @@ def splits(index: DatasetIndex) -> dict[str, Any]:
 
 
 def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) -> dict[str, Any]:
-    """Size, time, memory and cost from the units' manifests; ``why_not``: the reason for unknown times."""
+    """Size, time, memory and cost from the units' manifests; ``why_not`` is the reason for unknown times."""
     size = {
         "num_bytes": index.num_bytes,
         "bytes_per_view": index.num_bytes / index.num_views if index.num_views else None,
@@ -309,7 +309,8 @@ def _severity_order(faults: Sequence[Any]) -> tuple[int, int]:
 def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> tuple[str, str]:
     """Configuration and view that a fault's ``where`` names; the view is '' for a fault of a whole shard.
 
-    ``files`` maps shards to configurations, ``names`` configurations to the names of their views.
+    ``files`` maps shards to configurations, ``names`` configurations to the names of their views. Both
+    results are '' if ``where`` names no shard.
     """
     for file, configuration in files.items():
         at = where.find(file)

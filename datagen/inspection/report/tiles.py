@@ -3,9 +3,9 @@
 
 A page opened from disk may not read files, but it may open them in frames: a tile is a small page that
 decompresses its bytes and passes them to the page that contains the frame (``page/tile.html``; decision 60).
-The bytes are, in this order: planes (channel by channel, rows top-down) of the stored numbers; each row as
-differences to the left neighbour, modulo the word's size; all first (lowest) bytes of the words, then all
-second bytes and so on; deflate with a zlib header; base64.
+The stored numbers are arranged in planes (channel by channel, rows top-down) and replaced by differences to
+the left neighbour, modulo the word's size. The first (lowest) bytes of all words, then all second bytes and
+so on, are compressed by deflate with a zlib header, and encoded in base64.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def encode_tile(array: NDArray) -> bytes:
     word = np.dtype(f"<u{array.dtype.itemsize}")
     planes = np.ascontiguousarray(np.moveaxis(array, -1, 0)).astype(array.dtype.newbyteorder("<")).view(word)
     differences = planes.copy()
-    differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned, so the sum reverses a difference that wraps
+    differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned: sums invert differences that wrap
     by_byte = differences.reshape(-1, 1).view(np.uint8).T
     return zlib.compress(np.ascontiguousarray(by_byte).tobytes(), _LEVEL)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Writes the report's folder: verification, measured values of every shard, the page.
+"""Verifies a dataset, measures its shards, and writes the report's folder with this content.
 
 index.html report.css *.js    the page
 data/summary.js data/views.js measured values, and one line per view
@@ -112,7 +112,7 @@ def choose_configurations(index: DatasetIndex, max_views: int | None, first: Ite
 
 
 def estimate_tile_bytes(index: DatasetIndex, chosen: set[str]) -> int:
-    """Approximate bytes of the pixels of configurations ``chosen``.
+    """Estimate the size in bytes of the pixel files of configurations ``chosen``.
 
     Base64 adds a third to the size of the shards; the source views need about as much space as a few buffers.
     """

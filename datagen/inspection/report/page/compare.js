@@ -64,7 +64,7 @@ REPORT.compare = (() => {
 
   // ---------------------------------------------------------------- section of the report
 
-  // three digits, by which tables are easily compared
+  // three digits, which are easily compared in tables
   const figure = (value) => (value === null || value === undefined ? "unknown" : value === 0 ? "0" : value < 1e-4 ? value.toExponential(2) : value.toPrecision(3));
 
   const count = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;

@@ -11,7 +11,7 @@ REPORT.panels = (() => {
     return Math.min(255, Math.round(255 * encoded));
   }
 
-  // the sRGB byte of every half float at an exposure, by which pictures are redrawn fast
+  // table of the sRGB byte of every half float at an exposure, which makes redrawing fast
   const tables = new Map();
   function screenTable(exposure) {
     if (!tables.has(exposure)) {

@@ -68,7 +68,7 @@ var REPORT = (() => {
   // Frames that decode. The last finished frame stays until the next one finishes, which keeps their common process;
   // after MAX_FRAME_BYTES all are removed, and the next frame starts a new process.
   const queue = []; // {key, resolve, reject}, oldest first
-  const working = new Map(); // key -> the same with its frame
+  const working = new Map(); // key -> entry of the queue with its frame
   let lastFrame = null, frameBytes = 0;
 
   function startFrames() {
