@@ -105,7 +105,7 @@ class _Assembly:
             self.contents.num_triangles += len(mesh.triangles)
 
     def _slots(self, key: int) -> list[int]:
-        """Indices of the material slots that triangles of the mesh ``key`` use."""
+        """Indices of the material slots used by triangles of the mesh ``key``."""
         if key not in self._used_slots:
             found = np.unique(self.contents.gathered.meshes[key].triangle_slots)
             self._used_slots[key] = [int(slot) for slot in found]
@@ -252,7 +252,7 @@ class _Assembly:
         return slot_name, baked
 
     def _window_side(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:
-        """Side, in Blender units, of the square on the surface that the window covers; it scales bumps."""
+        """Side (Blender units) of the surface square covered by the window, which determines bump heights."""
         mesh = self.contents.gathered.meshes[instance.mesh_key]
         frame = plan.frame
         layer = (frame.layer if frame is not None else "") or mesh.active_uv

@@ -190,7 +190,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return REFUSED
     try:
         with quiet_stdout():
-            # The file is untrusted: its scripts stay off, whatever the preferences.
+            # The file is untrusted: its scripts stay disabled, regardless of the preferences.
             path = str(arguments.blend.resolve())
             bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
     except RuntimeError:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Refuses drivers that Blender did not evaluate because they need Python and scripts are disabled.
 
-The driven property is then 0, whatever it was when the file was saved.
+Blender sets the property of such a driver to 0, whatever its saved value.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class _Nodes:
         return node
 
     def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
-        """Add Diffuse of (1 - S) D and Metallic of S, whose F82 with a white edge tint is Schlick's."""
+        """Add Diffuse of (1 - S) D and Metallic of S, whose F82 term with a white edge tint is Schlick's."""
         self.tree.nodes.remove(self.principled_node)
         gloss, lambert, total = map(self._new, ("BsdfMetallic", "BsdfDiffuse", "AddShader"))
         gloss.distribution, gloss.fresnel_type = "BECKMANN", "F82"

@@ -38,8 +38,8 @@ def import_package(path: Path) -> Imported:
     """Load a package (its folder, its ``asset.json`` or a zip) into a new collection of the scene.
 
     An environment light becomes the scene's world, and the first camera becomes the scene's camera if it had
-    none. Images of a zip are packed. An invalid package raises ``ValueError`` with the file and the field, as
-    does a version of Blender that is too old.
+    none. Images of a zip are stored in the .blend file. Raises ``ValueError`` with file and field for an
+    invalid package, and for a version of Blender that is too old.
     """
     fault = fault_of_version()
     if fault is not None:
@@ -160,7 +160,7 @@ def _is_sheared(matrix: NDArray[np.float64]) -> bool:
 
 
 def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int32]]:
-    """Read a package's PLY: vertex columns (N,) by name, triangles (M, 3). Others raise ``ValueError``."""
+    """Read a PLY file: vertex columns (N,) by name, triangles (M, 3). Raises ``ValueError`` for others."""
     content = path.read_bytes()
     end = content.find(b"end_header\n")
     if not content.startswith(b"ply") or end < 0:

@@ -345,7 +345,7 @@ CLASSES = (
 
 
 def run_command(arguments: list[str]) -> int:
-    """The command ``blender -b file.blend --command scene_materials --out DIR``."""
+    """Run ``blender -b FILE --command scene_materials ARGUMENTS``; returns the exit code."""
     from .command import build_parser, run
 
     return run(build_parser("blender -b FILE --command scene_materials").parse_args(arguments))

@@ -91,7 +91,7 @@ def mesh_file(part: Submesh, stem: str, writer: PackageWriter) -> str:
 
 
 def uv_density(part: Submesh, matrix: NDArray[np.float64]) -> float | None:
-    """Median UV units per metre over triangles, None without UVs or area; ``matrix`` is metres_from_part."""
+    """Median UV units per metre over triangles, or None without UVs or area; ``matrix``: metres_from_part."""
     if part.uv is None or len(part.faces) == 0:
         return None
     faces = part.faces if len(part.faces) <= 20_000 else part.faces[:: len(part.faces) // 20_000]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Refusals and approximations of an export: one entry each, with object, node and remedy."""
+"""Problems of an export (errors, approximations, notes), each with its location and a remedy."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ProblemList:
         self._entries: dict[Problem, None] = {}
 
     def add(self, severity: str, message: str, remedy: str = "", **place: str) -> None:
-        """Append one problem; ``place`` has any of object, material, node."""
+        """Append one problem; ``place`` may name ``object``, ``material`` and ``node``."""
         self._entries.setdefault(Problem(severity, message, remedy, **place))
 
     def extend(self, problems: Iterable[Problem]) -> None:

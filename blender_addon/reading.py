@@ -83,7 +83,7 @@ class Reader:
         self._rendering_layers = rendering_layers()
 
     def plan(self, name: str) -> MaterialPlan:
-        """A material's plan, made once; its problems are added to the list."""
+        """Plan a material (at most once), and add its problems to the list."""
         if name not in self._plans:
             self._plans[name] = plan_material(
                 bpy.data.materials[name], self.settings.bake_normals, self._rendering_layers.get(name, "")
@@ -119,7 +119,7 @@ class Reader:
                 copy.texspace_size = mesh.texspace_size
                 contents.copies[key] = copy
 
-        depsgraph = self.depsgraph()  # requested again: it may be re-evaluated between the steps of an export
+        depsgraph = self.depsgraph()  # requested again, as steps of an export may re-evaluate it
         contents.gathered = gather_instances(depsgraph, target.owners.__contains__, keep, self.problems)
         self._check_materials(contents)
         if not contents.gathered.instances:

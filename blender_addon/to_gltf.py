@@ -2,8 +2,8 @@
 """``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: converts files that Blender reads to binary
 glTF.
 
-Scripts in .blend files stay off. Images outside the file's folder and the FOLDERs are omitted; each omission
-is printed on a line that begins with ``to_gltf: ``.
+Scripts in .blend files are not run. Images outside the file's folder and the FOLDERs are omitted; each
+omission is printed on a line that begins with ``to_gltf: ``.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 OLDEST = (4, 5)
-"""Earlier versions store meshes differently and name the inputs of the Principled node differently."""
+"""Oldest supported version; earlier ones store meshes and name inputs of the Principled node differently."""
 
 
 def fault_of_version() -> tuple[str, str] | None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes asset packages: JSON, PLY, PNG and EXR bytes from arrays. Needs NumPy only, no bpy.
 
-Equal input gives equal bytes. A package is written atomically: to a temporary folder next to its path, which
+Equal input yields equal bytes. A package is written atomically: to a temporary folder next to its path, which
 is then renamed.
 """
 
@@ -75,7 +75,7 @@ def png_bytes(pixels: NDArray) -> bytes:
     average = ((left.astype(np.int16) + above) // 2).astype(np.uint8)
     predictions = (np.zeros_like(rows), left, above, average, _paeth(left, above, corner))
     candidates = np.stack([rows - prediction for prediction in predictions])
-    size = np.minimum(candidates, np.negative(candidates))  # of each byte as a signed number
+    size = np.minimum(candidates, np.negative(candidates))  # absolute value of each byte as a signed number
     best = size.sum(axis=2, dtype=np.uint32).argmin(axis=0)
     filtered = candidates[best, np.arange(height)]
     data = np.concatenate([best[:, None].astype(np.uint8), filtered], axis=1).tobytes()

@@ -32,7 +32,7 @@ from .expression import (
 )
 
 _MIN_DIFFUSE_SHARE: Expression = constant(1e-3)  # D of an entirely specular mix would be 0 / 0
-_NO_SPECULAR: Expression = constant(1e-6)  # the mean slope width of lobes without F0 would be 0 / 0, not 1
+_NO_SPECULAR: Expression = constant(1e-6)  # makes the mean slope width of lobes without F0 1, not 0 / 0
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Channels:
     emission: Expression | None
 
     def baked(self) -> dict[str, Expression]:
-        """Expressions of the channels that are not None by name, in a fixed order."""
+        """Expressions, by name in a fixed order, of the channels that are not None."""
         return {name: expression for name, expression in vars(self).items() if expression is not None}
 
 

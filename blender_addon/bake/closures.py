@@ -42,7 +42,7 @@ _SMALL_TRANSMISSION = 0.1
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """A node input that is not exported: possible names, its effect, and the error that results."""
+    """A node input that is not exported: possible names, its effect, and the resulting error."""
 
     names: tuple[str, ...]
     effect: str

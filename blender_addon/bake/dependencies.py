@@ -216,7 +216,7 @@ class DependencyWalk:
 
     def _uv(self, layer: str) -> None:
         self._layer(layer)
-        self._result.frames.add(None)  # read by anything but an image through an affine map
+        self._result.frames.add(None)  # the UVs are not (only) read by an image through an affine map
 
     def _image(self, stack: Stack, node: bpy.types.Node) -> None:
         if node.image is None:

@@ -54,7 +54,7 @@ OPERATIONS: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
     "subtract": lambda a, b: a - b,
     "multiply": lambda a, b: a * b,
-    "divide": lambda a, b: a / b if b else 0.0,  # Blender's math nodes divide by zero to zero
+    "divide": lambda a, b: a / b if b else 0.0,  # Blender's math nodes return 0 for a division by 0
     "minimum": min,
     "maximum": max,
     "sqrt": lambda a: math.sqrt(max(a, 0.0)),

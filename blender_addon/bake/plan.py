@@ -231,7 +231,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
         return None
     if (channel == "rgb") == is_scalar:
         if not is_scalar or not _is_grey(image):
-            return None  # one component used as a colour, or a coloured image as a value: bake
+            return None  # one component used as a colour, or a coloured image as a value
         channel = "r"
     is_blended = channel != "a" and image.channels == 4 and image.alpha_mode in ("STRAIGHT", "PREMUL")
     if is_blended and not _is_opaque(image):
@@ -244,7 +244,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The tangent-space normal map that all Normal inputs read without rotation or mirroring, or None."""
+    """The normal map that all Normal inputs read by ``rendering_layer``, unrotated and unmirrored, or None."""
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):

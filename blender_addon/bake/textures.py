@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bakes a material by its plan: constants, textures of sufficient size, and the UV map that reads them."""
+"""Bakes a material by its plan to constants and to textures of sufficient size."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .pyramid import fill, halve, interpolate, smallest_level
 _FIRST_PX = 256
 _ODD_PX = 181  # a prime, so that a regular pattern does not alias as at a power of two
 BORDER = 1 / 32  # margin around a window or layout, relative to the texture's side
-_FLAT = 1e-4  # a texture with less variation is a constant
+_FLAT = 1e-4  # a texture with less variation is exported as a constant
 
 Window = tuple[float, float, float, float]
 UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
@@ -32,7 +32,7 @@ UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
 class BakedTexture:
     """A baked texture: linear ``pixels`` (H, W, C), float32, row 0 at v = 0.
 
-    ``error``: mean absolute difference from the finest bake; at the size limit, change by the last doubling.
+    ``error``: mean absolute difference from the finest bake, or change by the last doubling if cut in size.
     """
 
     pixels: Array
@@ -40,7 +40,7 @@ class BakedTexture:
 
 
 def padded_window(low: NDArray, high: NDArray) -> Window:
-    """The window (u0, v0, u1, v1): the box from ``low`` to ``high`` (2,) of texture coordinates and a margin.
+    """Add a margin to the box from ``low`` to ``high`` (2,) of texture coordinates: (u0, v0, u1, v1).
 
     With the margin, repeating lookups in textures of 16 texels or more never read the opposite border.
     """

@@ -62,8 +62,8 @@ def _smart_project(session: BakeSession, thing: bpy.types.Object, arrays: MeshAr
 def _select(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
     """Select the chosen polygons with their edges and vertices.
 
-    Written as attributes: in some meshes Blender 5.0 creates ``.select_edge`` with the wrong type, and
-    setting ``select`` of their edges crashes the program.
+    The attributes are written directly: in some meshes Blender 5.0 creates ``.select_edge`` with the wrong
+    type, and setting ``select`` of their edges crashes the program.
     """
     totals = np.empty(len(mesh.polygons), np.int32)
     mesh.polygons.foreach_get("loop_total", totals)

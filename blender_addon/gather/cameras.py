@@ -14,7 +14,7 @@ from ..problems import APPROXIMATION, ERROR, ProblemList
 
 @dataclass(frozen=True)
 class CameraData:
-    """A pinhole camera: ``asset_from_camera`` (4, 4) rigid, position in metres; intrinsics in pixels.
+    """A pinhole camera: rigid pose ``asset_from_camera`` (4, 4) in metres, and intrinsics in pixels.
 
     ``clip_m``: near and far limit along the optical axis, as applied by Cycles to camera rays.
     """

@@ -33,7 +33,7 @@ def _matrix(thing: bpy.types.Object, metres_per_unit: float) -> NDArray[np.float
 def rectangle_of(thing: bpy.types.Object, metres_per_unit: float) -> Rectangle:
     """Origin and edges (3,) [m] of the rectangle that a marker spans in its local XY plane, at its top.
 
-    edge_u x edge_v points along the marker's +Z, or, for an area light, along -Z, in which it emits.
+    edge_u x edge_v points along the marker's +Z, or, for an area light, along -Z, its direction of emission.
     """
     matrix = _matrix(thing, metres_per_unit)
     if thing.type == "LIGHT" and thing.data.type == "AREA":

@@ -150,7 +150,7 @@ def _merge(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     first, inverse = first[order], rank[inverse]
-    for column in columns:  # a hash collision would weld unequal vertices: nothing is merged then
+    for column in columns:  # nothing is merged after a hash collision, which would weld unequal vertices
         if not np.array_equal(column[first][inverse], column):
             return np.arange(len(hashes)), np.arange(len(hashes))
     return first, inverse

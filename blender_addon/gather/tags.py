@@ -84,7 +84,7 @@ def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple
 
 
 def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> tuple[str, ...]:
-    """The tag ``sm_surface`` or ``sm_surfaces`` of a material: kinds of surface for which it is usual."""
+    """The tag ``sm_surface`` or ``sm_surfaces`` of a material: kinds of surface that it usually covers."""
     return check_words(words(material.get(tag)), SURFACES, tag, problems, material=material.name)
 
 

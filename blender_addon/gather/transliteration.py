@@ -3,7 +3,7 @@
 
 German umlauts become two letters; other accents are removed; letters that are not a base letter with an
 accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Characters without a Latin form here become
-their code points, so that two such names stay distinct.
+their code points, so two such names stay distinct.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _TABLE = {**_LATIN, **_GREEK, **_CYRILLIC}
 
 
 def transliterated(text: str) -> str:
-    """``text`` in ASCII; punctuation of other alphabets becomes a blank."""
+    """Transliterate ``text`` to ASCII; punctuation outside ASCII becomes a blank."""
     text = unicodedata.normalize("NFC", text)
     neighbours = zip(text, f" {text}", f"{text[1:]} ", strict=False)
     return "".join(_letters(c, after.isupper() or before.isupper()) for c, before, after in neighbours)
 
 
 def _letters(letter: str, is_in_capitals: bool) -> str:
-    """ASCII for a letter; a capital becomes only capitals if ``is_in_capitals``, next to another capital."""
+    """Transliterate a character; a capital next to another (``is_in_capitals``) becomes capitals only."""
     if letter.isascii():
         return letter
     small = letter.lower()

@@ -58,7 +58,7 @@ def gather_world(
 
 
 def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None:
-    """Radiance of a graph of background shaders as an expression; None if only a render determines it."""
+    """Radiance of a graph of background shaders as an expression; None if it must be rendered."""
     source = source_of(stack, socket)
     node = source.node
     if node is None:

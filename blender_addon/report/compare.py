@@ -26,7 +26,7 @@ from .page import CameraCheck, Comparison, page
 from .stage import SAMPLES, light_stage, material_stage
 
 _MATERIAL_LIMIT, _LIGHT_LIMIT = 0.10, 0.05
-_MITSUBA_SAMPLES = 4 * SAMPLES  # independent samples; Cycles' are stratified
+_MITSUBA_SAMPLES = 4 * SAMPLES  # Mitsuba's samples are independent, Cycles' are stratified
 _TIMEOUT_S = 3600
 _RENDER_MODULE = "datagen.inspection.render_package"
 
@@ -131,7 +131,7 @@ def _render_light(
 
 
 def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
-    """Render the packages with Mitsuba; returns the page's remark: sample counts, or why it failed."""
+    """Render the packages with Mitsuba; returns the page's remark: sample counts, or the failure."""
     executable = python or _own_python()
     if not executable:
         return (

@@ -15,7 +15,7 @@ from ..bake.execute import BakeSession
 
 PICTURE_PX = 112
 SAMPLES = 48
-_SPACING = 40.0  # between samples: their planes then change each other's light by less than a thousandth
+_SPACING = 40.0  # at this spacing, samples change each other's light by less than a thousandth
 _PREFIX = ".sm_report"
 _SPHERE_ROWS, _SPHERE_COLUMNS = 48, 96
 
@@ -108,7 +108,7 @@ def material_stage(
 
 
 def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy.types.World | None) -> None:
-    """Build the scene of a grey square that faces a light, or of a grey sphere in a world, and a camera."""
+    """Build a scene with a camera, and a grey square that faces ``light`` or a grey sphere in ``world``."""
     scene = _prepare(session, "report_light")
     grey = session.own(bpy.data.materials, bpy.data.materials.new(f"{_PREFIX}_grey"))
     grey.use_nodes = True
