@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 class DenseSystem:
     """Matrices of the bilateral solver for an image of P pixels in V cells of the bilateral grid.
 
-    ``splat`` S (V, P) sums pixels by cell; ``smoothness`` (V, V) is lambda (diag(m) - diag(n) B diag(n)),
-    with blur B, and n and m from bistochastisation.
+    ``splat`` (V, P) sums pixels by cell; ``smoothness`` (V, V) is lambda (diag(m) - diag(n) B diag(n)), where
+    B (V, V) is the blur, and n and m (V,) result from bistochastisation.
     """
 
     splat: NDArray

@@ -72,7 +72,7 @@ def _texels(values: np.ndarray) -> np.ndarray:
 
 
 def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **options: Any) -> Any:
-    """Create a ``cook_torrance`` of n = ``num`` texels from D, S (n, 3) and R (n,), or one number for each.
+    """Create a ``cook_torrance`` BSDF with n = ``num`` texels from D, S (n, 3) and R (n,), or from scalars.
 
     Values are set after construction, so they may be outside the range that the plugin accepts.
     """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
-The loops follow the definitions literally. The vectorised version must give equal results; it also returns
-how far each pixel is from a decision that could differ in float32, and is the baseline for speed. They
-are independent of the kernels that they check. A view is any object with ``camera``, ``color`` (H, W, 3),
+The loops follow the definitions literally. The vectorised version must return equal results; it also returns
+each pixel's distance from a decision that could differ in float32, and is the baseline for speed. Both are
+independent of the kernels that they check. A view is any object with ``camera``, ``color`` (H, W, 3),
 ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
 

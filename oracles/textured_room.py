@@ -61,7 +61,7 @@ def materials_at(uv: NDArray) -> dict[str, NDArray[np.float32]]:
 
 
 def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4) -> list[Camera]:
-    """``num`` cameras near the walls that look across the room; every second ``size`` differs slightly."""
+    """``num`` cameras near the walls that look across the room; the size of every second differs slightly."""
     rng = np.random.default_rng(seed)
     cameras = []
     for index in range(num):
@@ -75,7 +75,7 @@ def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4)
 
 
 class _MapSource:
-    """Image source of a view with ground truth ``maps``; the diffuse albedo is its photograph."""
+    """Image source of a view with ground-truth ``maps``; the diffuse albedo serves as its photograph."""
 
     def __init__(self, maps: dict[str, NDArray]):
         self.maps = maps
