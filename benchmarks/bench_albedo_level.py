@@ -5,8 +5,8 @@
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
 of their photographs with the suite's networks, for all photographs or for the first ``--views``. ``--clip``:
-share of pixels clipped by a simulated sensor. Errors are means over all surface pixels; "best gain" is the
-factor for the room that minimises them.
+share of pixels clipped by a simulated sensor. Errors are those of D over all surface pixels; "best gain" is
+the factor on the room's predicted D that minimises the error.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def predicted(traced: TracedCapture, checkpoint: Path) -> Iterator[dict[str, NDA
 
 
 def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
-    """Table row of errors of a network on a capture, with the share ``clip`` of its pixels clipped."""
+    """Table row of the network ``name`` on a capture, with the brightest share ``clip`` of pixels clipped."""
     traced = trace_capture(capture)
     region_of_face = smooth_regions(traced.geometry.mesh)
     if clip:

@@ -2,7 +2,7 @@
 """Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's ``roughplastic``.
 
 The same room (walls, 19 objects, a lamp and a window) is rendered with each BSDF in turn, in one process;
-each ratio is that of two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians and
+each ratio compares two renders of a turn. ``python -m benchmarks.bench_bsdf`` writes JSON with medians and
 quartiles; the target is a median ratio of at most 1.10.
 """
 
@@ -113,7 +113,7 @@ def _render(scene: Any, spp: int) -> None:
 
 
 def run(width: int, height: int, spp: int, num_pairs: int) -> dict[str, Any]:
-    """Render the BSDFs in turn, ``num_pairs`` times with ``spp`` paths per pixel: seconds and ratios."""
+    """Render the BSDFs in turn, ``num_pairs`` times with ``spp`` paths per pixel; returns the report."""
     from mitsuba_plugins import register, select_variant
 
     variant = select_variant()

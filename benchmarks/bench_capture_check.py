@@ -33,7 +33,7 @@ from model.reconstruction.check.capture_check import CheckReport, check_capture
 def changed(
     capture: Capture, rng: np.random.Generator, change: Callable[[NDArray, np.random.Generator], NDArray]
 ) -> tuple[Capture, set[str]]:
-    """Move one camera in five by ``change`` (of a 4 x 4 matrix); also returns the names of these views."""
+    """Transform one camera in five by ``change``; returns the capture and the names of these views."""
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)
     views = list(capture.views)
     for index in wrong:
@@ -43,7 +43,7 @@ def changed(
 
 
 def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Return ``matrix`` (4, 4) with a rotation by 1 degree about a random axis perpendicular to the view."""
+    """Set in ``matrix`` (4, 4) a rotation by 1 degree about a random axis perpendicular to the view."""
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
@@ -51,14 +51,14 @@ def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
 
 
 def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Return ``matrix`` (4, 4) with a rotation by 2 degrees about the view direction."""
+    """Set in ``matrix`` (4, 4) a rotation by 2 degrees about the view direction."""
     angle = np.radians(2.0) * rng.choice([-1.0, 1.0])
     matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     return matrix
 
 
 def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Return ``matrix`` (4, 4) with a translation by 10 cm along the view direction."""
+    """Set in ``matrix`` (4, 4) a translation by 10 cm along the view direction."""
     matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
     return matrix
 

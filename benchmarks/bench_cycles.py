@@ -13,8 +13,8 @@ with an empty and with a filled kernel cache.
 
 The baseline is bpy as used by BlenderProc (cycles_baseline.py): one process, persistent data, path tracing
 with the same number of segments, OIDN with prefiltered albedo and normal, one EXR per view with depth,
-normal, diffuse and glossy colour, object and material index. Its scene is a .blend made from the same
-configuration, in time that is not counted. It has no roughness, multi-view statistics or error control.
+normal, diffuse and glossy colour, object and material index. Its scene is a .blend file of the same
+configuration, whose creation is not timed. It has no roughness, multi-view statistics or error control.
 
 The error is the exposed relMSE (``datagen.rendering.error``) of denoised images of ``--error-views`` views,
 against two independent converged images by the same renderer, because the renderers' materials differ by more
@@ -22,7 +22,7 @@ than the target error (their agreement is reported; if it is poor, the exit code
 neither a clamp nor Blender's *filter glossy*, so the energy that these remove counts as an error. Cycles'
 sample count is doubled until the error is at most ours and then interpolated in logarithms, for three
 settings: Blender's defaults with a uniform sample count, Cycles' adaptive sampling, and neither clamp nor
-filter. The baseline is the fastest of the three or, if none reaches the error, that of the smallest error.
+filter. The baseline is the fastest of the three or, if none reaches the error, the one of smallest error.
 
 Results of steps are stored in --out and reused, so the same command resumes. ``--cycles-views N`` renders N
 views with Cycles; the time of 40 views is then the fixed part + 40 x the median of a view.
@@ -245,7 +245,7 @@ class Comparison:
     def cycles_samples(
         self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
     ) -> tuple[int | None, dict[int, float]]:
-        """Find the smallest sample count of error ``target`` or None, and the error by count."""
+        """Find the sample count at which the error is ``target`` (None if never), and the error by count."""
         curve: dict[int, float] = {}
         samples = FIRST_SAMPLES
         while samples <= self.arguments.max_cycles_samples:
@@ -261,7 +261,7 @@ class Comparison:
     # ---------------------------------------------------------------- time
 
     def ours(self, name: str, *, is_cold: bool) -> dict[str, Any]:
-        """Run ``datagen run --unit`` on a copy of the plan, ``is_cold`` without kernel cache; its seconds."""
+        """Time ``datagen run --unit`` on a copy of the plan, with an empty kernel cache if ``is_cold``."""
         root = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -285,7 +285,7 @@ class Comparison:
         return step(self.folder / f"{name}.json", make)
 
     def our_views(self, name: str) -> tuple[dict[int, NDArray], list[dict[str, Any]], int]:
-        """Beauty of the error views, every view's render record, and the shard's bytes."""
+        """Beauty of the error views, render records of all views, and the shard's size in bytes."""
         folder = DatasetFolder(self.folder / name)
         (unit,) = folder.read_plan().units
         manifest = folder.read_manifest(unit)
@@ -351,7 +351,7 @@ def agrees(agreement: dict[str, Any]) -> bool:
 
 
 def interpolated(curve: dict[int, float], target: float) -> int:
-    """Sample count of error ``target``, by the last two points of ``curve`` (by count) in logarithms."""
+    """Sample count of error ``target``: ``curve`` (error by count) is interpolated logarithmically."""
     *before, high = sorted(curve)
     if not before:
         return high
@@ -362,7 +362,7 @@ def interpolated(curve: dict[int, float], target: float) -> int:
 
 
 def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
-    """Seconds of the fixed part, including the first view's excess, of one view, and of ``views`` views.
+    """Seconds of the fixed part (with the excess of the first view), of one view and of ``views`` views.
 
     ``run`` is a result of ``Comparison.cycles``. Processor seconds are scaled like wall seconds.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time of planning, rerun, status and collection by the number of units of a plan.
+"""Time of planning, rerun, status and collection for plans of different numbers of units.
 
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
 
@@ -37,7 +37,7 @@ from datagen.library import Library
 
 
 def plan_folder(root: Path, num_units: int, library: Library) -> tuple[DatasetFolder, Recipe]:
-    """Write a folder with ``num_units`` configurations of 40 cameras, without a plan; also returns its
+    """Write a folder with ``num_units`` configurations of 40 cameras, without a plan; returns it and its
     recipe."""
     folder = DatasetFolder(root)
     for path in (folder.shards_path, folder.units_path, folder.configuration_path("x").parent):

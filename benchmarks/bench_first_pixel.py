@@ -3,7 +3,7 @@
 
     python -m benchmarks.bench_first_pixel                    the bundled library, 640x384, warm caches
     python -m benchmarks.bench_first_pixel --cold             an empty cache of compiled kernels each time
-    python -m benchmarks.bench_first_pixel --profile          profile of building the scene
+    python -m benchmarks.bench_first_pixel --profile          profile of the scene's construction
 
 A separate process follows the steps of ``datagen run --unit``: it imports modules, opens the library, reads
 plan and configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view with

@@ -7,8 +7,8 @@
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
 of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. Mean squared errors
 are over all surface pixels, and over metal (S above 0.2), white (D above 0.6) and glossy pixels (R below
-0.4). ``--sheet`` writes a picture per room of three views: D from the network, from light and true, R from
-light and true. ``--worse-mesh`` displaces vertices by 1 cm, keeps three tenths of the triangles and cuts
+0.4). ``--sheet`` writes a picture per room of three views: D of network, light and ground truth, R of light
+and ground truth. ``--worse-mesh`` displaces vertices by 1 cm, keeps three tenths of the triangles and cuts
 holes in 5 % of the area. ``--ablate`` adds a row for each omitted step.
 """
 
@@ -53,7 +53,7 @@ ABLATIONS = {
 }
 WORSE_MESH = GeometryError(edge_m=0.1, noise_m=0.01, keep_share=0.3, hole_share=0.05)
 ALONG = 3
-"""Selects every third pixel along both axes, which are measured."""
+"""Stride of the measured pixels along both axes."""
 
 
 def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
@@ -104,7 +104,7 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
 
 
 def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, ablates: bool) -> None:
-    """Print the rows of a room."""
+    """Print a room's table rows, with those of :data:`ABLATIONS` if ``ablates``."""
     truth = [view.source.read_maps((*MATERIAL_MAPS, "surface_mask")) for view in traced.capture.views]
     name = f"{traced.capture.name} | {len(truth)}"
     source = CheckpointMaps(checkpoint)

@@ -4,8 +4,8 @@
     python -m benchmarks.bench_material_buffers ../shared/data/scenes/staircase/scene.xml
 
 Each BSDF of the scene is replaced by a ``cook_torrance`` with the same diffuse reflectance, which preserves
-the texture lookups. The passes run in turn on the same view; ``aov`` gives albedo, shading normal, depth and
-shape index, the ground-truth pass gives all 17 channels. Writes JSON with medians and quartiles.
+the texture lookups. The passes run in turn on the same view; ``aov`` outputs albedo, shading normal, depth
+and shape index, the ground-truth pass all 17 channels. Writes JSON with medians and quartiles.
 """
 
 from __future__ import annotations

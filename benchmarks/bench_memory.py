@@ -3,7 +3,7 @@
 
     python benchmarks/bench_memory.py [--configurations 20] [--views 10] [--size 96 64]
 
-Each configuration has other random objects, textured materials, lights and colour adjustments, so scenes,
+Each configuration has different random objects, textured materials, lights and colour adjustments, so scenes,
 textures and kernels differ. Resident memory is read after each configuration, once unused memory is freed.
 Growth is counted after --warm-up configurations, when libraries are loaded and caches filled; the limit is
 100 MB.

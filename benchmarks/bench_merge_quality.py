@@ -6,8 +6,8 @@
     python -m benchmarks.bench_merge_quality seams SHARD ... --views 12
 
 ``weights``: mean squared error of the maps from network and light before merging (``views``) and after
-merging with each choice of weights. ``sizes``: that of the true maps after merging into atlases of several
-sides (2x: twice the side of ``auto``). ``seams``: by room and choice of weights, the errors and the mean step
+merging with each choice of weights. ``sizes``: error of the true maps after merging into atlases of several
+sizes (2x: twice the side of ``auto``). ``seams``: by room and choice of weights, the errors and the mean step
 of merged D between neighbouring texels of smooth true D, where the number of views differs (``border``) and
 where it does not (``inside``). An atlas is interpolated at the surface point under each pixel's centre and
 compared with the pixel's true map; all surface pixels have equal weight. ``--json`` stores the figures.
@@ -109,7 +109,7 @@ class Room:
 
 
 def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
-    """Interpolate a map (N, N, C) at UVs (K, 2): values (K, C)."""
+    """Interpolate a map (N, N, C) bilinearly at UVs (K, 2); returns values (K, C)."""
     size = array.shape[0]
     x = np.clip(uv[:, 0] * size - 0.5, 0, size - 1)
     y = np.clip((1 - uv[:, 1]) * size - 0.5, 0, size - 1)

@@ -3,7 +3,7 @@
 
 For N seeds of every kind of room: processor seconds, bytes of the package, and number of attempts; minimum,
 median and maximum of the number of pieces of furniture, floor area, proportion, number of windows and their
-width; the share of windows with curtains, blind and radiator.
+width; the shares of windows with curtains, with a blind and with a radiator.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from datagen.parametric.shell import Shell
 
 
 def measure(num_seeds: int) -> dict[str, Any]:
-    """Figures over all kinds, and the slowest room of each kind."""
+    """Figures over all kinds, and the seconds of the slowest room of each kind."""
     watch = Stopwatch()
     tries, num_bytes, pieces = [], [], []
     shells: list[Shell] = []

@@ -35,7 +35,7 @@ def make_guide(kind: str) -> torch.Tensor:
 
 
 def measure(kind: str, device: torch.device, repeats: int) -> dict[str, float]:
-    """Median seconds, the grid's number of cells, and the residual at the limit of iterations, by name."""
+    """Median seconds, number of grid cells, and errors of the solver after 10 and 25 iterations, by name."""
     generator = torch.Generator().manual_seed(1)
     guide = make_guide(kind).to(device)
     target = torch.rand(1, 4, HEIGHT, WIDTH, generator=generator).to(device)

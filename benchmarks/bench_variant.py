@@ -5,8 +5,9 @@
     SCENE_MATERIALS_VARIANT=llvm_ad_rgb python -m benchmarks.bench_variant planned --out llvm.npz
     SCENE_MATERIALS_VARIANT=cuda_ad_rgb python -m benchmarks.bench_variant planned --compare llvm.npz
 
-Prints medians over the views after the first two, which compile the kernels; by buffer, the largest
-difference and the share of pixels that differ by more than half floats round; relMSE of the radiance.
+Prints times over the views after the first two, which compile the kernels (mean of a view, median by stage);
+by buffer, the largest difference and the share of pixels that differ beyond the rounding of half floats, and
+relMSE of the radiance, each of the worst view.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def main() -> None:
     report = {
         "variant": renderer.variant,
         "seconds_to_build": renderer.seconds_to_build,
-        # The views are interleaved, so that single waits tell nothing.
+        # The work of several views is interleaved, so the time of a single view is meaningless.
         "seconds_a_view": sum(seconds[COMPILING_VIEWS:]) / max(1, len(seconds) - COMPILING_VIEWS),
         "stages": {
             name: float(np.median([stage[name] for stage in stages[COMPILING_VIEWS:]])) for name in stages[0]
@@ -69,7 +70,7 @@ def main() -> None:
 def _differences(
     buffers: dict[str, np.ndarray], others: dict[str, np.ndarray]
 ) -> dict[str, dict[str, float]]:
-    """By buffer: largest difference, share of differing pixels, and for the radiance the mean relMSE."""
+    """Worst view's difference, share of differing pixels and, for the radiance, relMSE, by buffer."""
     found: dict[str, dict[str, float]] = {}
     for key, values in buffers.items():
         name = key.partition("/")[0]

@@ -83,7 +83,7 @@ class Stopwatch:
 
 
 def machine() -> dict[str, Any]:
-    """Name and cores of the processor, and versions of the software, by name."""
+    """Name of the processor, number of cores, and version of Python, by name."""
     return {
         "processor": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
@@ -92,7 +92,7 @@ def machine() -> dict[str, Any]:
 
 
 def write_report(report: Any, out: Path | None, *, is_printed: bool = True) -> None:
-    """Print a report as JSON and write it to ``out``, if given."""
+    """Print a report as JSON if ``is_printed``, and write it to ``out`` if given."""
     text = json.dumps(report, indent=1)
     if is_printed:
         print(text)

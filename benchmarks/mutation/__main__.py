@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mutation of modules, one change at a time, and the share of changes that their tests detect.
+"""Mutates modules, one change at a time, and measures the share of changes that their tests detect.
 
     python -m benchmarks.mutation [TARGET ...] [--number N] [--seed S] [--again] [--work DIR] [--out FILE]
 
@@ -9,7 +9,7 @@ happens in a copy of the project below ``--work``. Results are written after eac
 same command resumes after them, and ``--again`` repeats the survivors. A mutant is identified by its
 statement and its function, so results remain valid when other code changes.
 
-``--list`` prints the survivors, ``--table`` the counts in Markdown; both try nothing.
+``--list`` only prints the survivors, ``--table`` only the counts in Markdown.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class Copy:
 
 
 def trace(copy: Copy, target: Target) -> dict[str, Any]:
-    """Run a target's tests and return the lines of each, as :mod:`benchmarks.mutation.tracing` states."""
+    """Run a target's tests; returns the seconds of each and its lines, as sets by module."""
     for path in (copy.work / "children").iterdir():
         path.unlink()
     found = copy.work / "trace.json"
@@ -125,8 +125,7 @@ def trace(copy: Copy, target: Target) -> dict[str, Any]:
 
 
 def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
-    """Names of the ``tests`` that run a mutant's line, fastest first; all tests if the line runs on import or
-    in compiled code, which cannot be traced."""
+    """Names of the ``tests`` that run a mutant's lines in ``module``, fastest first."""
     lines = set(range(mutant.first_line, mutant.last_line + 1))
     chosen = [name for name, test in tests.items() if lines & test["lines"].get(module, set())]
     return sorted(chosen, key=lambda name: tests[name]["seconds"])
@@ -143,7 +142,7 @@ def draw(
         source = (root / module).read_text()
         compiled = _untraced_lines(source)
         for mutant in find_mutants(module, source):
-            # default values of parameters are evaluated on import
+            # code that runs on import, such as default values, or is compiled cannot be traced: all tests
             is_signature = mutant.statement.startswith(("def ", "async def "))
             if not mutant.function or mutant.first_line in compiled or is_signature:
                 names = sorted(tests, key=lambda name: tests[name]["seconds"])

@@ -44,7 +44,7 @@ class Tracer:
 
 
 def trace_child() -> None:
-    """Trace this process, started by a test; each line is written immediately, as it may be killed."""
+    """Trace this process if a test started it; writes each line at once, as the process may be killed."""
     folder = os.environ.get("MUTATION_CHILDREN")
     if folder:
         file = (Path(folder) / f"{os.getpid()}.txt").open("a")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Accuracy of the BSDF for extreme inputs: the figures of docs/measurements.md.
 
-    python -m benchmarks.studies.bsdf_extremes density      three ways to compute D in float32, in eps
+    python -m benchmarks.studies.bsdf_extremes density      Beckmann's distribution in float32: errors in eps
     python -m benchmarks.studies.bsdf_extremes slopes       Newton steps of the sampler: error and time
     python -m benchmarks.studies.bsdf_extremes energy       directional albedo, and energy over bounces
     python -m benchmarks.studies.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
@@ -74,7 +74,7 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Print the maximum error of sampled slopes in the CDF, and seconds for 4e6 samples, by Newton steps."""
+    """Print the maximum error of sampled slopes in the CDF, and seconds for 4e6 samples, by step count."""
     import drjit as dr
     import mitsuba as mi
 
@@ -114,7 +114,7 @@ def print_slopes() -> None:
 
 
 def _angle_transport(specular: float, roughness: float, num_bins: int, num_slopes: int) -> np.ndarray:
-    """Matrix (o, i): share of the energy from angle bin i that the specular lobe reflects into bin o.
+    """Matrix [o, i] of the shares of energy from angle bin i that the specular lobe reflects into bin o.
 
     Bins have equal projected solid angle, so the diffuse term adds the same number to all elements.
     """
@@ -134,7 +134,7 @@ def _angle_transport(specular: float, roughness: float, num_bins: int, num_slope
 
 
 def _sum_of_bounces(transport: np.ndarray, num_bounces: int) -> float:
-    """Sum over bounces between parallel plates of the remaining energy of diffuse light of energy 1."""
+    """Sum of the energies that remain of diffuse light of energy 1 after each bounce between two plates."""
     energy = np.full(len(transport), 1.0 / len(transport))
     total = 0.0
     for _ in range(num_bounces):
@@ -163,7 +163,7 @@ def print_energy() -> None:
         for diffuse in (0.5, 0.8, 0.9, 0.95, 1.0):
             transport = specular_part + (1 - 0.04) * diffuse / len(specular_part)
             radius = float(np.abs(np.linalg.eigvals(transport)).max())
-            # an upper bound for every direction: columns with a sum above 1 are scaled to 1
+            # conserves energy for every direction: columns with a sum above 1 are scaled to 1
             bounded = transport / np.maximum(transport.sum(0), 1.0)
             sums = {
                 name: _sum_of_bounces(t, n)
@@ -201,7 +201,7 @@ def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
 
 
 def _random_direction(rng: Any) -> Any:
-    """Random unit vectors: uniform angles, log-uniform to 1e-6 rad from the horizon, horizon and pole."""
+    """Random unit vectors: uniform elevation, log-uniform down to 1e-6 rad, on the horizon, at the pole."""
     import drjit as dr
     import mitsuba as mi
 
@@ -226,12 +226,12 @@ class _LaneTexture:
         return self.value
 
     def eval_1(self, si: Any, active: Any = True) -> Any:
-        """Number of each lane."""
+        """Scalar of each lane."""
         return self.value
 
 
 def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
-    """Random inputs of ``num`` lanes: BSDF, surface interaction, wo, and the samples (number, pair)."""
+    """Random inputs of ``num`` lanes: BSDF, surface interaction, wo, and 1D and 2D random samples."""
     import drjit as dr
     import mitsuba as mi
 
@@ -257,7 +257,7 @@ def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
 
 
 def _batches(count: int) -> Iterator[int]:
-    """Batch numbers, with a progress bar."""
+    """Yield the numbers of ``count`` batches, with a progress bar."""
     with Bars("batches") as bars:
         for batch in range(count):
             bars.tell("cases", batch, count)

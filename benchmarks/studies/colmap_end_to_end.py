@@ -6,13 +6,12 @@
     python -m benchmarks.studies.colmap_end_to_end --out DIR --faults phone --mesh colmap    no true input
 
 1. The study of the bundled library, which is not in the training data of the bundled checkpoint, with
-   objects, ceiling light and daylight; cameras on a walk around its middle, looking across.
-2. Cycles (cycles_photographs.py) renders the views with depth of field; :func:`developed` adds
-   shot and read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone
-   mapping.
-3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
-   camera centres, here all of them with 5 mm of error per axis.
+   objects, ceiling light and daylight; the cameras circle around its centre and look across it.
+2. Cycles (cycles_photographs.py) renders the views with depth of field; :func:`developed` adds shot and
+   read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone mapping.
    ``--faults`` develops with a preset of model/evaluation/camera_faults.py instead.
+3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
+   camera centres, here all of them with noise of 5 mm standard deviation per axis.
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs, or the surface through COLMAP's
    points of `materials photos`.
 5. ``materials infer``, including its check.
@@ -231,7 +230,7 @@ class EndToEnd:
         (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
 
     def _run_colmap(self, folder: Path) -> None:
-        """Features and matches on the CPU, incremental mapping, alignment by camera centres."""
+        """Run COLMAP: features and matches on the CPU, incremental mapping, alignment by camera centres."""
         log, database = self.out / "colmap.log", folder / "database.db"
         found, aligned = folder / "found", folder / "sparse"
         found.mkdir()
@@ -278,7 +277,7 @@ class EndToEnd:
         run("model.cli", "infer", str(self.capture), *options, log=log)
 
     def pose_errors(self) -> dict[str, float]:
-        """Errors of the cameras' centres in mm, directions and focal length, by name."""
+        """Number of registered cameras; errors of centre [mm], rotation [degrees] and focal length [%]."""
         capture = read_capture(self.capture, CaptureOptions(mesh=self.out / "retopology.ply"))
         truth = {view.name: view.camera() for view in self.configuration().cameras}
         millimetres, degrees, focal = [], [], []
@@ -298,7 +297,7 @@ class EndToEnd:
         }
 
     def compare(self) -> dict[str, Any]:
-        """Errors of the atlas in the true views, over observed texels, and of the baselines."""
+        """Errors of the atlas in the true views, where depths agree within 5 %, and of the baselines."""
         configuration = self.configuration()
         cameras = configuration.cameras[::COMPARED_EVERY]
         configuration = configuration.model_copy(update={"cameras": cameras})
@@ -335,7 +334,7 @@ class EndToEnd:
         return rendered_maps(made.model_copy(update={"cameras": configuration.cameras}), Library([path]))
 
     def _picture(self, name: str, ours: dict[str, NDArray], truth: dict[str, NDArray]) -> None:
-        """Picture with photograph and true maps above a re-rendering and the atlas's maps."""
+        """Write a picture: the photograph and true maps above the result's normals and maps."""
         photograph = np.asarray(Image.open(self.images / f"{name}.jpg"))
         rows = []
         for maps in (truth, ours):

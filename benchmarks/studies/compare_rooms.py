@@ -35,7 +35,7 @@ from datagen.foundation.color import clipped_share, luminance, photographic_expo
 
 MAX_CLIPPED = 0.03
 WINDOW_PARTS = ("window", "blind", "curtain")
-"""Prefixes of the names of window parts in generated rooms: frames, sills, slats."""
+"""Prefixes of the names of window parts in generated rooms, such as frames, sills and slats."""
 BINS = {
     "luminance of D": np.linspace(0, 1, 41),
     "brightest channel of S": np.geomspace(0.02, 1, 41),

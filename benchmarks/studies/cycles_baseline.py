@@ -89,7 +89,7 @@ def _add_light(light: dict[str, Any]) -> None:
 
 
 def _area_light(lamp: Any, thing: Any, light: dict[str, Any]) -> float:
-    """Set the pose of an area light; returns its power in W per unit of radiance."""
+    """Set shape, size and pose of an area light; returns its power in W per unit of radiance."""
     origin, u, v = (np.array(light[key]) for key in ("origin_m", "edge_u_m", "edge_v_m"))
     lamp.shape = "RECTANGLE" if light["shape"] == "rectangle" else "ELLIPSE"
     lamp.size, lamp.size_y = float(np.linalg.norm(u)), float(np.linalg.norm(v))
@@ -163,7 +163,7 @@ def set_up(scene: Any, sampling: Sampling) -> None:
 
 
 def look_through(scene: Any, camera: dict[str, Any], scale: float) -> None:
-    """Set the scene's camera and resolution; ``scale`` multiplies the resolution."""
+    """Set the scene's camera, and its resolution times ``scale``; ``ValueError`` for non-square pixels."""
     if abs(camera["fx_px"] / camera["fy_px"] - 1) > 1e-6:
         raise ValueError(f"camera {camera['name']}: non-square pixels are not supported")
     width, height = camera["width_px"], camera["height_px"]

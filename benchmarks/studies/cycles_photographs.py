@@ -23,7 +23,7 @@ _WELD_M = 2e-4
 
 
 def render(arguments: argparse.Namespace) -> None:
-    """Render all cameras, one after the other."""
+    """Render the view of each camera whose file does not exist."""
     import bpy
 
     bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)

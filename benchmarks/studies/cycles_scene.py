@@ -188,7 +188,7 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
 
 
 def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
-    """Write two independent converged images per missing view to ``view_000.npz`` ..., all light traced."""
+    """Write two converged images, without irradiance cache, for each missing file ``view_000.npz`` etc."""
     configuration, library, planned = open_folder(folder)
     recipe = planned.read_recipe().render.model_copy(update={"irradiance_cache": False})
     renderer = SceneRenderer(configuration, library, recipe)

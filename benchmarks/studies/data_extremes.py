@@ -105,7 +105,7 @@ def log_round_trip(dtype: Any) -> float:
 
 
 def alike_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """``num_views`` identical views."""
+    """Make ``num_views`` identical views."""
     (view,) = make_views((size,), num_views=1)
     return [replace(view, name=f"view_{k:03}") for k in range(num_views)]
 
@@ -119,7 +119,7 @@ def spread_of_alike_views(num_views: int) -> float:
 
 
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """Views with random colours of the boxes, from random positions near the usual cameras."""
+    """Make views of the boxes with random colours, from random positions near the cameras of ``POSES``."""
     rng = np.random.default_rng(3)
     base = make_views((size,))
     found = []
@@ -166,8 +166,8 @@ def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
 
 
 def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Largest and median relative difference of a pixel from that of scale 1 and radiance 1, for each case
-    (scale, radiance).
+    """Largest and median relative difference from the image at scale 1 and radiance 1, by case (scale,
+    radiance).
 
     The random numbers are the same, so differences are due to rounding; near the light's edge, one of a
     pixel's 64 paths may miss the light in one room only.
