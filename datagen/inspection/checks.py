@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Pure functions that check a view's buffers, arrays (H, W, C) by name, and return faults.
 
-The functions never raise on invalid pixels. Their limits accept every sound dataset and reject pixels that
-would impair training.
+``where`` names the view in faults. The functions never raise on invalid pixels. Their limits accept every
+sound dataset and reject pixels that would impair training.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Mask (H, W) of isolated pixels above 20 times the median luminance of 5x5 neighbourhood and frame.
+    """Mask (H, W) of isolated pixels over 20 times as bright as the medians of 5x5 neighbours and frame.
 
     A firefly has at most 4 pixels, none within 2 pixels of lamps, openings or background.
     """
@@ -117,7 +117,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 
 
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Find fireflies: an error above a limit, else a warning, or no fault if all are on metal or gloss."""
+    """Report fireflies: an error above a limit, else a warning (none if all are on metal or gloss)."""
     mask = firefly_mask(view)
     count = int(mask.sum())
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
@@ -131,7 +131,7 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Find a view that is black, flat or overexposed at ``exposure``, the configuration's median factor."""
+    """Find a view that is black, flat or overexposed at the configuration's median ``exposure`` factor."""
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     bright, middle = np.percentile(light, [95, 50])
     expected = "a visible scene"
@@ -151,10 +151,10 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
 
 
 def check_statistics(view: View, max_views: int, has_own: bool, where: str) -> list[Fault]:
-    """Find wrong order of min, median and max, wrong counts, and wrong colours of pixels with count 0.
+    """Find statistics out of order, wrong counts, and wrong statistics of pixels with count 0.
 
     Counts must be 0 on background, at most ``max_views``, and, if ``has_own`` (the statistics of a pixel
-    include the pixel itself), above 0 on surfaces. Pixels with count 0 must have their own colour.
+    include the pixel itself), above 0 on surfaces. With count 0, the statistics must be the pixel's colour.
     """
     low, middle, high = (view[f"color_{n}"].astype(np.float32) for n in ("min", "median", "max"))
     count = view["observation_count"][..., 0]
@@ -180,7 +180,7 @@ def check_statistics(view: View, max_views: int, has_own: bool, where: str) -> l
 
 
 def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
-    """Number of pixels, minimum and maximum of R by material id, over pixels fully covered by surfaces."""
+    """Number of pixels, minimum and maximum of R by material id, over pixels fully covered by surface."""
     ids = view["material_id"][..., 0]
     rough = view["roughness"][..., 0].astype(np.float32)
     is_solid = (view["surface_mask"][..., 0] >= SOLID_COVERAGE) & np.isfinite(rough) & (ids > 0)

@@ -67,7 +67,7 @@ def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
 
 
 def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
-    """Choose scales for ``views`` (arrays by buffer): exposure, 98th percentile of depth, largest count."""
+    """Choose display scales for ``views``: exposure, 98th percentile of depth, and largest count."""
     colors, depths, counts = [np.zeros((0, 3))], [np.zeros(0)], [1.0]
     for view in views:
         if "beauty" in view:
@@ -122,7 +122,7 @@ def _color_map() -> Callable[[NDArray], NDArray]:
 def make_contact_sheet(
     views: Sequence[Mapping[str, NDArray]], names: Sequence[str], title: str, scales: Scales | None = None
 ) -> Image.Image:
-    """Draw each view (arrays by buffer) as a row labelled with its name, under the heading ``title``.
+    """Draw a row per view (arrays by buffer name), labelled by ``names``, under the heading ``title``.
 
     Buffers that no view has get no column. If ``scales`` is None, scales are chosen from the views, with one
     exposure per view. Raises :class:`InputError` if there are no views or one lacks ``beauty``.

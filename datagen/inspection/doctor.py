@@ -23,7 +23,7 @@ REQUIRED = (
     "mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "pyoidn", "embreex", "python-fcl", "pydantic", "typer",
     "rich", "PyYAML", "Pillow", "opencv-contrib-python-headless", "matplotlib", "xatlas", "numba", "psutil",
 )  # fmt: skip
-"""Distributions that the project requires, and Dr.Jit, which Mitsuba requires."""
+"""Python distributions required by the project, and Dr.Jit, which Mitsuba requires."""
 OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
@@ -136,7 +136,7 @@ def bundled_finding() -> Finding:
 
 
 def checkpoint_finding() -> Finding:
-    """Check whether the default networks of `materials infer` are installed, without importing them."""
+    """Check whether the default networks of `materials infer` are installed, without importing ``model``."""
     package = importlib.util.find_spec("model")
     folders = [Path(p) / "checkpoints" for p in (package.submodule_search_locations or ())] if package else []
     lacking = [name for name in CHECKPOINTS if not any((folder / name).is_file() for folder in folders)]

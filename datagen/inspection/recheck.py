@@ -88,7 +88,7 @@ def recheck(
 
     The recipe's seed selects the views. Faults and notes are added to ``report``; a configuration whose
     assets have changed is skipped with a note. ``progress(done, total)`` counts views. Raises
-    :class:`InputError` if ``folder`` is no dataset, or if ``samples`` is not a multiple of 4.
+    :class:`InputError` if ``folder`` is not a dataset, or if ``samples`` is not a multiple of 4.
     """
     if samples < PARTS or samples % PARTS:
         expected = f"a multiple of {PARTS}, the number of images that are compared"

@@ -41,7 +41,7 @@ class Geometry:
 
     @classmethod
     def from_buffers(cls, name: str, camera: Camera, view: dict[str, NDArray]) -> Geometry:
-        """Create a view's geometry from its buffers by name; pixels that are not finite are no surface."""
+        """Create a view's geometry from its buffers by name; pixels with NaN or Inf are not surface."""
         depth = view["depth_z_m"][..., 0]
         normal = view["normal_world"]
         is_surface = (view["surface_mask"][..., 0] >= 0.5) & (depth > 0)
@@ -53,8 +53,9 @@ class Geometry:
 class Agreement:
     """Agreement of a view's depth with the points of another view; NaN for too few comparable points.
 
-    ``num_points`` counts the points that are not occluded, and ``seen_through`` is the share of them at whose
-    depth the view has no surface; ``median_residual`` is the median of the residual above.
+    ``num_points`` counts the points that are not occluded; ``seen_through`` is the share of them at whose
+    depth the view has no surface; ``median_residual`` is the median distance of the view's surface from the
+    tangent planes at the points, relative to depth.
     """
 
     num_points: int
@@ -137,7 +138,7 @@ def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Faul
 def _excess(
     pairs: Sequence[tuple[int, int, Agreement]], index: int, view: Geometry
 ) -> tuple[float, str, str]:
-    """Larger ratio of a view's two median deviations to their limits, with the fault's texts."""
+    """Larger ratio of a view's two median deviations to their limits, with a fault's got and expected."""
     mine = [agreement for a, b, agreement in pairs if index in (a, b)]
     through = float(np.median([agreement.seen_through for agreement in mine]))
     gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]

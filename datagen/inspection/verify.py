@@ -154,8 +154,7 @@ def expected_roughness(configuration: Configuration, library: Library) -> dict[s
     """Range of roughness of each material with a roughness texture, by its name in the views' records.
 
     The range is the difference of the texture's 99th and 1st percentiles, with the configuration's roughness
-    offset added and clipped to [0, 1]. Raises
-    :class:`InputError` if the library lacks an asset or an image.
+    offset added and clipped to [0, 1]. Raises :class:`InputError` if the library lacks an asset or an image.
     """
     ranges: dict[str, float] = {}
     for placed in (configuration.environment, *configuration.objects):
@@ -218,7 +217,7 @@ def verify_command(
 
     Without ``library_paths``, the dataset's libraries are used if they still exist. ``recheck`` views are
     rendered again by plain path tracing, with ``recheck_samples`` paths per pixel. Raises :class:`InputError`
-    if ``path`` is no dataset, or if ``recheck`` is given without a library.
+    if ``path`` is not a dataset, or if ``recheck`` is given without a library.
     """
     library_paths = library_of(path) if library_paths is None else [*library_paths, *rooms_of(path)]
     if recheck and not library_paths:

@@ -46,7 +46,7 @@ class Axis:
         return cls(title, unit, tuple(np.geomspace(low, high, num + 1).tolist()), "log")
 
     def count(self, values: NDArray | Sequence[float]) -> NDArray[np.int64]:
-        """Count ``values`` by bin, (len(edges) - 1,), without NaN."""
+        """Number of ``values`` in each bin, of shape (len(edges) - 1,); NaN is ignored."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         flat = flat[~np.isnan(flat)]
         return np.histogram(np.clip(flat, self.edges[0], self.edges[-1]), self.edges)[0]

@@ -40,7 +40,7 @@ _INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
 
 @dataclass(frozen=True)
 class GatherJob:
-    """A shard to process, with tiles if ``with_pixels``, and also with source views if ``with_sources``."""
+    """A shard to process; ``with_pixels`` requests tiles, ``with_sources`` also tiles of source views."""
 
     shard: Path
     record: ShardRecord
@@ -127,7 +127,7 @@ def _placed(placed: PlacedAsset) -> dict[str, Any]:
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
-    """Type of a light, and luminance and unit of its emission, or the scale factor of a sky or image."""
+    """Type of a light, and luminance and unit of its emission or, for a sky or image, its scale factor."""
     units = {"intensity": "W/sr", "irradiance": "W/m^2", "radiance": "W/(m^2 sr)"}
     if light.type == "sky":
         return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}

@@ -61,7 +61,7 @@ class Method:
         return (self.folder / configuration).is_dir() or self.own_configuration() == configuration
 
     def own_configuration(self) -> str | None:
-        """The configuration of a folder that is one result of ``materials infer``; None for other folders."""
+        """The configuration named by ``report.json`` if the folder is a result of ``materials infer``."""
         try:
             report = json.loads((self.folder / "report.json").read_bytes())
         except (OSError, ValueError):
@@ -108,7 +108,7 @@ class CompareJob:
 
     @property
     def key(self) -> str:
-        """Hash of everything on which the result depends; files count by size and modification time."""
+        """Hash of everything on which the result depends; files are identified by size and time."""
         configuration = self.record.configuration
         folders = [self.method.folder / configuration, self.method.folder / configuration / "views"]
         if self.method.own_configuration() == configuration:
@@ -207,7 +207,7 @@ def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], 
 
 
 def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool_]) -> float | None:
-    """Mean squared error over the pixels of ``mask`` and all channels; None if empty or not finite."""
+    """Mean squared error over the pixels of ``mask`` and all channels; None if undefined or not finite."""
     difference = predicted[mask].astype(np.float64) - truth[mask].astype(np.float64)
     return float(np.mean(difference**2)) if difference.size and np.isfinite(difference).all() else None
 

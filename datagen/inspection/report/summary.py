@@ -221,7 +221,7 @@ def splits(index: DatasetIndex) -> dict[str, Any]:
 
 
 def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) -> dict[str, Any]:
-    """Size, time, memory and cost from the units' manifests; ``why_not`` is the reason for unknown times."""
+    """Size, time, memory and cost from the units' manifests; ``why_not`` states why times are unknown."""
     size = {
         "num_bytes": index.num_bytes,
         "bytes_per_view": index.num_bytes / index.num_views if index.num_views else None,
