@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``python -m blender_addon file.blend --out DIR``: the export without Blender's user interface."""
+"""``python -m blender_addon file.blend --out DIR``: exports a file without Blender's user interface."""
 
 from __future__ import annotations
 

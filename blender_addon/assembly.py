@@ -283,7 +283,7 @@ class _Assembly:
         return self._layouts[key]
 
     def description(self) -> dict[str, Any]:
-        """The fields materials, parts, lights and bounds of ``asset.json``, once :meth:`run` has ended."""
+        """The fields materials, parts, lights and bounds of ``asset.json``, available after :meth:`run`."""
         offset = np.zeros(3)
         result: dict[str, Any] = {"materials": self.materials}
         tagged = self.contents.target.tagged

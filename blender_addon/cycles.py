@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def pixels_of(image: bpy.types.Image) -> NDArray[np.float32]:
-    """Pixels (H, W, C) of an image of Blender, row 0 at the top."""
+    """Pixels (H, W, C) of a Blender image, row 0 at the top."""
     pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
     return pixels.reshape(image.size[1], image.size[0], image.channels)[::-1]

@@ -63,7 +63,7 @@ def _unpack(path: Path, folder: Path) -> None:
                 raise ValueError(f"{path}: member {name!r} leaves the package; refused")
         if sum(member.file_size for member in members) > _MAX_ZIP_BYTES:
             raise ValueError(f"{path}: larger than 4 GB when unpacked")
-        for member in members:  # reads no more than the member's stated size
+        for member in members:  # zipfile reads no more than a member's stated size
             target = folder.joinpath(*PurePosixPath(member.filename).parts)
             target.parent.mkdir(parents=True, exist_ok=True)
             with archive.open(member) as packed, target.open("xb") as unpacked:

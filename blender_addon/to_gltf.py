@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: converts files that Blender reads to binary
-glTF.
+"""``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: converts a file to glTF with Blender.
 
 Scripts in .blend files are not run. Images outside the file's folder and the FOLDERs are omitted; each
 omission is printed on a line that begins with ``to_gltf: ``.

@@ -59,7 +59,7 @@ def quantize(values: NDArray, bits: int) -> NDArray:
 def png_bytes(pixels: NDArray) -> bytes:
     """Encode (H, W, C) uint8 or uint16, C = 1, 3 or 4, row 0 at the top, as PNG.
 
-    Each row uses whichever of the five filters gives the smallest sum of absolute differences.
+    Each row uses the one of the five filters that yields the smallest sum of absolute differences.
     """
     height, width, channels = pixels.shape
     depth = 8 * pixels.dtype.itemsize

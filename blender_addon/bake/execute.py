@@ -168,7 +168,7 @@ class BakeSession:
     ) -> bpy.types.Object:
         """Create a square in the XY plane from 0 to ``size_m`` with UVs (4, 2) by layer at its corners.
 
-        ``active``: name of the layer that nodes without a layer's name read.
+        ``active``: name of the layer that is read by nodes that name none.
         """
         mesh = self.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}plane"))
         s = size_m

@@ -244,7 +244,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The normal map that all Normal inputs read by ``rendering_layer``, unrotated and unmirrored, or None."""
+    """The normal map that all Normal inputs read by ``rendering_layer`` without rotation; None if none."""
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):

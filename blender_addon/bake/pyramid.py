@@ -150,7 +150,7 @@ def smallest_level(
 
 
 def level_error(level: Image, image: Image, mask: Mask, enough: float = math.inf) -> float:
-    """Mean absolute difference of interpolated ``level`` from ``image`` over ``mask``, worst component.
+    """Mean absolute difference of ``image`` and interpolated ``level`` over ``mask``, in the worst component.
 
     The sum stops once the mean exceeds ``enough``; the result is then a lower bound.
     """

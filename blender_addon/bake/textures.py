@@ -32,7 +32,7 @@ UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
 class BakedTexture:
     """A baked texture: linear ``pixels`` (H, W, C), float32, row 0 at v = 0.
 
-    ``error``: mean absolute difference from the finest bake, or change by the last doubling if cut in size.
+    ``error``: mean absolute difference from the finest bake or, at the size limit, from half the size.
     """
 
     pixels: Array
@@ -40,7 +40,7 @@ class BakedTexture:
 
 
 def padded_window(low: NDArray, high: NDArray) -> Window:
-    """Add a margin to the box from ``low`` to ``high`` (2,) of texture coordinates: (u0, v0, u1, v1).
+    """Window (u0, v0, u1, v1) of texture coordinates: the box from ``low`` to ``high`` (2,), plus a margin.
 
     With the margin, repeating lookups in textures of 16 texels or more never read the opposite border.
     """

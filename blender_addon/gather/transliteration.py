@@ -38,7 +38,7 @@ def transliterated(text: str) -> str:
 
 
 def _letters(letter: str, is_in_capitals: bool) -> str:
-    """Transliterate a character; a capital next to another (``is_in_capitals``) becomes capitals only."""
+    """Transliterate a character; ``is_in_capitals``: a capital becomes several capitals, as in AE for Ä."""
     if letter.isascii():
         return letter
     small = letter.lower()
