@@ -45,7 +45,7 @@ def beckmann_d(h: Array, alpha: Array) -> Array:
 
 
 def smith_g1(w: Array, alpha: Array) -> Array:
-    """Smith's G1, 2 / (1 + erf a + exp(-a^2) / (a sqrt pi)), a = 1 / (alpha tan); 0 below the horizon."""
+    """Smith's G1, 2 / (1 + erf a + exp(-a^2) / (a sqrt pi)), a = 1 / (alpha tan theta); 0 if z <= 0."""
     tan = np.hypot(w[..., 0], w[..., 1]) / np.where(w[..., 2] > 0, w[..., 2], 1.0)
     with np.errstate(divide="ignore", over="ignore", under="ignore"):
         a = 1.0 / (alpha * tan)
@@ -82,7 +82,7 @@ def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: A
 
 
 def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
-    """Probability (...) with which the BSDF's sampling chooses the specular lobe."""
+    """Probability (...) that the BSDF's sampling chooses the specular lobe."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     s = np.mean(schlick(specular, 1.0 - wi[..., 2:]), -1)
     d = np.mean((1.0 - specular) * diffuse, -1)
@@ -90,7 +90,7 @@ def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
 
 
 def pdf(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
-    """Density [1/sr] with which the BSDF's sampling samples ``wo``."""
+    """Density [1/sr] of ``wo`` under the BSDF's sampling."""
     p = specular_probability(wi, diffuse, specular)
     up = (wi[..., 2] > 0) & (wo[..., 2] > 0)
     lobe = specular_lobe(wi, wo, alpha_from_roughness(roughness))

@@ -123,7 +123,7 @@ def renderer(
     recipe: RenderRecipe | None = None,
     **fields: Any,
 ) -> SceneRenderer:
-    """Renderer of a scene (default: a grey floor seen from above), with direct light and no denoiser."""
+    """Renderer of a small scene; default: a grey floor seen from above, direct light, no denoiser."""
     library = (scene or SmallScene()).write(root)
     recipe = recipe or RenderRecipe(path_samples=256, auxiliary_samples=16, max_depth=2, denoise=False)
     return SceneRenderer(configure(library, cameras or [down_camera()], **fields), library, recipe)
