@@ -2,7 +2,7 @@
 """Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's ``roughplastic``.
 
 The same room (walls, 19 objects, a lamp and a window) is rendered with each BSDF in turn, in one process;
-each ratio compares two renders of a turn. ``python -m benchmarks.bench_bsdf`` writes JSON with medians and
+ratios are formed within each turn. ``python -m benchmarks.bench_bsdf`` writes JSON with medians and
 quartiles; the target is a median ratio of at most 1.10.
 """
 

@@ -43,7 +43,7 @@ def changed(
 
 
 def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Set in ``matrix`` (4, 4) a rotation by 1 degree about a random axis perpendicular to the view."""
+    """Set the rotation of ``matrix`` (4, 4) to 1 degree about a random axis perpendicular to the view."""
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
@@ -51,14 +51,14 @@ def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
 
 
 def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Set in ``matrix`` (4, 4) a rotation by 2 degrees about the view direction."""
+    """Set the rotation of ``matrix`` (4, 4) to 2 or -2 degrees about the view direction."""
     angle = np.radians(2.0) * rng.choice([-1.0, 1.0])
     matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     return matrix
 
 
 def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Set in ``matrix`` (4, 4) a translation by 10 cm along the view direction."""
+    """Set the translation of ``matrix`` (4, 4) to 10 or -10 cm along the view direction."""
     matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
     return matrix
 
@@ -98,7 +98,7 @@ def warned_views(report: CheckReport) -> set[str]:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("shards", type=Path, nargs="+")
     parser.add_argument("--library", type=Path, action="append", default=[])

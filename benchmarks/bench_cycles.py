@@ -20,7 +20,7 @@ The error is the exposed relMSE (``datagen.rendering.error``) of denoised images
 against two independent converged images by the same renderer, because the renderers' materials differ by more
 than the target error (their agreement is reported; if it is poor, the exit code is 1). The references have
 neither a clamp nor Blender's *filter glossy*, so the energy that these remove counts as an error. Cycles'
-sample count is doubled until the error is at most ours and then interpolated in logarithms, for three
+sample count is doubled until the error is at most ours and then interpolated logarithmically, for three
 settings: Blender's defaults with a uniform sample count, Cycles' adaptive sampling, and neither clamp nor
 filter. The baseline is the fastest of the three or, if none reaches the error, the one of smallest error.
 
@@ -63,10 +63,10 @@ from datagen.rendering.error import relative_mse
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
-"""Options without a clamp and without rougher surfaces after a diffuse bounce, as in our references."""
+"""Options that disable clamping and the roughening of surfaces after diffuse bounces, as in references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
 """Settings of Cycles that are compared: options by name."""
-MIN_TIMED = 3  # views: the first includes the fixed part; the others give the median of a view
+MIN_TIMED = 3  # views: the first includes the fixed part, the others determine the median
 
 
 def recipe_of(arguments: argparse.Namespace) -> Recipe:
@@ -83,7 +83,7 @@ def recipe_of(arguments: argparse.Namespace) -> Recipe:
 
 
 def step(path: Path, make: Callable[[], Any]) -> Any:
-    """Read the JSON file ``path``, which is first written with the result of ``make`` if it is missing."""
+    """Read the JSON file ``path``; if it is missing, first write the result of ``make`` to it."""
     if not path.is_file():
         result = make()
         partial = path.with_suffix(".partial")
@@ -149,7 +149,7 @@ class Comparison:
             timed("benchmarks.studies.cycles_baseline", "build", str(export), str(blend), log=log)
 
     def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Render ``views`` with Cycles into ``folder/name``; returns the seconds by view and of the rest."""
+        """Render ``views`` with Cycles into ``folder/name``; returns seconds by view and of other parts."""
         out = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -223,7 +223,7 @@ class Comparison:
         )
 
     def cycles_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
-        """Time and error of Cycles at the error ``target``; ``kind`` is one of ``KINDS``."""
+        """Time and error of Cycles at the sample count for error ``target``; ``kind`` is one of ``KINDS``."""
         arguments, options = self.arguments, KINDS[kind]
         samples, curve = self.cycles_samples(target, pairs, kind, options)
         count = max(MIN_TIMED, min(arguments.cycles_views, arguments.views))

@@ -75,8 +75,7 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Median wall seconds of a pass with one path in each of 32 x 32 cells of the image, by name: with a new
-    recording of Dr.Jit's kernel and with a replayed one."""
+    """Median wall seconds of a pass over 32 x 32 image cells with a newly recorded and a replayed kernel."""
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}
     for name in ("new recording", "replayed"):

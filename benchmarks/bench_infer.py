@@ -76,7 +76,7 @@ class _Shot:
 
 
 def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, int]) -> Capture:
-    """Capture of the rendered capture ``shard`` with ``num`` other views of ``size`` (width, height)."""
+    """Replace the views of the rendered capture ``shard`` by ``num`` new ones of ``size`` (width, height)."""
     select_variant()
     room = open_room(shard, library)
     albedo = room.merged(room.truth, min(room.auto, 4096), None).maps["diffuse_albedo"]
@@ -109,7 +109,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
 
 
 class MemoryWatch:
-    """Peaks in GB of this process's memory without and with mapped files, sampled ten times a second."""
+    """Peaks in GiB of this process's memory without and with mapped files, sampled ten times a second."""
 
     def __init__(self) -> None:
         self.own_gb, self.resident_gb = 0.0, 0.0
@@ -139,7 +139,7 @@ def measure(
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])

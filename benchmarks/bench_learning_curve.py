@@ -6,7 +6,7 @@
 
 For each count, trains the preset on that many evenly spaced training configurations of a dataset, with the
 same number of optimiser steps per track; a point is the mean squared error of each map over all views of the
-validation split of ``--judge`` (default: the first DATASET). Every OTHER is another curve, evaluated on the
+validation split of ``--judge`` (default: the first DATASET). Every OTHER adds a curve, evaluated on the
 same views, such as the same recipe with fewer samples, or another recipe. Short runs rank the curves; they do
 not predict the error of a long run.
 
@@ -169,7 +169,7 @@ def main() -> None:
             place = args.out / f"{dataset.name}-{count}"
             parts.append(part_of(dataset, count, judge, place / "data"))
             curves.setdefault(dataset.name, {})[count] = measure(config, parts[-1], place / "run")
-    # the training mean of the largest count of the first dataset
+    # the constant is the training mean of the largest part of the first dataset
     baseline = constant(config, parts[len(args.counts) - 1])
     table = as_table(curves, baseline)
     print(table)

@@ -80,7 +80,7 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
 
 
 def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
-    """Write the picture of three views that the module's docstring describes."""
+    """Write a picture of three views: D of network, light and ground truth, R of light and ground truth."""
     from PIL import Image
 
     def tile(maps: dict[str, NDArray], name: str) -> NDArray:

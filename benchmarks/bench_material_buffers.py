@@ -38,8 +38,7 @@ def _reflectance(bsdf: Any) -> Any:
 
 
 def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, Any]:
-    """Load a scene with ``cook_torrance`` as its only BSDF, shapes ``merged`` or not; also returns a sensor
-    with a box filter."""
+    """Load a scene with ``cook_torrance`` as its only BSDF, shapes ``merged`` or not, and its sensor."""
     import mitsuba as mi
 
     scene = mi.load_file(str(path), optimize=merged)

@@ -182,7 +182,7 @@ def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None
 
 
 def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
-    """Maps of all views as ``materials infer`` merges them."""
+    """Maps of all views that ``materials infer`` would merge."""
     source = CheckpointMaps(checkpoint)
     with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
         (Path(folder) / "views").mkdir()
@@ -195,7 +195,7 @@ def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
 
 
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:
-    """Sums of squared errors by row of the table ``what``, ``weights`` or ``sizes``, and by map."""
+    """Sums of squared errors by row of the table ``what`` (``weights`` or ``sizes``) and by map."""
     rows: dict[str, dict[str, float]] = {}
     if what == "weights":
         maps = predictions(room, checkpoint, InferOptions(weights="all"))
@@ -213,7 +213,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 
 def print_seams(room: Room, checkpoint: Path) -> None:
-    """Print a row with a room's steps of D and errors for each choice of weights."""
+    """Print, for each choice of weights, a row with a room's steps of D and errors."""
     maps = predictions(room, checkpoint, InferOptions(weights="all"))
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:

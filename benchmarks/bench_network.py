@@ -69,7 +69,7 @@ def measure_forward(network: NetworkConfig, device: torch.device, repeats: int) 
 def measure_steps(
     config: TrainingConfig, device: torch.device, repeats: int, peak_tflops: float | None
 ) -> dict[str, dict[str, float]]:
-    """Median seconds of a training step and of its parts, by phase."""
+    """Median seconds of a training step and mean seconds of its parts, by phase."""
     data = TrainingData((), (), (WIDTH, HEIGHT), ())
     batch = synthetic_batch(config.batch_size, config.data.crop_px, device)
     results: dict[str, dict[str, float]] = {}

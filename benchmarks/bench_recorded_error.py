@@ -119,9 +119,7 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
 
 
 def figures(points: list[Point]) -> dict[str, Any]:
-    """Over views with a known true error: the share whose recorded error is within a factor of 2 of it, and
-    statistics of the ratio of recorded to true error.
-    """
+    """Statistics, by name, of the ratio of recorded to true error over views of known true error."""
     known = [p for p in points if p.is_known]
     ratios = np.array([p.recorded / p.true for p in known])
     return {

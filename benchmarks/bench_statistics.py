@@ -4,12 +4,12 @@
     python -m benchmarks.bench_statistics                       speed, relative to the vectorised NumPy oracle
     python -m benchmarks.bench_statistics --scene S/scene.xml   the same on a Mitsuba scene, and accuracy
 
-Speed: 40 views of 640x384, statistics of the 12 best; kernels and oracle run in turn on the same views.
+Speed: 40 views of 640x384, statistics of the 12 best views; kernels and oracle run in turn on the same views.
 Growth: seconds per view for 10, 20, 40 and 80 views, in turn, with a straight line fitted. Accuracy (for a
 scene with textures): colours are the diffuse reflectance, which does not depend on the view direction, so
 minimum, median and maximum should equal the pixel's colour; the depth test is compared with shadow rays.
 
-Writes JSON with medians and interquartile ranges to --out, and a summary to the terminal.
+Prints JSON with medians and interquartile ranges, and writes it to --out.
 """
 
 from __future__ import annotations
@@ -56,8 +56,7 @@ def scene_from_file(path: Path):
 
 
 def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
-    """Surface interactions of rays through a position in each pixel, and depth along the optical axis in
-    metres, each (H * W,)."""
+    """Hits and rays at the position ``jitter`` in [0, 1]^2 of each pixel, and depth along z [m], (H * W,)."""
     import drjit as dr
     import mitsuba as mi
 

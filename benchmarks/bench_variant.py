@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views of one configuration in one Mitsuba variant: seconds by stage, and their difference from another's.
+"""Seconds by stage of a configuration's views in one Mitsuba variant, and differences from another's images.
 
     datagen run light --out planned --configurations 1 --views 8
     SCENE_MATERIALS_VARIANT=llvm_ad_rgb python -m benchmarks.bench_variant planned --out llvm.npz
@@ -70,7 +70,7 @@ def main() -> None:
 def _differences(
     buffers: dict[str, np.ndarray], others: dict[str, np.ndarray]
 ) -> dict[str, dict[str, float]]:
-    """Worst view's difference, share of differing pixels and, for the radiance, relMSE, by buffer."""
+    """Largest difference, share of differing pixels and (radiance) relMSE of the worst view, by buffer."""
     found: dict[str, dict[str, float]] = {}
     for key, values in buffers.items():
         name = key.partition("/")[0]

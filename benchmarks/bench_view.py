@@ -78,7 +78,7 @@ def lit_views(
 ) -> list[Camera]:
     """The first ``count`` candidates outside walls, judged by images of a tenth of the size.
 
-    An image must have at least a fifth of the first's brightness, and less than 5 % of it nearer than 0.3 m.
+    An image needs a fifth of the first's median radiance, and less than 5 % of its pixels nearer than 0.3 m.
     """
     recipe = RenderRecipe(path_samples=64, auxiliary_samples=4, denoise=False)
     chosen: list[Camera] = []

@@ -61,7 +61,7 @@ class Copy:
             (work / name).mkdir(exist_ok=True)
 
     def environment(self, **more: str) -> dict[str, str]:
-        """Environment of processes in the copy, with the variables ``more``."""
+        """Environment variables of processes in the copy, including ``more``."""
         own = {
             "PYTHONPATH": str(self.root),
             "HOME": str(self.work / "home"),
@@ -71,7 +71,7 @@ class Copy:
         return {**os.environ, **own, **more}
 
     def run_once(self, tests: tuple[str, ...], **more: str) -> None:
-        """Run test files in a separate process with the variables ``more``; exit if a test fails."""
+        """Run test files in a process with environment variables ``more``; exit if a test fails."""
         command = [sys.executable, "-m", "pytest", *self._arguments(tests)]
         if more:
             command += ["-p", "benchmarks.mutation.tracing"]
@@ -142,7 +142,7 @@ def draw(
         source = (root / module).read_text()
         compiled = _untraced_lines(source)
         for mutant in find_mutants(module, source):
-            # code that runs on import, such as default values, or is compiled cannot be traced: all tests
+            # code that runs on import, such as default values, or is compiled is not traced: run all tests
             is_signature = mutant.statement.startswith(("def ", "async def "))
             if not mutant.function or mutant.first_line in compiled or is_signature:
                 names = sorted(tests, key=lambda name: tests[name]["seconds"])

@@ -75,8 +75,8 @@ SMALLEST = 1e-5  # smaller numbers prevent rounding errors; their mutants would 
 class Mutant:
     """Replacement of ``text``, from ``start`` to ``end`` in a module's source, by ``new``.
 
-    ``first_line`` and ``last_line`` are those of the statement; ``key`` depends only on the module, the
-    function and the statement.
+    ``first_line`` and ``last_line`` are those of the statement; ``key`` depends only on the file name, the
+    function, the statement and the change.
     """
 
     key: str

@@ -79,7 +79,7 @@ def _processor_s(process: int) -> float:
     with suppress(psutil.Error):  # a child ended meanwhile
         top = psutil.Process(process)
         for one in (top, *top.children(recursive=True)):
-            total += sum(one.cpu_times()[:4])  # user, system, and both of finished children
+            total += sum(one.cpu_times()[:4])  # user and system, own and of finished children
     return total
 
 

@@ -42,7 +42,7 @@ def _print_table(head: list[str], rows: list[list[Any]]) -> None:
 
 
 def print_density(num: int = 200_000) -> None:
-    """Print the relative error of Beckmann's distribution in eps, for three ways to compute it in float32."""
+    """Print the relative error of Beckmann's distribution in float32, in eps, for three formulas."""
     import drjit as dr
 
     from mitsuba_plugins import beckmann

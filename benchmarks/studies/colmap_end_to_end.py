@@ -5,21 +5,21 @@
     python -m benchmarks.studies.colmap_end_to_end --out DIR --cameras true    true cameras, no COLMAP
     python -m benchmarks.studies.colmap_end_to_end --out DIR --faults phone --mesh colmap    no true input
 
-1. The study of the bundled library, which is not in the training data of the bundled checkpoint, with
-   objects, ceiling light and daylight; the cameras circle around its centre and look across it.
+1. The room ``study`` of the bundled library, which is not in the training data of the bundled checkpoint,
+   with objects, ceiling light and daylight; the cameras circle around its centre and look across it.
 2. Cycles (cycles_photographs.py) renders the views with depth of field; :func:`developed` adds shot and
    read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone mapping.
    ``--faults`` develops with a preset of model/evaluation/camera_faults.py instead.
 3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
    camera centres, here all of them with noise of 5 mm standard deviation per axis.
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs, or the surface through COLMAP's
-   points of `materials photos`.
+   points, as in `materials photos`.
 5. ``materials infer``, including its check.
 6. Atlas and truth are rendered as maps from every third true camera and compared where both show the same
    surface (depth within 5 %). Baselines are a constant, each map's own mean, which is the best possible
    constant, and the photographs themselves as diffuse albedo.
 
-Every step is stored in --out and skipped if it exists.
+Plan, renderings, meshes and captures are stored in --out and reused.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ RECIPE = {
 
 
 def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
-    """``num`` cameras on an ellipse around the study's centre, at two heights in turn, directed across it."""
+    """``num`` cameras on an ellipse around the room's centre, at two heights in turn, directed across it."""
     width, height = size
     focal = 0.5 * width / float(np.tan(np.radians(FOV_X_DEG) / 2))
     made = []
@@ -114,7 +114,7 @@ def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
 
 
 def run(*command: str, log: Path, is_module: bool = True) -> None:
-    """Run a command or Python module with its output in ``log``; raises if it fails."""
+    """Run a command or Python module with its output in ``log``; ``RuntimeError`` if it fails."""
     start = [sys.executable, "-m"] if is_module else []
     with log.open("ab") as out:
         done = subprocess.run([*start, *command], cwd=REPOSITORY, stdout=out, stderr=subprocess.STDOUT)
@@ -148,7 +148,7 @@ class EndToEnd:
     # ---------------------------------------------------------------- the room and its photographs
 
     def configuration(self) -> Configuration:
-        """Plan the room with the cameras of the walk."""
+        """Plan the room with the cameras of :func:`walk`."""
         path = self.out / "configuration.json"
         if not path.is_file():
             recipe = self.out / "recipe.yaml"

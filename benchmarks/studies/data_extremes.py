@@ -145,7 +145,7 @@ def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[Statist
 
 
 def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
-    """Image (8, 8, 3) of a floor under a square light of ``radiance``, with all lengths times ``metres``."""
+    """Image (8, 8, 3) of a floor under a square light of ``radiance``, with lengths scaled by ``metres``."""
     size = 10 * metres
     floor = quad([-size / 2, -size / 2, 0], [size, 0, 0], [0, size, 0])
     light = AreaLight(
@@ -166,8 +166,7 @@ def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
 
 
 def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Largest and median relative difference from the image at scale 1 and radiance 1, by case (scale,
-    radiance).
+    """Largest and median relative difference from the image of case (1, 1), by case (scale, radiance).
 
     The random numbers are the same, so differences are due to rounding; near the light's edge, one of a
     pixel's 64 paths may miss the light in one room only.
