@@ -201,7 +201,7 @@ def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
 
 
 def _random_direction(rng: Any) -> Any:
-    """Random unit vectors: uniform elevation, log-uniform down to 1e-6 rad, on the horizon, at the pole."""
+    """Random unit vectors: at uniform elevation, log-uniformly near the horizon, on it, and at the pole."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The whole pipeline without true input: photographs by Cycles, cameras by COLMAP, `materials infer`.
+"""The whole pipeline without ground-truth input: photographs by Cycles, cameras by COLMAP, `materials infer`.
 
     python -m benchmarks.studies.colmap_end_to_end --out DIR     as in docs/measurements.md: 20 minutes
     python -m benchmarks.studies.colmap_end_to_end --out DIR --cameras true    true cameras, no COLMAP
@@ -16,8 +16,8 @@
    points, as in `materials photos`.
 5. ``materials infer``, including its check.
 6. Atlas and truth are rendered as maps from every third true camera and compared where both show the same
-   surface (depth within 5 %). Baselines are a constant, each map's own mean, which is the best possible
-   constant, and the photographs themselves as diffuse albedo.
+   surface (depth within 5 %). Baselines are each map's mean, which is the best possible constant, and the
+   photographs as diffuse albedo.
 
 Plan, renderings, meshes and captures are stored in --out and reused.
 """

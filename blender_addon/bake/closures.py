@@ -89,7 +89,7 @@ class Closures:
     """Sum of the closures of a surface graph.
 
     ``transparency`` is the weight of straight transmission; ``emission`` is the emitted radiance; ``normals``
-    are the linked Normal inputs as pairs of stack and socket.
+    are the linked Normal inputs as pairs of group-node stack and socket.
     """
 
     lobes: list[Lobe] = field(default_factory=list)

@@ -167,7 +167,7 @@ def lerp(a: Expression, b: Expression, factor: Expression) -> Expression:
 
 
 def reduce_to_scalar(expression: Expression, name: str = "luminance") -> Expression:
-    """Reduce to a scalar as Blender does: to the ``luminance`` of a colour, the ``average`` of a vector."""
+    """Reduce to a scalar as Blender does; ``name``: ``luminance`` for colours or ``average`` for vectors."""
     if expression.width == 1:
         return expression
     if isinstance(expression, Constant):

@@ -89,7 +89,7 @@ def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> t
 
 
 def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemList) -> dict[str, str]:
-    """Licence, author, source and usage from the tags ``sm_license`` etc.; a missing licence is an error."""
+    """Licence, author, source and usage from tags or ``fallback``; a missing licence is an error."""
     result = {}
     for key in ("license", "author", "source", "usage"):
         value = str(block.get(f"sm_{key}", "") or fallback.get(key, ""))

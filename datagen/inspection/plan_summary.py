@@ -12,7 +12,7 @@ from datagen.formats.configuration import MIN_GLOSS_SHARE, MIN_METAL_SHARE, Conf
 
 
 def plan_summary(configurations: Iterable[Configuration]) -> str:
-    """Describe the surfaces that planned views cover in a few lines; '' if no configuration records them.
+    """Describe in a few lines the surfaces that planned views show; '' if no configuration records them.
 
     The last line warns if the views of the training split lack metal or gloss.
     """

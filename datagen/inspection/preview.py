@@ -68,7 +68,7 @@ class Preview:
         return list((self.root / "work").glob("*/rendered/*.json"))
 
     def _update_pictures(self) -> None:
-        """Encode pictures of the newest views that have none yet, and drop the oldest pictures."""
+        """Encode pictures of the newest views since the last call, and drop the oldest pictures."""
         found = []
         for path in self._views():
             if path not in self._known:

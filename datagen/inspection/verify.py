@@ -80,7 +80,7 @@ def _run(jobs: list[ShardJob], workers: int) -> Iterable[Report]:
 
 
 def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
-    """Create a job per shard in the index, or in the folder if the index is unreadable; report its faults."""
+    """Create a job per shard in the index (or folder, if it is unreadable); report the index's faults."""
     report.applied["index"] += 1
     on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
     try:

@@ -61,7 +61,7 @@ class Method:
         return (self.folder / configuration).is_dir() or self.own_configuration() == configuration
 
     def own_configuration(self) -> str | None:
-        """The configuration named by ``report.json`` if the folder is a result of ``materials infer``."""
+        """The configuration in ``report.json`` if the folder is a ``materials infer`` result, else None."""
         try:
             report = json.loads((self.folder / "report.json").read_bytes())
         except (OSError, ValueError):

@@ -42,7 +42,7 @@ def encode_tile(array: NDArray) -> bytes:
 
 
 def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int) -> NDArray:
-    """Decompress the array (H, W, C) of :func:`encode_tile`; the viewer contains the same algorithm."""
+    """Invert :func:`encode_tile`, as the viewer does; ``dtype`` is half, float, uint or ushort."""
     name = np.dtype(_TYPES[dtype])
     by_byte = np.frombuffer(zlib.decompress(data), np.uint8).reshape(name.itemsize, -1)
     word = np.dtype(f"<u{name.itemsize}")
