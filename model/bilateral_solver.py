@@ -52,20 +52,20 @@ class SolverConfig(StrictModel):
     max_iterations: int = Field(default=25, ge=1)
     """Maximum number of iterations."""
     num_bistochastize: int = Field(default=10, ge=1)
-    """Number of iterations of the bistochastization, which computes the scale n of the blur."""
+    """Number of bistochastization iterations, which compute the scale n of the blur."""
     diagonal_floor: float = Field(default=1e-5, gt=0)
     """Minimum of the diagonal by which the preconditioner divides."""
     confidence_floor: float = Field(default=1e-6, gt=0)
-    """Minimum confidence. A region of zero confidence without neighbours would make A singular; with this
-    minimum it keeps its mean."""
+    """Minimum confidence. A region of zero confidence without neighbours would make A singular; with the
+    minimum, the filter returns the region's mean."""
 
 
 @dataclass(frozen=True)
 class BilateralGrid:
-    """Occupied grid cells of a batch of guide images, and their neighbours.
+    """Occupied grid cells of a batch of guide images, and their neighbours (symbols: see the module).
 
     ``vertex_of_pixel`` (P,) int64: cell of each pixel; ``splat_matrix`` (V, P) float32, sparse CSR: S;
-    ``coupling`` (V, V) float64, sparse CSR: n_i n_j for each pair of neighbours; ``coupling_sum`` (V, 1)
+    ``coupling`` (V, V) float64, sparse CSR: n_i n_j for neighbouring cells i and j; ``coupling_sum`` (V, 1)
     float64: its row sums; ``image_starts``: index of the first cell of each image, followed by V.
     """
 
@@ -91,13 +91,13 @@ class BilateralGrid:
         return vertices.index_select(0, self.vertex_of_pixel)
 
     def dot(self, a: Tensor, b: Tensor) -> Tensor:
-        """Scalar product per image of each column of ``a`` and ``b``, both (V, C): (B, C)."""
+        """Scalar products (B, C) of the columns of ``a`` and ``b`` (V, C), separately for each image."""
         product = a * b
         starts = self.image_starts
         return torch.stack([product[i:j].sum(dim=0) for i, j in pairwise(starts)])
 
     def per_vertex(self, per_image: Tensor) -> Tensor:
-        """Repeat per-image values (B, C) for the image's cells: (V, C), or (1, C) for a batch of one."""
+        """Repeat per-image values (B, C) for each cell of the image: (V, C), or (1, C) for a batch of one."""
         if self.batch == 1:
             return per_image
         counts = torch.tensor(self.image_starts, device=per_image.device).diff()
@@ -105,7 +105,7 @@ class BilateralGrid:
 
 
 def guide_yuv(guide: Tensor) -> Tensor:
-    """Convert linear RGB (B, 3, H, W), scaled to a maximum of 255 per image, to luma and chromas (+128)."""
+    """Scale linear RGB (B, 3, H, W) to a maximum of 255 per image, and return luma and chromas (+128)."""
     peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide has no edges
     matrix = torch.tensor(_YUV_FROM_RGB, dtype=guide.dtype, device=guide.device)
     yuv = torch.einsum("kc,bchw->bkhw", matrix, guide / peak * 255.0)
@@ -113,7 +113,7 @@ def guide_yuv(guide: Tensor) -> Tensor:
 
 
 def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGrid:
-    """Build the grid of guide images (B, 3, H, W), linear RGB >= 0, without a gradient."""
+    """Build the bilateral grid of guide images (B, 3, H, W) of linear RGB >= 0; no gradient flows to them."""
     config = config or SolverConfig()
     with torch.no_grad():
         keys, strides = _cell_keys(guide.detach(), config)
@@ -135,7 +135,7 @@ def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGr
 
 
 def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
-    """Return each pixel's cell as an integer key (P,), and its strides of image, y, x, luma and 2 chromas."""
+    """Return each pixel's cell as an integer key (P,), and the key's strides by image, y, x and colour."""
     batch, _, height, width = guide.shape
     yuv = guide_yuv(guide)
     sigmas = torch.tensor(
@@ -157,7 +157,7 @@ def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
 
 
 def _splat_matrix(vertex_of_pixel: Tensor, num_vertices: int) -> Tensor:
-    """Sparse CSR matrix S (V, P) of float32, 1 at (v, p) if pixel p is in cell v."""
+    """Sparse CSR matrix S (V, P) in float32 that is 1 at (v, p) if pixel p is in cell v, else 0."""
     order = torch.argsort(vertex_of_pixel, stable=True)
     counts = torch.bincount(vertex_of_pixel, minlength=num_vertices)
     starts = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
@@ -168,7 +168,7 @@ def _splat_matrix(vertex_of_pixel: Tensor, num_vertices: int) -> Tensor:
 
 
 def _neighbours(vertices: Tensor, strides: list[int]) -> Tensor:
-    """Indices (2, E) of all ordered pairs of occupied cells, of keys ``vertices`` (V,), that are adjacent."""
+    """Indices (2, E) of all ordered pairs of adjacent cells, given the sorted keys ``vertices`` (V,)."""
     indices = torch.arange(len(vertices), device=vertices.device)
     pairs = []
     for stride in strides[1:]:
@@ -181,7 +181,7 @@ def _neighbours(vertices: Tensor, strides: list[int]) -> Tensor:
 
 
 def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
-    """Sparse CSR matrix (V, V) with n_i n_j at each (i, j) of ``pairs`` (2, E)."""
+    """Sparse CSR matrix (V, V) with n_i n_j at each (i, j) of ``pairs`` (2, E), for the scale ``n`` (V,)."""
     order = torch.argsort(pairs[0] * len(n) + pairs[1])
     rows, columns = pairs[0][order], pairs[1][order]
     starts = torch.searchsorted(rows, torch.arange(len(n) + 1, device=n.device))
@@ -267,8 +267,8 @@ class _Filter(torch.autograd.Function):
 def bilateral_solve(
     target: Tensor, confidence: Tensor, grid: BilateralGrid, config: SolverConfig | None = None
 ) -> Tensor:
-    """Smooth ``target`` (B, C, H, W), weighted by ``confidence`` (B, C or 1, H, W) >= 0, within regions of a
-    guide image of the same size.
+    """Smooth ``target`` (B, C, H, W), weighted by ``confidence`` (B, C or 1, H, W) >= 0, within regions of
+    the guide images of ``grid``.
 
     Differentiable in target and confidence. The system is solved in float64, as it is too ill-conditioned for
     float32 at small confidence. Raises ``ValueError`` if the target's size is not that of the guide.

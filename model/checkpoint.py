@@ -31,20 +31,20 @@ _REMEDY = "train or fetch the checkpoint again"
 
 
 class DataRecord(StrictModel):
-    """A dataset used in training; the index, whose SHA-256 identifies it, lists the hashes of all shards."""
+    """Dataset used in training, identified by the hash of its index, which lists the hashes of its shards."""
 
     name: str
     index_sha256: str
     num_views: int = Field(ge=0)
     assets: dict[str, str] = {}
-    """SHA-256 of every asset used by its configurations, by asset id."""
+    """SHA-256 of every asset in the dataset's configurations, by asset id."""
 
 
 class CheckpointCard(StrictModel):
     """Metadata of a checkpoint: architecture and provenance.
 
-    ``loss`` names the terms of the loss and its perceptual distance; the checkpoint was saved at ``step`` of
-    ``phase``, with the validation ``metrics``; ``training`` is the run's resolved configuration.
+    ``loss`` names the terms of the loss and its perceptual distance. The checkpoint was saved at ``step`` of
+    the run in ``phase``, with the validation ``metrics``; ``training`` is the run's resolved configuration.
     """
 
     format: Literal["scene-materials/checkpoint"] = "scene-materials/checkpoint"
@@ -90,7 +90,7 @@ def save_checkpoint(
     confidence: ConfidenceNets | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> None:
-    """Write the weights to ``path`` (.safetensors) and the card as JSON next to it, each atomically."""
+    """Write weights in ``dtype`` to ``path`` (.safetensors), and the card as JSON next to it, atomically."""
     from safetensors.torch import save
 
     card = card.model_copy(update={"has_confidence": confidence is not None})
@@ -105,7 +105,7 @@ def save_checkpoint(
 
 
 def read_card(path: Path) -> CheckpointCard:
-    """Read the card in a checkpoint's header. Raises :class:`InputError` for any other file."""
+    """Read the card in a checkpoint's header. Raises :class:`InputError` if the file is no checkpoint."""
     return _open(path)[0]
 
 

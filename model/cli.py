@@ -112,7 +112,7 @@ for command in (check, infer, photos, render, view, evaluate):
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command ``materials``."""
     run_command(app)
 
 

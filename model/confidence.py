@@ -47,8 +47,8 @@ class ConfidenceNet(nn.Module):
         self.last = nn.Conv2d(_WIDTH, 1, 3, padding=1, padding_mode="replicate")
 
     def forward(self, image: Tensor, predicted: Tensor) -> Tensor:
-        """Confidence (B, 1, H, W) in [0, 1], with a maximum of 1 per image, of ``predicted`` (B, C, H, W) in
-        [0, 1] for ``image`` (B, 3, H, W) encoded to [-1, 1]. No gradient flows to the inputs."""
+        """Return the confidence (B, 1, H, W), scaled to a maximum of 1 per image, of ``predicted`` (B, C, H,
+        W) in [0, 1]; ``image`` (B, 3, H, W) is encoded to [-1, 1]. No gradient flows to the inputs."""
         height, width = image.shape[-2:]
         x = torch.cat([image, 2.0 * predicted - 1.0], dim=1).detach()
         bottom, right = -height % 4, -width % 4
@@ -72,7 +72,7 @@ class ConfidenceNets(nn.Module):
         self.nets = nn.ModuleDict({name: ConfidenceNet(c) for name, c in FILTERED_MAPS.items()})
 
     def forward(self, image: Tensor, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Confidence (B, 1, H, W) of each filtered map, by name; arguments as for :class:`ConfidenceNet`."""
+        """Return the confidence (B, 1, H, W) of each filtered map, by name (see :class:`ConfidenceNet`)."""
         return {name: self.nets[name](image, maps[name]) for name in FILTERED_MAPS}
 
 

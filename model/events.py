@@ -27,10 +27,10 @@ from model.named_code import load_named
 class Event:
     """An event of training or inference.
 
-    Fields by ``kind``. ``scalars``: ``values`` are figures by name at training step ``step``; ``name`` is
-    ``train/PHASE``, ``validation/PHASE`` or ``speed/PHASE``. ``image``: ``image`` (H, W, 3) uint8 with the
-    title ``name``. ``progress``: ``step`` out of ``values["total"]`` steps of the inference stage ``name``
-    are done. ``end``: the run is finished and its result is in ``folder``.
+    The fields depend on ``kind``. ``scalars``: ``values`` are figures by name at training step ``step``;
+    ``name`` is ``train/PHASE``, ``validation/PHASE`` or ``speed/PHASE``. ``image``: ``image`` (H, W, 3) is
+    uint8, with the title ``name``. ``progress``: ``step`` out of ``values["total"]`` steps of the inference
+    stage ``name`` are done. ``end``: the run is finished and its result is in ``folder``.
     """
 
     source: Literal["train", "infer"]

@@ -3,12 +3,11 @@
 
     loader = DataLoader(ViewStream(["rooms"], ["beauty", "diffuse_albedo"], crop_px=128), 8, num_workers=4)
 
-Every view of a split is used once per epoch, whatever the numbers of ranks and of loader processes: an
-epoch's order is a pure function of (seed, epoch), each of n ranks takes every n-th view, and each of its m
-loader processes every m-th of these. A sample is a dictionary: each buffer as float32 (C, H, W), ids as
-int64, ``intrinsics`` (3, 3) in pixels of the crop, ``world_from_camera`` (4, 4), ``exposure`` (),
-``configuration`` and ``view``. Images are linear; the luminance of ``beauty`` times ``exposure`` has its 95th
-percentile at 0.9.
+An epoch uses every view of a split once, except up to n - 1 views with n ranks. Its order is a pure function
+of (seed, epoch): each rank takes every n-th view, and each of its m loader processes every m-th of these. A
+sample is a dictionary: each buffer as float32 (C, H, W), ids as int64, ``intrinsics`` (3, 3) in pixels of the
+crop, ``world_from_camera`` (4, 4), the scalar ``exposure``, and the names ``configuration`` and ``view``.
+Images are linear; the luminance of ``beauty`` times ``exposure`` has its 95th percentile at 0.9.
 """
 
 from __future__ import annotations
@@ -41,12 +40,12 @@ _REMEDY = "make the shard again"
 class ViewStream(IterableDataset[dict[str, Any]]):
     """Stream of the views of dataset folders or shards (.tar), or of random square crops of them.
 
-    ``split``: None for all views; individually given shards are included whatever their split. ``crop_px``:
-    side of the ``crops_per_view`` crops of each view; with None and views of several sizes, a loader needs
-    ``batch_size`` 1. Crops are shuffled within groups of eight views. ``rank`` and ``num_ranks`` come from
-    ``torch.distributed`` if it is running; all ranks yield the same number of samples, so the last few views
-    of an epoch may be dropped. Raises :class:`InputError` for paths that are not datasets, for fewer views
-    than ranks and, during iteration, for a damaged view.
+    ``split``: None for all views; shards passed individually are included whatever their split. ``crop_px``:
+    side of the ``crops_per_view`` crops of each view; None yields whole views, whose loader needs
+    ``batch_size`` 1 if their sizes differ. Crops are shuffled within groups of eight views. ``rank`` and
+    ``num_ranks`` come from ``torch.distributed`` if it is running; all ranks yield the same number of
+    samples, so the last few views of an epoch may be dropped. Raises :class:`InputError` for paths that are
+    not datasets, for fewer views than ranks and, during iteration, for a damaged view.
     """
 
     def __init__(

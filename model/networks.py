@@ -27,9 +27,9 @@ from datagen.foundation.buffers import LIGHT_BUFFERS
 
 NUM_LEVELS = 4
 STRIDE = 2**NUM_LEVELS
-"""Inputs are padded at the bottom and the right to a multiple of this."""
+"""Inputs are padded at the bottom and the right to a multiple of this number of pixels."""
 RECEPTIVE_FIELD_PX = 142
-"""Side of the square of input pixels that affect one output pixel through the convolutions alone: 126 or 142,
+"""Maximum side of the square of input pixels that affect an output pixel through convolutions: 126 or 142,
 depending on the pixel's position in its 16 x 16 block. Norms and the global track depend on all pixels."""
 STRIP_ELEMENTS = 2**25
 """Inference applies the decoder's convolutions to strips of about this many upsampled values, since these
@@ -57,7 +57,7 @@ class NetworkConfig(StrictModel):
     global_channels: int = Field(default=128, ge=1, le=4096)
     """Width of the global track."""
     wide_decoder: bool = False
-    """Decoder layers of 8, 4, 2 times ``base_channels``, the literal reading of the paper, not 4, 2, 1."""
+    """Give the decoder layers 8, 4, 2 times ``base_channels``, as the paper states, instead of 4, 2, 1."""
     dropout: float = Field(default=0.5, ge=0.0, lt=1.0)
     """Dropout rate of the three inner decoder layers, off at inference."""
     ignores_padding: bool = True
@@ -108,7 +108,7 @@ TRACK_OUTPUTS: dict[TrackName, dict[str, int]] = {
     "diffuse": {"diffuse_albedo": 3},
     "specular": {"specular_albedo": 3, "roughness": 1},
 }
-_BLEND_CHANNELS = (3, 1, 3)  # predicted D, share of the reflectance, its gain
+_BLEND_CHANNELS = (3, 1, 3)  # predicted D, share of the reflectance, gain of the reflectance
 _MAX_GAIN_STOPS = 2.0
 
 
@@ -188,8 +188,8 @@ def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
 
 
 class _GlobalLink(nn.Module):
-    """Global track at a layer: ``add`` maps g to the layer's summand; ``update`` maps g and the layer's mean
-    to the g of the next layer."""
+    """Global track at a layer: ``add`` maps the vector g to a term added to the layer; ``update`` maps g and
+    the layer's spatial mean to the next layer's g."""
 
     def __init__(self, global_channels: int, layer_channels: int, has_update: bool):
         super().__init__()
@@ -228,7 +228,7 @@ def _conv(num_in: int, num_out: int, stride: int) -> nn.Conv2d:
 
 
 class Layer(nn.Module):
-    """Base of the layers, which applies affine instance norm and adds the global track in a single pass."""
+    """Base class of the layers; applies affine instance norm and adds the global track in a single pass."""
 
     def __init__(self, num_out: int, global_channels: int, *, has_norm: bool, has_update: bool):
         super().__init__()
@@ -241,8 +241,8 @@ class Layer(nn.Module):
             self.shift = nn.Parameter(torch.zeros(num_out))
 
     def modulate(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Return x, normalised, plus a linear map of g, and the next layer's g. The norm's mean and variance
-        are those of x's top left ``valid`` (height, width)."""
+        """Return the normalised x (B, C, H, W) plus a linear map of g, and the next layer's g. Mean and
+        variance are those of x's top left ``valid`` (height, width)."""
         inside = x[:, :, : valid[0], : valid[1]]
         if inside.dtype != torch.float32 and inside.dtype != torch.float64:
             inside = inside.float()
@@ -270,7 +270,7 @@ class _Down(Layer):
 
 
 def _strip_rows(x: Tensor) -> int:
-    """Rows of x in a strip of about ``STRIP_ELEMENTS`` upsampled values; all if x has at most as many."""
+    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all if x has no more values."""
     count = x.numel()
     return x.shape[2] if count <= STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // (4 * count))
 
@@ -312,9 +312,9 @@ class _Up(Layer):
 class Track(nn.Module):
     """One U-Net with its global track: (B, ``num_in``, H, W) in [-1, 1] to (B, ``num_out``, H, W) in [0, 1].
 
-    Any H and W of at least 1: inputs are padded with zeros at the bottom and the right to a multiple of 16
-    and the result is cropped. For an input that is already padded, ``valid_size`` is the (height, width) of
-    the image at its top left.
+    H and W are arbitrary: inputs are padded with zeros at the bottom and the right to a multiple of 16, and
+    the result is cropped. For an input that is already padded, ``valid_size`` is the (height, width) of the
+    image at its top left.
     """
 
     def __init__(self, num_in: int, num_out: int, config: NetworkConfig):

@@ -29,13 +29,13 @@ _TINY_COS2 = 1e-12  # keeps tan^2 finite at grazing half vectors; the lobe is 0 
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Scalar product over axis 1, kept as an axis of length 1."""
+    """Scalar product over axis 1, which is kept with length 1."""
     return (a * b).sum(dim=1, keepdim=True)
 
 
 def normalize(vector: Tensor) -> Tensor:
-    """Unit vectors over axis 1; a zero vector stays zero and has a finite gradient."""
-    return vector * torch.rsqrt(dot(vector, vector).clamp_min(1e-20))  # 0/0 at a zero vector
+    """Normalise vectors along axis 1; a zero vector stays zero and has a finite gradient."""
+    return vector * torch.rsqrt(dot(vector, vector).clamp_min(1e-20))  # avoids 0/0 at a zero vector
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:
@@ -86,9 +86,9 @@ def brdf_cos(
 ) -> Tensor:
     """The BRDF times cos(theta_i), in 1/sr: (1-S) D/pi cos_i + F D_b G / (4 cos_o).
 
-    ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...).
-    The result is 0 if the viewer or the light is at or below the horizon (one-sided). tan^2 of the half
-    vector's angle is computed from n x h instead of 1 - cos^2, which would cancel.
+    D_b is Beckmann's distribution. Albedos and vectors are (B, 3, ...), ``roughness`` is (B, 1, ...). The
+    result is 0 if the viewer or the light is at or below the horizon (one-sided). tan^2 of the half vector's
+    angle is computed from n x h, since 1 - cos^2 would cancel.
     """
     cos_o, cos_i = dot(normal, view_dir), dot(normal, light_dir)
     is_lit = (cos_o > 0) & (cos_i > 0)
@@ -162,7 +162,7 @@ def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) 
 
 
 def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Integral of a unit-amplitude spherical Gaussian over the hemisphere at the angle beta to its axis.
+    """Integral of a unit-amplitude spherical Gaussian over the hemisphere whose pole is at beta to its axis.
 
     Meder and Bruederlin 2018: the integrals over the hemispheres around the axis and opposite to it, blended
     by a fitted sigmoid; written with expm1, which avoids overflow.
@@ -179,10 +179,10 @@ _COSINE_SHARPNESS, _COSINE_AMPLITUDE, _COSINE_OFFSET = 0.0315, 32.7080, 31.7003
 
 
 def sg_irradiance(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Irradiance due to a unit-amplitude spherical Gaussian on a surface whose normal is at beta to its axis.
+    """Irradiance due to a unit-amplitude spherical Gaussian whose axis is at the angle beta to the normal.
 
     Meder and Bruederlin 2018: the cosine is approximated by a spherical Gaussian minus a constant, so the
-    irradiance is the difference of two hemisphere integrals. Cancellation costs 5 bits.
+    irradiance is the difference of two hemisphere integrals. Cancellation loses 5 bits of precision.
     """
     gap2 = 2.0 - 2.0 * cos_beta
     total = sharpness + _COSINE_SHARPNESS
