@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps of methods without a checkpoint, merged like predicted maps."""
+"""Maps of methods that do not use a checkpoint; they are merged like predicted maps."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod
 
 
 def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: Sequence[str]) -> GivenMaps:
-    """Return the source of a method's maps for the views of ``capture``.
+    """Return the source of a method's maps for the views of ``capture``, which shows the scene ``scene``.
 
-    It also writes the maps of the ``judged`` views to the folder ``kept`` as ``VIEW.exr``. Raises
-    :class:`InputError` for missing or invalid files of a method of kind ``maps``.
+    Reading the source also writes the maps of the ``judged`` views to ``VIEW.exr`` in the folder ``kept``.
+    Raises :class:`InputError` for missing or invalid files of a method of kind ``maps``.
     """
     identity, read = _source(method, scene, capture)
 
@@ -56,7 +56,7 @@ def _source(method: Given, scene: str, capture: Capture) -> tuple[str, Callable[
 
 
 def _texture(traced: TracedCapture) -> list[Maps]:
-    """Maps of each view: D is the photograph, exposed as for the networks and clipped to [0, 1]; S 0; R 1."""
+    """Return maps of each view: D is the photograph, exposed and clipped to [0, 1]; S is 0 and R is 1."""
     exposure = capture_exposure(traced.statistics)
     maps = []
     for view in traced.views:
@@ -72,7 +72,7 @@ def _constant(view: TracedView, values: dict[str, NDArray]) -> Maps:
 
 
 def maps_files(folder: Path, capture: Capture) -> dict[str, Path]:
-    """Paths by view of ``capture``: ``VIEW.exr``, or ``views/VIEW.exr`` as written by ``materials infer``.
+    """Return each view's file in ``folder``: ``VIEW.exr``, or ``views/VIEW.exr`` from ``materials infer``.
 
     Raises :class:`InputError` for files that are missing, damaged, of another size, or outside [0, 1].
     """

@@ -2,8 +2,8 @@
 """Simulated faults of cameras, applied to rendered photographs to measure their effect on a method.
 
 The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the
-uncorrected k1 on normalised coordinates) and darkens the corners (``vignetting_stops``). Exposures, unknown
-to methods, vary between images with a standard deviation of ``exposure_stops``. Photon noise
+uncorrected k1 on normalised coordinates) and darkens the corners (``vignetting_stops``). Exposures, which
+methods do not receive, vary between images with a standard deviation of ``exposure_stops``. Photon noise
 (``white_electrons`` at the sensor's limit) and read noise (``read_electrons``) are added. Values above the
 limit are clipped: ``clipped_share`` of all pixels of all images at the common exposure. A curve steeper than
 sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG of quality ``jpeg``. It is
@@ -32,12 +32,12 @@ from datagen.foundation.random import digest
 from model.evaluation.mesh_errors import GeometryError
 from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 
-_EVERY = 7  # stride of the pixels that determine the common exposure
+_EVERY = 7  # stride of the pixels from which the common exposure is computed
 _LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve is not monotonic
 
 
 class CameraFaults(StrictModel):
-    """Faults of photographs, as in the module's docstring; ``seed`` draws noise, exposures and poses."""
+    """Faults of photographs (see the module); ``seed`` seeds noise, exposures and pose errors."""
 
     name: Slug
     bits: Literal[8, 14] | None = None
@@ -116,14 +116,14 @@ PRESETS = {
         "phone-and-mesh": {**_PHONE, "geometry": _MESH},
     }.items()
 }
-"""Cameras by name: each fault alone, and three combinations."""
+"""Camera faults by name: each fault separately, and three combinations."""
 BUNDLES = ("raw-camera", "phone", "phone-and-mesh")
 EACH = "each"
-"""Name in a suite for all cameras with a single fault."""
+"""Name that selects all cameras with a single fault in a suite."""
 
 
 def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, ...]:
-    """Camera faults of a suite's ``camera``; raises ``ValueError`` for an unknown or repeated name."""
+    """Camera faults selected by a suite's ``camera``. Raises ``ValueError`` for unknown or repeated names."""
     found: list[CameraFaults] = []
     for name in names:
         if isinstance(name, CameraFaults):
@@ -141,7 +141,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 
 
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
-    """Return ``capture`` with the images and poses of a camera with ``faults``; mesh and true maps stay."""
+    """Return ``capture`` with the images and poses of a camera with ``faults``; only these change."""
     scale = 1.0 / _limit(capture, faults.clipped_share)
     views = tuple(
         replace(
@@ -155,14 +155,14 @@ def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
 
 
 def _limit(capture: Capture, clipped_share: float) -> float:
-    """Radiance that a share ``clipped_share`` of all pixels of the capture exceeds: the sensor's limit."""
+    """Sensor limit: the radiance that a share ``clipped_share`` of the capture's pixels exceeds."""
     bright = [view.read().color.max(axis=2).ravel()[::_EVERY] for view in capture.views]
     limit = float(np.quantile(np.concatenate(bright), 1.0 - clipped_share))
     return limit if limit > 0 else 1.0
 
 
 def _random(faults: CameraFaults, view: str, purpose: str) -> np.random.Generator:
-    """Random generator for one purpose in one view, independent of all others."""
+    """Random generator for one purpose in one view, independent of those for other purposes and views."""
     return np.random.default_rng(int.from_bytes(digest(faults.seed, view, purpose)[:8], "little"))
 
 
@@ -181,7 +181,7 @@ def _moved(camera: Camera, faults: CameraFaults, view: str) -> Camera:
 
 @dataclass(frozen=True)
 class _Taken:
-    """Image source of a view with faults; ``scale`` multiplies radiance to 1 at the sensor's limit."""
+    """Image source of a view with faults; ``scale`` is the reciprocal of the sensor limit, a radiance."""
 
     source: ImageSource
     true_camera: Camera
@@ -200,7 +200,7 @@ class _Taken:
 
 
 def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str = "") -> NDArray[np.float64]:
-    """Apply the image faults to linear ``color`` (H, W, 3), whose limit is 1; the result is linear too."""
+    """Apply the image faults to linear ``color`` (H, W, 3) with the sensor limit 1; the result is linear."""
     random = _random(faults, view, "image")
     if faults.distortion:
         color = _distorted(color, camera, faults.distortion)
@@ -223,14 +223,14 @@ def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str
 
 
 def _radius_squared(camera: Camera) -> NDArray[np.float64]:
-    """Squared distance (H, W) of pixels from the image's centre, 1 at its corners."""
+    """Squared distance (H, W) of each pixel from the image centre, scaled to 1 at the corners."""
     x = (np.arange(camera.width_px) + 0.5 - 0.5 * camera.width_px) / (0.5 * camera.width_px)
     y = (np.arange(camera.height_px) + 0.5 - 0.5 * camera.height_px) / (0.5 * camera.height_px)
     return np.asarray(0.5 * (x[None] ** 2 + y[:, None] ** 2))
 
 
 def _distorted(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
-    """Image (H, W, 3) of a lens with x' = x (1 + k1 r^2); border pixels are repeated beyond the image."""
+    """Distort an image (H, W, 3) by x' = x (1 + k1 r^2), repeating its border pixels beyond the image."""
     import cv2
 
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Comparison of two runs of a suite: differences of the figures, and whether they exceed the noise.
 
-Scenes, methods and views are matched by name. For every figure the table gives the means over the views
+Scenes, methods and views are matched by name. For every figure the table lists the means over the views
 judged in both runs, their difference and its standard error (``noise``); a difference below two standard
 errors is not significant.
 """
@@ -25,7 +25,7 @@ NONE = "none"
 
 
 def read_other(path: Path) -> SuiteResult:
-    """Read another run's ``evaluation.json``, or that in a folder; raises :class:`InputError` if invalid."""
+    """Read another run's ``evaluation.json``, a file or its folder; raises :class:`InputError` if invalid."""
     file = path / "evaluation.json" if path.is_dir() else path
     if not file.is_file():
         expected = "evaluation.json of another run, or its folder"

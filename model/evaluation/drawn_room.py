@@ -26,7 +26,7 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 
 def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """Import ``sources`` into ``folder`` unless it exists; returns (``folder``,), or () without sources."""
+    """Import ``sources`` into ``folder`` unless it exists. Returns (``folder``,), or () without sources."""
     if not sources:
         return ()
     if not folder.is_dir():
@@ -53,7 +53,7 @@ def draw_room(
     num_novel: int,
 ) -> Configuration:
     """Draw configuration ``index`` of the recipe at ``source``, with ``num_views`` cameras view-000 ... and
-    ``num_novel`` cameras path-000 ... on a walk, of ``resolution`` (width, height).
+    ``num_novel`` cameras path-000 ... on a walk; ``resolution`` is the images' (width, height).
 
     Raises :class:`InputError` if the recipe is invalid, has no such configuration, or generates its rooms.
     """

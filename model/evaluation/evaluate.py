@@ -7,7 +7,7 @@ CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
     predictions-<key>/          maps of a checkpoint, shared by methods that differ in later stages only
     <method>-<key>/             output of ``materials infer``, views/ and result-<key>.json
-    renders/<key>/              VIEW.exr, a folder for each set of inputs that affect the pixels
+    renders/<key>/              VIEW.exr; the key is a hash of all inputs that affect the pixels
 """
 
 from __future__ import annotations
@@ -58,8 +58,7 @@ _TAKEN = 1
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Result of a suite; ``truth`` contains the true judged views under the scene's own light, by scene and
-    view."""
+    """Result of a suite; ``truth`` contains the true judged views under own light, by scene and view."""
 
     result: SuiteResult
     truth: dict[str, dict[str, JudgedView]]
@@ -151,7 +150,7 @@ def _check_maps(suite: Suite, scene: OpenedScene) -> None:
 def _judge(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, lpips: Lpips, tell: Tell
 ) -> MethodResult:
-    """Evaluate a method on a scene's photographs with the faults ``camera``, or read the cached result."""
+    """Evaluate a method on photographs of a scene with the faults ``camera``, or read the cached result."""
     name = scene.recipe.name
     base = MethodResult(
         scene=name,
@@ -200,7 +199,7 @@ def _judge(
 
 
 def _maps_identity(method: Method, scene: str) -> list[str]:
-    """Name, size and time of change of each file of a method of kind ``maps``; empty for other methods."""
+    """Name, size and modification time of each file of a method of kind ``maps``; empty for other methods."""
     folder = getattr(method, "folder", None)
     if folder is None:
         return []
@@ -262,7 +261,7 @@ def _measure(
 def _reconstruct(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, folder: Path, tell: Tell
 ) -> tuple[Path, dict[str, Any]]:
-    """Run ``infer`` for a method unless done; returns the asset's folder and results from the report."""
+    """Run ``infer`` for a method unless done; return the asset's folder and the results in the report."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
@@ -314,7 +313,7 @@ def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
 
 
 def _map_results(stage: str, measures: MapMeasures, earlier: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Fields of :class:`MethodResult` for the maps of a stage, merged with the ``earlier`` fields."""
+    """Fields of :class:`MethodResult` for the maps of a stage, together with the ``earlier`` fields."""
     found = earlier or {}
     return {
         f"maps_{stage}": measures.mse(),

@@ -22,10 +22,10 @@ _REVISION = 1
 
 
 class Lpips:
-    """LPIPS-VGG distance of images; ``absence`` states why its weights are missing, '' if they are not.
+    """LPIPS-VGG distance of images; ``absence`` is the reason for missing weights, '' if they exist.
 
-    ``folder`` stores the features of true images (None: nowhere); ``layers`` are VGG16's convolutions, None
-    for those of :func:`~model.training.weights.find_vgg`.
+    ``folder`` stores the features of true images (None: not stored); ``layers`` are VGG16's convolutions, by
+    default those of :func:`~model.training.weights.find_vgg`.
     """
 
     def __init__(self, folder: Path | None = None, layers: Sequence[Any] | None = None) -> None:
@@ -39,7 +39,7 @@ class Lpips:
             self.absence = str(error)
 
     def __call__(self, image: NDArray, truth: NDArray) -> float | None:
-        """Distance of two (H, W, 3) sRGB-encoded images in [0, 1]; None without weights."""
+        """Return the distance of two (H, W, 3) sRGB-encoded images in [0, 1]; None without weights."""
         if self.absence:
             return None
         import torch

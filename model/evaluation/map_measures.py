@@ -6,11 +6,11 @@ whole scene that minimises the squared error of D; ``region gain``: one such fac
 scene, which leaves the error within regions. ``level error``: median over surface pixels of |ln(mean estimate
 / mean truth)| of the luminance of D in their region.
 
-``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which also
-gives FIPT's figures: 8-bit values, PSNR of every whole view with emitters (and for kd everything of a
-roughness other than 1) set to zero in both images, and the mean of the decibels. Our kd is D, and our a' is
-(1 - S) D + S; IRIS uses the diffuse colour and the integrated reflectance of Disney's lobe. An emitter's
-pixels are those of emitting surfaces without a material.
+``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), the source
+of FIPT's figures: PSNR of whole views in 8-bit values, with emitters (and, for kd, all pixels of roughness
+below 1) set to zero in both images; the views' decibels are averaged. Our kd is D, and our a' is (1 - S) D +
+S; IRIS uses the diffuse colour and the integrated reflectance of Disney's lobe. An emitter's pixels are those
+of emitting surfaces without a material.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class MapMeasures:
     """Errors accumulated over views.
 
     ``squared``: sums of squared errors by kind of surface and map; ``pixels``: numbers of pixels by kind;
-    ``views``: by view, mean squared errors by map and the number of ``pixels``; ``num_surface``: number of
-    true surface pixels.
+    ``views``: mean squared errors by view and map, and each view's number of ``pixels``; ``num_surface``:
+    number of true surface pixels.
     """
 
     squared: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -85,7 +85,8 @@ class MapMeasures:
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
-        """Figures by name: PSNR of maps in dB, errors of D after gains, level errors, measures of others."""
+        """Figures by name: PSNR of maps (dB), errors of D after gains, level error,
+        :func:`measures_of_others`."""
         found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
         estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
         found |= level_figures(estimate, truth, region)
@@ -100,7 +101,7 @@ class MapMeasures:
 
     @property
     def covered_share(self) -> float:
-        """Share of the true surface's pixels that were compared."""
+        """Share of the true surface pixels that were compared."""
         return self.pixels.get("all", 0) / max(self.num_surface, 1)
 
     def by_kind(self) -> dict[str, dict[str, float]]:
@@ -136,8 +137,8 @@ class MapMeasures:
 
 
 def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
-    """Scale errors of ``estimate`` (N, 3) of D: the best gain, the MSE after it and after one gain per
-    ``region`` (N,), and the median |ln(estimate / truth)| of the regions' luminance.
+    """Scale errors of estimated D (N, 3): the best gain, the mean squared error after it and after one gain
+    per ``region`` (N,), and the median |ln(estimate / truth)| of the luminance of the pixels' regions.
     """
     square = (estimate**2).sum()
     gain = float((estimate * truth).sum() / square) if square > 0 else 1.0

@@ -35,7 +35,7 @@ PUBLISHED_OTHERS = (
 
 
 def measure_tables(result: SuiteResult) -> list[Table]:
-    """Further tables of a suite's result, without empty ones except that of the kinds of surface."""
+    """Further tables of a suite's result; empty ones are omitted, except that of the kinds of surface."""
     tables = [_levels(result), _kinds(result), _others(result), _noise(result)]
     tables += [_calibration(result), _cameras(result)]
     return [table for table in tables if table.rows or table.name == "kinds"]
@@ -117,7 +117,7 @@ def _noise(result: SuiteResult) -> Table:
 
 
 def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
-    """PSNR in dB with its noise for each light and set of views, as (light, set, figure)."""
+    """PSNR in dB and its noise, as (light, set, figure) for each light and set of views."""
     found = []
     for light in LIGHTS:
         for views in VIEW_SETS:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Simulated errors of meshes, to measure how much a result depends on exact geometry.
 
-The order of parts is preserved. Lamps are unchanged, since their effect on the light is not under test.
+The order of parts is preserved. Lamps are unchanged, since errors of the lighting are not under test.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class GeometryError(StrictModel):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
     def describe(self) -> str:
-        """Text such as "noise 10 mm, holes 5%"; "true" without errors."""
+        """Describe the errors in text such as "noise 10 mm, holes 5%"; "true" without errors."""
         parts = []
         if self.noise_m:
             parts.append(f"noise {self.noise_m * 1000:g} mm")

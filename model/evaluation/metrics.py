@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Image metrics, each with its convention; metrics of maps are in ``map_measures``.
+"""Image metrics and their conventions; metrics of maps are in ``map_measures``.
 
-Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR with data range 1; SSIM
-with an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), mean over channels; DSSIM = 1 - SSIM;
-LPIPS-VGG version 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed after
-multiplying all rendered images by one factor, the median ratio of luminance over surface pixels.
+Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR has the data range 1,
+SSIM an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), averaged over channels; DSSIM is 1 - SSIM;
+LPIPS is LPIPS-VGG 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed
+after multiplying all rendered images by one factor, the median ratio of luminance over surface pixels.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from datagen.foundation.color import exposure_for, luminance, srgb_from_linear
 from model.evaluation.lpips import Lpips
 from model.evaluation.rendering import JudgedView
 
-MAX_PSNR_DB = 99.0  # for equal images, where the formula gives infinity
+MAX_PSNR_DB = 99.0  # for equal images, whose PSNR is infinite
 _SSIM_SIGMA = 1.5
 _DARK = 1e-6  # keeps the ratio of two black pixels at 1
 

@@ -33,7 +33,7 @@ def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> floa
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over views, and its standard errors from the choice of views (NaN if unknown) and from the
+    """A mean over views, and its standard errors due to the choice of views (NaN if unknown) and to the
     renderer's seed (0 if unknown).
     """
 
@@ -53,16 +53,16 @@ class Figure:
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
-    """Mean of one figure's ``values`` per view; ``spread`` is a value's standard deviation over seeds."""
+    """Mean of ``values`` per view with its noise; ``spread`` is a value's standard deviation over seeds."""
     return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
 
 
 def seed_spread(
     pairs: Sequence[tuple[Mapping[str, float | None], Mapping[str, float | None]]],
 ) -> dict[str, float]:
-    """Standard deviation over seeds of each figure of a view, from ``pairs`` of a view's figures by name.
+    """Standard deviation over seeds of each figure of a view; a pair contains a view's figures for two seeds.
 
-    Figures with a gain are omitted, since the gain is fitted to all views and few are rendered twice.
+    Figures with a gain are omitted, since the gain is fitted to all views but only a few are rendered twice.
     """
     found = {}
     for key in (key for key in pairs[0][0] if "gain" not in key):
@@ -96,10 +96,10 @@ def difference(
     spreads: tuple[float, float] = (0.0, 0.0),
     weights: Mapping[str, float] | None = None,
 ) -> Difference | None:
-    """Difference of the means of two figures, by view, over common views; None for fewer than two of them.
+    """Difference of a figure's means over the views that two runs share; None for fewer than two views.
 
-    ``spreads`` are standard deviations of a view's figure over seeds, in ``other`` and ``this``; ``weights``
-    are by view.
+    ``other`` and ``this`` contain the figure by view, ``spreads`` its standard deviations over seeds in the
+    two runs; ``weights`` are by view.
     """
     names = [name for name in other if name in this]
     if len(names) < 2:

@@ -32,7 +32,7 @@ from model.reconstruction.captures.read import read_capture
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
 RECOVERED = "recovered"
-"""Light of renderings with a method's own lights; compared with the truth under the scene's own light."""
+"""Lights recovered by a method; their renderings are compared with the truth under the scene's own light."""
 RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, which photographs use
 _REVISION = 2
 """Revision of atlases and renderings; cached ones of another revision are computed again."""
@@ -42,8 +42,8 @@ _REVISION = 2
 class OpenedScene:
     """A scene and the names of its judged views, ``inputs`` and ``novel``.
 
-    By light: ``sceneries``, ``truth`` (true views by name), ``exposures``, and ``renders`` (folders of true
-    views that are not in the capture). ``root`` is the folder of results; ``figure_views`` are the views in
+    ``sceneries``, ``truth`` (true views by name), ``exposures``, and ``renders`` (folders of true views that
+    are not in the capture) are by light. ``root`` is the folder of results; ``figure_views`` are the views in
     pictures, by set; ``modified_gain`` scales the scene's own lights under modified light.
     """
 
@@ -72,7 +72,7 @@ class OpenedScene:
         return next(view for view in self.capture.views if view.name == name)
 
     def surfaces(self, name: str) -> ViewSurfaces:
-        """Kinds of surface in the judged view ``name``, computed once."""
+        """Kinds of surface in the judged view ``name``, computed on first use."""
         if name not in self._surfaces:
             if self._finder is None:
                 self._finder = SurfaceFinder(self.capture.geometry, self.capture.lights)
@@ -100,7 +100,7 @@ class OpenedScene:
         """Define the rendering of ``scenery`` under ``light``, in a folder named by a hash of its inputs.
 
         ``views`` None selects all views of the light; ``seed`` is added to the scenery's seed; ``stopped_by``
-        are further inputs, those of early stopping.
+        are the parameters of early stopping, which also enter the hash.
         """
         seed += scenery.configuration.seed
         cameras = self.views_of(light)

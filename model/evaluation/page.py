@@ -30,7 +30,7 @@ _JPEG_QUALITY = 88
 _BOUNDS = ("oracle", "truth")  # kinds of methods that are upper bounds of all others
 _WIDTH_PX = 480
 LARGEST_ERROR = 0.5
-"""Smallest error with the last colour of the scale of error maps."""
+"""Error with the last colour of the error maps' scale; larger errors have the same colour."""
 NOTHING = 0.88
 """Grey in [0, 1] of pixels that are not compared; lighter than any colour of the scale."""
 _BAR_PX, _NAME_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 27, 12, 92, 430
@@ -43,7 +43,7 @@ def page_html(
     rows: Mapping[str, list[Row]],
     truths: Mapping[str, Mapping[str, JudgedView]],
 ) -> str:
-    """The page as HTML. By scene: ``rows`` of pictures, and ``truths``, true views under its own light."""
+    """The page as HTML. ``rows`` of pictures, and ``truths`` (true views under own light), are by scene."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)
@@ -80,7 +80,7 @@ def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, Judg
 
 
 def _summary(scene: SceneResult) -> str:
-    """HTML table of a scene's main figures, with the best method in bold; bounds are not methods."""
+    """HTML table of a scene's main figures; the best are bold, without the upper bounds ``_BOUNDS``."""
     judged = [method for method in scene.methods if not method.skipped]
     heads = [f"{letter} (MSE)" for letter in LETTERS.values()]
     heads += [f"{light} light, {views} (dB)" for light in LIGHTS for views in VIEW_SETS]
@@ -115,7 +115,7 @@ def _summary(scene: SceneResult) -> str:
 
 def best_and_worst(method: MethodResult) -> list[tuple[str, str, float]]:
     """Views of highest and lowest PSNR under the scene's own light, as ("best" or "worst", view, PSNR in dB);
-    a single view is listed once, as best.
+    a single view is listed only as best.
     """
     rows = {
         name: row["psnr_srgb_db"] or 0.0

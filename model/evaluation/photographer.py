@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Cameras for the photographs of a test scene, and for novel views on a walk.
 
-Photographs use the view sampling of datasets (:mod:`datagen.assembly.views`): different positions in free
-space at the height of a handheld camera, directed at the contents of the room. The walk leads through free
-space between two photographs with similar directions, so everything visible from it was photographed.
+Photographs use the view sampling of datasets (:mod:`datagen.assembly.views`): cameras at distinct positions
+in free space, at the height of a handheld camera, directed at the room's contents. The walk leads through
+free space between two photographs with similar directions, which cover what is visible from it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _OWN_LIGHTS = LightRecipe(
     native_probability=1.0, area_probability=0.0, point_probability=0.0, daylight_probability=0.0
 )
 _MAX_TURN_RAD = np.radians(75.0)
-_CHECKED_CAMERAS = 12  # of a walk
+_CHECKED_CAMERAS = 12  # maximum number of checked cameras of a walk
 
 
 def choose_cameras(
@@ -51,7 +51,7 @@ def choose_cameras(
     """Choose ``num_views`` cameras view-000 ... and ``num_novel`` cameras path-000 ... on a walk.
 
     ``resolution`` is (width, height). Raises :class:`InputError` if the room has too few camera positions, or
-    if none is lit by its own lights.
+    if its own lights illuminate none of them.
     """
     geometry = GeometryCache().get(package)
     asset = geometry.asset
@@ -85,8 +85,8 @@ def walk_between(
 
 
 def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) -> list[Camera]:
-    """Place ``count`` cameras at equal distances between two of ``cameras``, ends excluded: the most distant
-    pair with similar directions and a free path."""
+    """Place ``count`` cameras at equal distances between the most distant pair of ``cameras`` that have
+    similar directions and a free path, ends excluded; ``near_m`` is the recipe's ``min_distance_m``."""
     if count == 0:
         return []
     for first, last in _pairs(cameras):

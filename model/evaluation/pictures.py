@@ -55,7 +55,7 @@ RELIGHTING = ("original light", "modified light", "inserted object", "novel view
 
 
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
-    """Rows of the truth and of each method; ``stored``: true views under the scene's own light, by name."""
+    """Rows of the truth and of each method; ``stored`` are the truth's views under own light, by name."""
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
     truth["own"] = stored
     if "recovered" in scene.exposures:
@@ -101,7 +101,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
 
 
 def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
-    """The map ``name`` of a view for display, (H, W, 3): D and S as sRGB, R linear, black off surfaces."""
+    """Convert the map ``name`` of a view to an image (H, W, 3): D and S as sRGB, R linear; 0 off surfaces."""
     values = view.maps[name]
     encoded = srgb_from_linear(values) if name != "roughness" else values
     pixels = np.where(view.surface_mask[..., None], encoded, 0.0)
@@ -119,7 +119,7 @@ def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8
 
 
 def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDArray[np.uint8]:
-    """Sheet (H, W, 3) of labelled pictures, a line per row or, if ``is_turned``, per item of ``columns``."""
+    """Sheet (H, W, 3) of labelled pictures, with a line per row or, if ``is_turned``, per column."""
     table = [[row.pictures[column] for column in columns] for row in rows]
     across, down = list(columns), [row.label for row in rows]
     if is_turned:

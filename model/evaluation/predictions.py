@@ -29,13 +29,13 @@ def predictions_folder(
 
 
 def light_revision(method: NetworkMethod) -> list[int]:
-    """List with the revision of recorded light if that is an input of the method's network, else []."""
+    """Return the revision of recorded light in a list if the method's network uses it as input, else []."""
     inputs = network_inputs(read_card(Path(method.checkpoint)).network)
     return [LIGHT_REVISION] if set(LIGHT_BUFFERS) & set(inputs) else []
 
 
 def link_files(source: Path, target: Path) -> None:
-    """Hard-link the files of the folder ``source``, if it exists, into ``target``; existing files stay."""
+    """Hard-link the files of the folder ``source``, if it exists, into ``target``; keep existing files."""
     if not source.is_dir():
         return
     target.mkdir(parents=True, exist_ok=True)

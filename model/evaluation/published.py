@@ -29,8 +29,8 @@ class PublishedMaps:
 class PublishedScene:
     """Published figures of a scene.
 
-    ``images``: (PSNR in dB, DSSIM) by method; ``minutes``: times of statistics, prediction and the texturing
-    of one of three maps, on a Xeon 5218 with a Quadro RTX 5000.
+    ``images``: (PSNR in dB, DSSIM) by method; ``minutes``: times for statistics, for prediction, and for
+    texturing one of the three maps, on a Xeon 5218 with a Quadro RTX 5000.
     """
 
     num_views: int

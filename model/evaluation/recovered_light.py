@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sceneries of a reconstruction under the scene's lights and under recovered lights."""
+"""Sceneries of a reconstruction under the lights of the scene and under the recovered lights."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Emission = dict[str, tuple[float, float, float]]
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """Sceneries of the package ``asset``, by light: each light of the scene, and recovered lights if any."""
+    """Sceneries of the package ``asset`` by light: those of the scene, and the recovered lights if any."""
     parts = scene.capture.geometry.parts
     sceneries = {}
     for light, truth in scene.sceneries.items():
@@ -31,10 +31,10 @@ def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
 
 
 def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emission:
-    """Radiance (RGB) by emissive slot of the package ``asset`` that restores the scene's lamps.
+    """RGB radiance by emissive slot that replaces the lights of the package ``asset`` by the scene's lamps.
 
-    Slot ``lamp-N`` (``export.slots``) has the radiance of the N-th emissive part times ``gain``; all other
-    slots have 0.
+    Slot ``lamp-N`` (``export.slots``) gets the radiance of the N-th emissive part times ``gain``; all other
+    slots get 0.
     """
     emitted = [part.emission for part in parts if part.emission is not None]
     lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(emitted)}

@@ -34,8 +34,8 @@ BUFFERS = ("beauty", *MATERIAL_MAPS, "surface_mask", "depth_z_m", "normal_world"
 class JudgedView:
     """Image of a view with its maps.
 
-    ``color`` (H, W, 3) is linear radiance; ``maps`` (H, W, 3 or 1) are by name; ``surface_mask`` (H, W): at
-    least half of the pixel is reflecting surface; ``emission_mask`` (H, W): emitters without material.
+    ``color`` (H, W, 3) is linear radiance; ``maps`` (H, W, 3 or 1) are by name; ``surface_mask`` (H, W) marks
+    pixels at least half covered by reflecting surface, ``emission_mask`` (H, W) emitters without material.
     """
 
     color: NDArray[np.float32]
@@ -90,7 +90,7 @@ class EnoughOf:
     share: float
 
     def decides(self, names: Sequence[str]) -> IsEnough:
-        """Stopping criterion, as an argument of the renderer, for the views ``names``, in their order."""
+        """Return the criterion in the renderer's form; its view indices refer to ``names``."""
 
         def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
             difference = relative_mse(image, self.truth[names[index]].color, exposed=True)
@@ -108,8 +108,8 @@ def render_scenery(
     enough: EnoughOf | None = None,
     tell: Advance = no_advance,
 ) -> None:
-    """Render the missing views of ``renderings``; ``tell`` is called with the numbers of views done and in
-    total. Irradiance cache and sky guide are estimated from all ``cameras``, whichever views are missing.
+    """Render the missing views of ``renderings``; ``tell`` receives the numbers of finished and of all views.
+    Irradiance cache and sky guide are always estimated from all ``cameras``, also if few views are missing.
     """
     missing = [(rendering, names) for rendering in renderings if (names := rendering.missing())]
     if not missing:

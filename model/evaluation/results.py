@@ -16,7 +16,7 @@ from datagen.formats.base import (
 from datagen.foundation.errors import InputError
 
 ViewSet = str
-"""Set of judged views: photographs that methods use (``input``), or others (``novel``)."""
+"""Set of judged views: the photographs that methods use (``input``) or other views (``novel``)."""
 Stage = str
 """Stage of maps: predicted in each view (``per_view``), or the atlas rendered in the views (``merged``)."""
 Figures = dict[str, float | None]
@@ -34,7 +34,7 @@ class MethodResult(StrictModel):
     of the atlas visible in at least one view; ``covered_share``: share of the true surface's pixels where the
     method has a surface. ``atlas_size``: side in texels; ``seconds``: wall time by stage; ``processor_s``:
     time of all cores, without cached results. ``folder``: folder of maps and asset; ``renders``: folders of
-    rendered views, by light and for ``inserted``.
+    rendered views, by light (also ``inserted``).
     """
 
     scene: Slug

@@ -55,7 +55,7 @@ class TestScene(StrictModel):
     number ``configuration`` is the scene; ``imports`` are files and folders whose assets the recipe may use.
     There are ``views`` photographs, and ``novel_views`` more views on a walk, of ``resolution`` (width,
     height); ``render`` and ``cameras`` are as in recipes. ``judged``: quality of all judged views instead of
-    the suite's ``truth`` and ``render``, for scenes with more noise. ``seed`` draws cameras and light paths.
+    the suite's ``truth`` and ``render``, for scenes with more noise. ``seed`` seeds cameras and light paths.
     ``unit_m``: metres per unit of a Mitsuba file; ``annotations``: file with corrections of the imported room
     (docs/importing.md). ``may_know_shapes``: checkpoints may have been trained on the rooms and objects of a
     recipe, but on none of its materials.
@@ -92,7 +92,7 @@ class PreparedScene:
     """A rendered test scene.
 
     ``capture`` is a shard for :func:`model.reconstruction.captures.read.read_capture`, with the true maps of
-    every view; ``library`` its asset folders, ``package`` the room with its true materials and lights.
+    every view; ``library`` are its asset folders, ``package`` is the room with its true materials and lights.
     ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: hashes of the packages,
     by id, and of their files, by ``<id>/<file>``, none of which may occur in a checkpoint's training data.
     """
@@ -204,7 +204,7 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
 
 
 def _key(scene: TestScene) -> str:
-    """Hash of everything that affects pixels, except library versions and files that the source refers to."""
+    """Hash of all inputs that affect pixels, except library versions and files named in the source."""
     parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes", "judged"})
     if not scene.is_drawn:  # imports do not affect the pixels
         del parts["configuration"], parts["imports"]
@@ -270,7 +270,7 @@ def _recipe(scene: TestScene) -> Recipe:
 
 
 def _planned(scene: TestScene, library: Library, root: Path) -> Plan:
-    """Read the plan of the dataset folder ``root``, or make it, of the room with the chosen cameras alone."""
+    """Read the plan in the dataset folder ``root``, or write a plan with only the scene's configuration."""
     recipe = _recipe(scene)
     folder = start_folder(recipe, library, root)
     if folder.plan_path.is_file():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The true scene and its reconstructions as configurations that differ only in their surfaces.
 
-Own light: the scene's lamps and lights. Modified light: these times a gain, and further lights.
+Own light: the scene's lamps and lights. Modified light: these times a gain, plus further lights.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CEILING_SIDE_M = 0.6
 _CEILING_RADIANCE = (12.0, 12.0, 12.0)
 _GAP_M = 0.1  # between lamp and ceiling
 _LAMP_HEIGHT_M = 1.0  # above the camera, if there is no ceiling
-_LEVEL = 0.95  # cosine to the vertical
+_LEVEL = 0.95  # minimum cosine between the normal of a level surface and the vertical
 _MARGIN, _GROUND = 0.03, 0.12  # margin above an object, and below its middle, in image heights
 _PICTURED_HEIGHT = 0.35  # height of an inserted object, in image heights
 _INSERTED = "inserted"
@@ -52,7 +52,7 @@ class Scenery:
         return self._with({"cameras": chosen})
 
     def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
-        """Return the scenery under its own lights times ``modified.own_gain``, and the ``added`` lights."""
+        """Return the scenery under its own lights times ``modified.own_gain`` plus the ``added`` lights."""
         own = () if modified.own_gain == 0 else self.configuration.lights
         lights = (*(scaled(light, modified.own_gain) for light in own), *added)
         with Library(self.library) as library:
@@ -168,7 +168,7 @@ def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
 
 @dataclass(frozen=True)
 class Place:
-    """Position (3,) in metres of an inserted object, and the cost, >= 0, of its position in the picture."""
+    """Position (3,) in metres of an inserted object, and the ``cost`` >= 0 of its image position and size."""
 
     position_m: NDArray[np.float64]
     cost: float
@@ -177,8 +177,8 @@ class Place:
 def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float) -> Place | None:
     """Find a level position in front of a camera for an object of ``height_m``; None if there is none.
 
-    The object is entirely inside the image, near the middle of its lower half, with about a third of its
-    height. ``depth_z_m`` is (H, W, 1), ``normal_world`` (H, W, 3).
+    The object is entirely inside the image, near the middle of the lower half, and preferably about a third
+    as high as the image. ``depth_z_m`` is (H, W, 1), ``normal_world`` (H, W, 3).
     """
     from scipy.ndimage import minimum_filter
 

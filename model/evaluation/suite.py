@@ -32,7 +32,7 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """Maps of a checkpoint; without its file, the method is omitted from the tables, with a note.
+    """Maps predicted by a checkpoint; if its file is missing, a note replaces the method's figures.
     ``weights`` (of views in the merge), ``is_leveled`` (albedo scale) and ``materials`` are options of
     ``materials infer``.
     """
@@ -46,7 +46,7 @@ class NetworkMethod(_Method):
 
 
 class TextureMethod(_Method):
-    """The median colour of all views as the diffuse albedo, without specular reflection."""
+    """The exposed photographs as the diffuse albedo, without specular reflection; merged, their median."""
 
     kind: Literal["texture"]
 
@@ -96,10 +96,10 @@ Method = Annotated[
 
 
 class ModifiedLight(StrictModel):
-    """Another light: the scene's own lights times ``own_gain``, and ``lights``.
+    """Modified light: the scene's own lights times ``own_gain``, plus ``lights``.
 
-    "ceiling" is a square of 0.6 m just below the ceiling, above the camera nearest to the mean position of
-    all cameras.
+    "ceiling" is a square lamp of 0.6 m side just below the ceiling, above the camera nearest to the mean
+    position of all cameras.
     """
 
     own_gain: NonNegative = 0.0
@@ -107,9 +107,9 @@ class ModifiedLight(StrictModel):
 
 
 class InsertedObject(StrictModel):
-    """Object inserted into the scene for the figures: an object package, or ``bundled:ID``.
+    """Object inserted into the scene for the pictures; ``package`` is an object package or ``bundled:ID``.
 
-    Without ``position_m``, a level position in front of the camera is found; ``scale`` multiplies its size.
+    Without ``position_m``, a level position in front of a camera is chosen; ``scale`` multiplies its size.
     """
 
     package: str = "bundled:statuette_torso"
@@ -129,7 +129,7 @@ class Suite(StrictModel):
     views of each scene are judged. ``render``: quality of a re-rendered view; ``truth``: quality of a judged
     view of the truth, which is then rendered separately from the photographs, once per scene; None uses the
     photographs as truth, and renders other lights at their quality. ``seed_views`` of each set and light are
-    rendered with a second seed, which gives the noise of the figures. ``noise_share``: a view of a
+    rendered with a second seed, to estimate the noise of the figures. ``noise_share``: a view of a
     reconstruction is finished early once its remaining noise is at most this share of its squared difference
     from the truth; None renders all with ``render``. ``atlas``: side in texels. ``camera``: every method
     except the truth is also judged on photographs with these faults (names of ``camera_faults.PRESETS``,
@@ -240,7 +240,7 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
 
 
 def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[Problem]:
-    """Problems of the suite ``path`` at ``field``: one for each scene without a subfolder in ``maps``."""
+    """Problems of the suite ``path`` at ``field``, one for each scene that has no subfolder in ``maps``."""
     if not maps.is_dir():
         return []
     return [

@@ -31,7 +31,7 @@ _LIFT_M = 1e-3  # offset of a shadow ray from its surface, to avoid self-shadowi
 
 @dataclass(frozen=True)
 class ViewSurfaces:
-    """Kinds of surface in a view, as masks (H, W) by name, and the region's index (H, W), -1 for none."""
+    """Kinds of surface in a view, as masks (H, W) by name, and region indices (H, W), -1 for none."""
 
     kinds: dict[str, NDArray[np.bool_]]
     region: NDArray[np.int32]
@@ -96,7 +96,7 @@ class SurfaceFinder:
 
 
 def small_faces(mesh: Mesh) -> NDArray[np.bool_]:
-    """Mask (M,) of the triangles in connected pieces whose bounding box has a diagonal below ``SMALL_M``."""
+    """Mask (M,) of the triangles in connected pieces whose bounding box's diagonal is below ``SMALL_M``."""
     positions, vertex = welded(mesh)
     faces = vertex[mesh.faces]
     first, second = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()

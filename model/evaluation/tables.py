@@ -17,7 +17,7 @@ Cell = str | float | None
 LETTERS = dict(zip(MATERIAL_MAPS, "DSR", strict=True))
 PAPER = "paper: "
 LIGHTS = ("own", "modified", "recovered")
-"""Lights in the order of the tables: the scene's own, these modified, and those recovered by a method."""
+"""Lights in the order of the tables: own light, modified light, and lights recovered by a method."""
 VIEW_SETS = ("input", "novel")
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
 _ALL = {
@@ -91,7 +91,7 @@ def _text(cell: Cell, digits: int) -> str:
 
 
 def tables_of(result: SuiteResult) -> list[Table]:
-    """All tables of a suite's result, in the order of the page."""
+    """Tables of a suite's maps, re-renderings and cost; :func:`measure_tables` returns the others."""
     return [_maps_table(result), _summary_table(result), _images_table(result), _cost_table(result)]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mesh that all methods use, with or without errors, unwrapped once."""
+"""Unwrapped mesh, with or without errors, that all methods share."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def geometry_for(
     tell: Callable[[str, int, int], None],
     jobs: int = 2,
 ) -> tuple[CaptureGeometry, float]:
-    """Return ``true_geometry`` with ``error`` and with UVs for an atlas, and the seconds of unwrapping.
+    """Return ``true_geometry`` with ``error`` and with UVs for an atlas, and the unwrapping time in seconds.
 
     The result is stored in the folder ``root``, in a file named by a hash of mesh and error; unwrapping runs
     in ``jobs`` processes.

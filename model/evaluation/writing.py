@@ -25,7 +25,7 @@ KNOWN_WARNING = (
 
 
 def state_of(result: SuiteResult) -> bytes:
-    """Content of ``state.json``, which identifies the result that a folder contains."""
+    """Content of ``state.json``, a hash of the result, which identifies the files of a folder."""
     return canonical_json({"revision": _REVISION, "result": sha256_hex(canonical_json(result))})
 
 
@@ -37,7 +37,7 @@ def is_written(result: SuiteResult, out: Path) -> bool:
 
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
     """Write the results to the folder ``out`` and return the paths; ``stored`` contains the true views under
-    the scene's own light, by scene and view."""
+    the scenes' own light, by scene and view."""
     out.mkdir(parents=True, exist_ok=True)
     (out / STATE_FILE).unlink(missing_ok=True)
     maps, *others = tables_of(result)
