@@ -3,7 +3,7 @@
 
 Maps are (B, C, H, W). Positions and normals are in camera space (metres; x right, y down, z forward; the
 camera at the origin), so a pixel's original view direction is -position/|position|. Every draw is made per
-image of the batch on the CPU, so a seed gives the same conditions on every device.
+image of the batch on the CPU, so the conditions of a seed are the same on every device.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torch import Tensor
 from model.shading import SphericalGaussians, dot, normalize, sg_integral
 
 VIEW_DISC_RADIUS2 = 0.9
-"""Views are cosine-weighted with r^2 below this: within 71.6 degrees of the original view."""
+"""Squared radius of the disc of drawn view directions, which are up to 71.6 degrees off the original."""
 LIGHT_DISTANCE_LOG_MEAN, LIGHT_DISTANCE_LOG_STD = 0.5, 0.75
 NUM_SG_LIGHTS = 5
 SG_SHARPNESS_RANGE = (2.0, 200.0)
@@ -57,8 +57,8 @@ class AreaCondition:
 class SampleDraws:
     """Random numbers of a batch, with a separate stream for each image.
 
-    The conditions of an image then depend on its own seed alone, not on the batch, the rank or the order: two
-    processes with half a batch each draw the same numbers as one process with the whole batch.
+    The conditions of an image thus depend only on the run's seed and its sample id: two processes with half a
+    batch each draw the same numbers as one process with the whole batch.
     """
 
     def __init__(self, generators: Sequence[torch.Generator]):
@@ -66,7 +66,7 @@ class SampleDraws:
 
     @classmethod
     def for_samples(cls, seed: int, sample_ids: Iterable[int]) -> SampleDraws:
-        """Create the streams of the images ``sample_ids`` in a run with ``seed``."""
+        """Create the streams of the images with ids ``sample_ids`` in a run with ``seed``."""
         return cls([generator_for(seed, _CONDITION_PURPOSE, int(i)) for i in sample_ids])
 
     def uniform(self, *shape: int) -> Tensor:
@@ -82,9 +82,9 @@ _CONDITION_PURPOSE = 0xC0
 
 
 def generator_for(*key: int) -> torch.Generator:
-    """CPU generator seeded by ``key``, such as (seed, purpose, step, rank); keys give independent streams."""
+    """CPU generator seeded by ``key``, e.g. (seed, purpose, step, rank); streams of keys are independent."""
     state = 0x9E3779B97F4A7C15
-    for part in key:  # splitmix64 of the running state: neighbouring keys give unrelated seeds
+    for part in key:  # splitmix64 of the running state: neighbouring keys have unrelated seeds
         state = (state ^ (part & 0xFFFFFFFFFFFFFFFF)) & 0xFFFFFFFFFFFFFFFF
         state = (state + 0x9E3779B97F4A7C15) & 0xFFFFFFFFFFFFFFFF
         state = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) & 0xFFFFFFFFFFFFFFFF
@@ -98,8 +98,8 @@ def generator_for(*key: int) -> torch.Generator:
 def scene_scale(geometry: Geometry) -> Tensor:
     """Unit of light distances (B, 1, 1, 1) in metres; 1.0 for a crop without a surface.
 
-    Deschaintre et al. give light distances for a patch on [-1, 1]^2, whose root-mean-square distance from its
-    centre is sqrt(2/3); the unit scales this to the root-mean-square distance of the crop's points.
+    Deschaintre et al. define light distances for a patch on [-1, 1]^2, whose root-mean-square distance from
+    its centre is sqrt(2/3); the unit scales this to the root-mean-square distance of the crop's points.
     """
     mask = geometry.mask.to(geometry.position.dtype)
     count = mask.sum(dim=(2, 3), keepdim=True)
@@ -112,8 +112,8 @@ def scene_scale(geometry: Geometry) -> Tensor:
 def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
     """Draw a viewing direction per pixel (B, 3, H, W), cosine-weighted about the original directions.
 
-    One point of a disc is drawn per image and applied in each pixel's frame, given by the original direction
-    and the camera's x axis, so the directions vary smoothly over the image, as from one camera.
+    One point of a disc is drawn per image and applied in each pixel's frame, spanned by the original
+    direction and the camera's x axis, so the directions vary smoothly over the image, as from one camera.
     """
     original = normalize(-geometry.position)
     uv = draws.uniform(2).to(original)
@@ -148,8 +148,8 @@ def _pick(image: Tensor, index: Tensor) -> Tensor:
 def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondition:
     """Draw viewing directions, and a point light in the mirror direction at a random pixel, the anchor.
 
-    The light's distance from the anchor is exp(N(0.5, 0.75)) times :func:`scene_scale`. Its intensity gives
-    radiance 1 to a white Lambertian surface at the anchor that faces the light, at any distance.
+    The light's distance from the anchor is exp(N(0.5, 0.75)) times :func:`scene_scale`. Its intensity is
+    such that a white Lambertian surface at the anchor, facing the light, has radiance 1 at any distance.
     """
     view_dir = sample_views(geometry, draws)
     anchor = _anchor_pixels(geometry, draws)
@@ -165,10 +165,10 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
 
 
 def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaCondition:
-    """Draw viewing directions, and 5 spherical Gaussians uniformly distributed behind the camera (z <= 0).
+    """Draw viewing directions, and 5 spherical Gaussians with axes uniform over the hemisphere z <= 0.
 
-    Visible surfaces face the camera, so light must come from its side. Sharpness is log-uniform between 2 and
-    200, and colours are uniform; the sum of the lobes' integrals, averaged over channels, is pi.
+    Visible surfaces face the camera, so light must come from behind it. Sharpness is log-uniform between 2
+    and 200, and colours are uniform; the sum of the lobes' integrals, averaged over channels, is pi.
     """
     view_dir = sample_views(geometry, draws)
     dtype, device = view_dir.dtype, view_dir.device

@@ -25,7 +25,7 @@ def confidence_loss(
 
     ``nets`` is a :class:`model.confidence.ConfidenceNets`, possibly wrapped for several ranks. ``image`` (B,
     3, H, W) is encoded to [-1, 1]; ``predicted`` and ``truth`` contain all three maps (B, 3 or 1, H, W);
-    ``mask`` (B, 1, H, W) is True on surfaces. The parts also contain the error before filtering.
+    ``mask`` (B, 1, H, W) is True on surfaces. The result's ``parts`` also contain the error before filtering.
     """
     frozen = {name: value.detach().float() for name, value in predicted.items()}
     with torch.autocast(image.device.type, enabled=False):

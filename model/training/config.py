@@ -37,9 +37,9 @@ class PhaseConfig(StrictModel):
     epochs: int | None = Field(default=None, ge=1)
     steps: int | None = Field(default=None, ge=1)
     learning_rate: float | None = Field(default=None, gt=0)
-    """None: the run's rate."""
+    """Initial rate; None: the run's ``learning_rate``."""
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """None: the run's rate."""
+    """Rate at the end of the phase; None: the run's ``final_learning_rate``."""
 
     @model_validator(mode="after")
     def _one_length(self) -> PhaseConfig:
@@ -55,7 +55,7 @@ class PerceptualConfig(StrictModel):
     vgg: Path | None = None
     """File of VGG16's weights; None searches the weights folder and torch hub's cache."""
     heads: Path | None = None
-    """File of E-LPIPS' 14 heads; None searches the weights folder, then falls back to LPIPS' five."""
+    """File of E-LPIPS' 14 heads; None searches the weights folder, and uses LPIPS' five heads without it."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of VGG16's activations."""
 
@@ -69,8 +69,8 @@ class DataConfig(StrictModel):
     exposure_jitter_stops: float = Field(default=0.5, ge=0, le=4)
     """Each crop's exposure is multiplied by 2^u, with u uniform between minus and plus this value."""
     spread_jitter_stops: float = Field(default=0.0, ge=0, le=4)
-    """Each crop's minimum over views is divided, and its maximum multiplied, by 2^u with independent u
-    uniform from 0 to this value, since noise and errors of cameras and geometry only widen this range."""
+    """Each crop's ``color_min`` is divided, and its ``color_max`` multiplied, by 2^u with independent u
+    uniform from 0 to this value, since noise and errors of cameras and geometry can only widen this range."""
     light_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's reflectance and mirror images are multiplied by one 2^u, with u uniform between minus and
     plus this value, since errors of geometry and exposure scale the recorded light."""
@@ -120,8 +120,8 @@ class TrainingConfig(StrictModel):
     adam_betas: tuple[float, float] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
     """Gradients with a larger norm, over all weights that a phase trains, are scaled down to it; None: no
-    clipping. At a high rate one steep batch can push outputs into the flat part of tanh, from which no
-    gradient leads back."""
+    clipping. At a high rate, one steep batch can push outputs into the flat part of tanh, where gradients
+    vanish."""
     average_decay: float = Field(default=0.0, ge=0, lt=1)
     """Validation and checkpoints use weights averaged over about the last 1 / (1 - average_decay) steps."""
     precision: Literal["float32", "bfloat16"] = "float32"
@@ -148,8 +148,8 @@ class TrainingConfig(StrictModel):
 def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Return the settings of ``base``, overridden by those of ``over``.
 
-    A custom network in ``over`` replaces all network settings of ``base``, and its phases ``diffuse`` and
-    ``specular`` become a phase ``joint`` with the settings of the first phase.
+    A custom network in ``over`` replaces all network settings of ``base``; a phase ``joint`` with the
+    settings of the first phase replaces the phases ``diffuse`` and ``specular`` of ``base``.
     """
     network = over.get("network")
     if isinstance(network, dict) and network.get("factory") is not None:

@@ -79,12 +79,12 @@ class TrainingContext:
     stopwatch: Stopwatch
 
     def order(self, index: int) -> tuple[CropOrder, int]:
-        """Return the order of crops of phase ``index``, and the phase's seed."""
+        """Return the crop order and the seed of phase ``index``."""
         data, seed = self.config.data, self.config.seed * 16 + index
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
     def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """This rank's micro-batches of phase ``index``, from step ``start`` to ``stop`` (None: endless)."""
+        """Micro-batches of this rank in phase ``index``, from step ``start`` to ``stop`` (None: endless)."""
         config, ranks = self.config, self.ranks
         order, _ = self.order(index)
         return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)
@@ -155,7 +155,7 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
 
 
 def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tensor]:
-    """Initial weights of ``wider``, which has more inputs and outputs than the trained ``network``.
+    """Initial weights of ``wider``, which may have more inputs and outputs than the trained ``network``.
 
     Weights of new inputs are 0, so the outputs of ``network`` are unchanged before training. New outputs keep
     the random weights of ``wider`` and do not affect the others.

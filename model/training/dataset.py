@@ -4,8 +4,8 @@
 The order is a pure function of the seed: an epoch shuffles all views, divides them into blocks of
 ``block_views``, and shuffles the crops within each block. A view's crops are thus close together, and a
 loader process that keeps the last block decodes each view once. A global batch is the next slice of that
-order; each rank takes its part of the slice. With any number of ranks and loader processes, every crop of the
-order is therefore used exactly once, and training resumes at any batch.
+order; each rank takes its part of the slice. With any number of ranks and loader processes, a crop is
+therefore used at most once per epoch, and training can resume at any batch.
 
 A sample is a dictionary of float32 tensors (C, S, S): ``beauty`` and the statistics (linear),
 ``normal_camera``, ``depth_z_m``, ``position`` (camera space, metres), the true maps, ``mask`` (bool), and
@@ -39,7 +39,7 @@ from model.training.config import DataConfig
 _GEOMETRY_BUFFERS = ("normal_world", "depth_z_m", "surface_mask")
 _REMEDY = "make the shard again, or train with data.on_bad_view: skip"
 _ORDER_PURPOSE, _CROP_PURPOSE = 0x0D, 0xC4
-_RANGE_SLACK = 1e-3  # half floats round 1 - eps up to 1
+_RANGE_SLACK = 1e-3  # tolerance for rounding
 _RADIANCE = ("beauty", *COLOR_STATISTICS, "mirror_sharp", "mirror_broad")
 _ALBEDO = ("reflectance", MATERIAL_MAPS.diffuse_albedo, MATERIAL_MAPS.specular_albedo)
 
@@ -53,7 +53,7 @@ def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class DecodedView:
-    """A checked view: its record, buffers (H, W, C) by name as stored, and maximum depth in metres."""
+    """A checked view: its record, stored buffers (H, W, C) by name, and maximum depth in metres."""
 
     record: ViewRecord
     buffers: dict[str, NDArray]
@@ -138,7 +138,7 @@ def _problems_of(
 
 @dataclass(frozen=True)
 class CropOrder:
-    """The order of crops in an epoch, a permutation of the ids view * crops_per_view + crop."""
+    """Order of the crops of each epoch, a permutation of the ids view * crops_per_view + crop."""
 
     num_views: int
     crops_per_view: int
@@ -305,7 +305,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
 def view_sample(
     view: DecodedView, sample_id: int, window: tuple[int, int, int, int] | None = None
 ) -> dict[str, Tensor]:
-    """Sample of a view, or of its ``window`` (top, left, height, width) in pixels; see the module."""
+    """Sample (see the module) of a view, or of its ``window`` (top, left, height, width) in pixels."""
     camera = view.record.camera
     top, left, height, width = window or (0, 0, camera.height_px, camera.width_px)
     rows, columns = slice(top, top + height), slice(left, left + width)
@@ -332,7 +332,7 @@ def view_sample(
 
 
 def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) -> dict[str, Tensor]:
-    """Mirror the scene: flip pixels, and change the sign of x (horizontal) or y of normals and positions."""
+    """Mirror the scene: flip pixels, and negate x (horizontal) or y (vertical) of normals and positions."""
     for axis, component, is_flipped in ((-1, 0, horizontal), (-2, 1, vertical)):
         if is_flipped:
             sample = {n: v.flip(axis) if v.dim() == 3 else v for n, v in sample.items()}

@@ -61,7 +61,7 @@ def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatc
 def predicted_step(
     phase: Phase, config: TrainingConfig, device: torch.device, budget_s: float = 3.0
 ) -> tuple[float, int]:
-    """Predict the seconds of a step with a whole batch; also returns the largest number of crops timed.
+    """Predict the seconds of a step with a whole batch; also return the largest timed number of crops.
 
     One crop is timed, then as many as fit ``budget_s`` (at most the batch); the difference separates the cost
     per crop from the fixed cost of a step.
@@ -82,7 +82,7 @@ def predicted_step(
 
 
 def saved_bytes(run: Callable[[], Any]) -> int:
-    """Call ``run`` and return the bytes that autograd saves for its backward pass, each storage once."""
+    """Call ``run`` and return the size in bytes of the storages that autograd saves for the backward pass."""
     sizes: dict[int, int] = {}
 
     def pack(tensor: Tensor) -> Tensor:
@@ -96,7 +96,7 @@ def saved_bytes(run: Callable[[], Any]) -> int:
 
 
 def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
-    """Text for ``--dry-run``: the configuration, and the data, memory and hours of the run."""
+    """Text for ``--dry-run``: the configuration, and the run's data, memory and hours."""
     data = open_data(folders, config.network, config.data.crop_px)
     context = make_context(config, data, device)
     device = context.device

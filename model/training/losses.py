@@ -42,13 +42,13 @@ class LossConfig(StrictModel):
     num_area_lights: int = Field(default=3, ge=0)
     map_l1_weight: float = Field(default=0.1, ge=0)
     map_l2_weight: float = Field(default=0.0, ge=0)
-    """Weight of the maps' mean squared errors. L1 alone gives medians: where metal is rare, the median of
-    specular albedo is that of a dielectric (decision 0015)."""
+    """Weight of the maps' mean squared errors. L1 alone is minimised by the median, which for specular albedo
+    is that of a dielectric where metal is rare (decision 0015)."""
     perceptual_weight: float = Field(default=1.0, ge=0)
     """Weight of every perceptual term; 0 omits them."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)
-    """Number of re-renderings, chosen at random, for which the perceptual distance is computed; None: all.
-    Fewer take less time; the expectation is the same."""
+    """Number of randomly chosen re-renderings for which the perceptual distance is computed; None: all. Fewer
+    take less time and leave the expectation unchanged."""
     log_maps: bool = False
     """Compare ln(0.1 + M) instead of M for both albedos, as in a comment of the paper's code."""
 
@@ -68,7 +68,7 @@ Condition = PointCondition | AreaCondition
 
 
 def render(maps: Mapping[str, Tensor], geometry: Geometry, condition: Condition) -> Tensor:
-    """Radiance (B, 3, H, W) that surfaces with ``maps`` reflect under one condition, computed in float32."""
+    """Radiance (B, 3, H, W) reflected by surfaces with ``maps`` under one condition, computed in float32."""
     diffuse, specular, roughness = (maps[name].float() for name in MATERIAL_MAPS)
     normal, view = geometry.normal, condition.view_dir
     if isinstance(condition, PointCondition):
@@ -112,8 +112,8 @@ class MaterialLoss(nn.Module):
     ) -> LossTerms:
         """Loss of a batch of crops; maps that are missing in ``predicted`` have no terms.
 
-        ``predicted`` and ``truth`` are (B, 3 or 1, H, W) by name. ``draws`` draws each image's views and
-        lights, the CPU ``generator`` the transforms of E-LPIPS. ``stopwatch`` measures the sections
+        ``predicted`` and ``truth`` are (B, 3 or 1, H, W) by name. Each image's views and lights come from
+        ``draws``, the transforms of E-LPIPS from the CPU ``generator``. ``stopwatch`` measures the sections
         ``render`` and ``perceptual``.
         """
         watch = stopwatch or Stopwatch()
@@ -174,6 +174,6 @@ class MaterialLoss(nn.Module):
         return pairs
 
     def _distance(self, pairs: list[tuple[Tensor, ...]], generator: torch.Generator) -> Tensor:
-        """Mean distance of image pairs, each with an independent transform and dropout."""
+        """Mean perceptual distance of image pairs, each with an independent transform and dropout."""
         assert self.perceptual is not None
         return torch.stack([self.perceptual(*pair, generator).mean() for pair in pairs]).mean()

@@ -3,8 +3,8 @@
 weights.
 
 E-LPIPS (Kettunen et al. 2019) is LPIPS after random but identical transforms of both images and dropout with
-a shared mask, averaged over draws; one draw per call is its unbiased estimate. Plain LPIPS-VGG uses the same
-convolutions and has a published check value: :func:`lpips_check_value` must give 0.3494.
+a shared mask, averaged over draws; one draw per call is an unbiased estimate. Plain LPIPS-VGG uses the same
+convolutions and has a published check value, which :func:`lpips_check_value` must return: 0.3494.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LPIPS_CHECK_VALUE = 0.3494
 OFFSET_MAX = 7
 DROPOUT = 0.01
 MIN_SIDE_PER_SCALE = 64
-"""Images are downscaled by k only if their shorter side is at least 64 k."""
+"""Images are downscaled by a factor k only if their shorter side has at least 64 k pixels."""
 _NORM_EPS = 1e-10  # inside the square root; added outside, the gradient at a zero feature would be NaN
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
@@ -188,7 +188,7 @@ class Elpips(nn.Module):
 
 
 class LpipsVgg:
-    """Plain LPIPS-VGG with the heads of the ``lpips`` package; features of an image can be reused."""
+    """Plain LPIPS-VGG with the heads of the ``lpips`` package, and with features that can be reused."""
 
     def __init__(self, layers: list[Convolution]):
         self._network, self._heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()
@@ -272,8 +272,8 @@ class GradientSsim(nn.Module):
 def make_perceptual(
     kind: str, vgg: Path | None = None, heads: Path | None = None, precision: str = "float32"
 ) -> nn.Module:
-    """Construct the distance ``kind``, ``elpips`` or ``gradient_ssim``; the other arguments, as in
-    :class:`~model.training.config.PerceptualConfig`, are for E-LPIPS.
+    """Construct the distance ``kind``: ``elpips`` or ``gradient_ssim``. The other arguments are options of
+    E-LPIPS (:class:`~model.training.config.PerceptualConfig`).
 
     Raises :class:`InputError` if E-LPIPS lacks VGG16's weights.
     """

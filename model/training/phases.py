@@ -46,7 +46,7 @@ class Phase:
     """Phase ``index`` of a run: its networks, optimiser, data and loss."""
 
     def __init__(self, context: TrainingContext, index: int, num_steps: int | None = None):
-        """``num_steps`` replaces the number in the configuration, for measurements without data."""
+        """``num_steps`` replaces the configured number of steps, for measurements without data."""
         config, models = context.config, context.models
         self.config = config.phases[index]
         self.index = index
@@ -82,7 +82,7 @@ class Phase:
 
     @property
     def steps_per_epoch(self) -> int:
-        """Optimiser steps per pass over the data."""
+        """Number of optimiser steps per pass over the data."""
         return self.context.plan(self.index, 0).steps_per_epoch
 
     def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
@@ -112,7 +112,7 @@ class Phase:
         return nullcontext()
 
     def terms(self, batch: dict[str, Tensor], generator: torch.Generator) -> LossTerms:
-        """Loss of one micro-batch; ``generator`` draws the perceptual metric's transforms."""
+        """Loss of one micro-batch; ``generator`` supplies the perceptual metric's random transforms."""
         context = self.context
         truth = {name: batch[name] for name in MATERIAL_MAPS}
         watch = context.stopwatch

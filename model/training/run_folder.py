@@ -33,7 +33,7 @@ class RunFolder:
     """A run's folder: ``run.json`` (inputs of the run), ``state.safetensors`` (its progress),
     ``best-<phase>.safetensors`` and ``final.safetensors``.
 
-    All ranks call each method unless it states otherwise; the first rank writes.
+    All ranks must call each method unless stated otherwise; only the first rank writes.
     """
 
     path: Path
@@ -75,7 +75,7 @@ class RunFolder:
         return state
 
     def save(self, progress: RunProgress, phase: Phase | None = None) -> None:
-        """Write the state of the run in ``phase``, or between phases (None)."""
+        """Write the state of the run during ``phase``, or between phases (None)."""
         if self.context.ranks.is_first:
             optimizer, average = (phase.optimizer, phase.average) if phase else (None, None)
             averages = average.tensors() if average else {}
@@ -83,11 +83,11 @@ class RunFolder:
         self.context.ranks.barrier()
 
     def save_best(self, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:
-        """Write the best weights of a phase so far. Only the first rank calls it."""
+        """Write the best weights of a phase so far; called by the first rank only."""
         self._save_checkpoint(f"best-{phase}.safetensors", phase, step, metrics)
 
     def save_final(self, step: int, metrics: dict[str, float]) -> None:
-        """Write the final weights. Only the first rank calls it."""
+        """Write the final weights; called by the first rank only."""
         self._save_checkpoint(FINAL_FILE, self.context.config.phases[-1].name, step, metrics)
 
     def _save_checkpoint(self, file: str, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:

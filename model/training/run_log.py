@@ -20,7 +20,7 @@ _COLUMNS = ("step", "phase", "epoch", "kind", "name", "value")
 
 
 class RunLog:
-    """Log of a run as CSV (one figure per row) and for TensorBoard; later rows than ``step`` are removed.
+    """Log of a run as CSV (one figure per row) and for TensorBoard; existing rows after ``step`` are removed.
 
     ``listeners`` receive the same figures and panels.
     """

@@ -44,7 +44,7 @@ class RunRecord(StrictModel):
 
 
 def check_same_run(path: Path, record: RunRecord) -> None:
-    """Raise :class:`InputError` with every field in which ``record`` differs from the file ``path``."""
+    """Raise :class:`InputError` with all fields in which ``record`` differs from the record at ``path``."""
     earlier = read_json(RunRecord, path)
     if earlier == record:
         return
@@ -61,7 +61,7 @@ def check_same_run(path: Path, record: RunRecord) -> None:
 
 
 class RunProgress(StrictModel):
-    """Progress of a run: index of the current phase, its completed steps, and those of all phases."""
+    """Progress of a run: index of the current phase, and completed steps in it and in all phases."""
 
     phase: int = Field(default=0, ge=0)
     step: int = Field(default=0, ge=0)
@@ -86,7 +86,7 @@ class RunProgress(StrictModel):
 
 
 class NonFiniteError(RuntimeError):
-    """A loss or a gradient is NaN or Inf; the message states the file of the batch."""
+    """A loss or a gradient is NaN or Inf; the message names the file with the batch."""
 
 
 def save_state(
@@ -131,7 +131,7 @@ def load_state(folder: Path) -> tuple[RunProgress, dict[str, Tensor]] | None:
 
 
 def restore_module(module: nn.Module, tensors: Mapping[str, Tensor], where: Path) -> None:
-    """Set a module's weights from a state's tensors; raises :class:`InputError` if they do not fit."""
+    """Set a module's weights from a state's tensors. Raises :class:`InputError` if names or shapes differ."""
     weights = {n.removeprefix("module."): v for n, v in tensors.items() if n.startswith("module.")}
     try:
         module.load_state_dict(weights)

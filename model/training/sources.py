@@ -43,7 +43,7 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
     """List the training and validation views of dataset folders, without decoding them.
 
     Raises :class:`InputError` if an index lacks a buffer that the network needs, a shard is missing or
-    damaged, views are smaller than ``crop_px`` per side, or there are no training views.
+    damaged, the first view is smaller than ``crop_px`` per side, or there are no training views.
     """
     needed = buffer_names(network)
     places: dict[Split, list[ViewPlace]] = {"train": [], "validation": [], "test": []}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The training loop: phases diffuse, specular, joint and confidence over one order of crops.
+"""The training loop over a run's phases, such as diffuse, specular, joint and confidence.
 
 A run has one folder (``run_folder``), with ``log.csv`` and ``tensorboard/``. After an interruption it resumes
-bit for bit on the same machine. Under ``torchrun`` each process is a rank and the ranks share every step.
+bit for bit on the same machine. Under ``torchrun`` each process is a rank, and the ranks split every batch.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Trainer:
         return log, lambda note: bars.tell("training", self.progress.total_step, total, note)
 
     def _phase(self, index: int, restored: dict[str, Tensor]) -> Phase:
-        """Phase ``index``, resumed with the ``restored`` state if steps of it are done."""
+        """Phase ``index``, with the ``restored`` state if some of its steps are done."""
         phase = Phase(self.context, index)
         if self.progress.step > 0:
             restore_optimizer(phase.optimizer, restored)
@@ -184,7 +184,7 @@ class Trainer:
         raise NonFiniteError(f"{phase.config.name}, step {step}: {terms}; the batch is in {path}")
 
     def _speed(self) -> dict[str, float]:
-        """Crops per second in the last step, and the share of its time spent waiting for data."""
+        """Crops per second in the last step, and the share of the step's time spent waiting for data."""
         seconds = self.context.stopwatch.take()
         crops = self.config.batch_size * self.config.accumulation * self.ranks.count
         return {"crops_per_s": crops / seconds["step"], "data_wait_share": seconds["data"] / seconds["step"]}

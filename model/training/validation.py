@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of predicted maps on whole views, and the simple baselines that a network must beat."""
+"""Errors of predicted maps on whole views, and simple baselines that a network must surpass."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from model.training.sources import spread
 
 ALL_TRACKS = PHASE_TRACKS["joint"]
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
-"""Function from a batch of buffers to maps, both by name."""
+"""Function that maps a batch of buffers by name to predicted maps by name."""
 
 
 @dataclass
 class MapErrors:
-    """Sums by map of squared and absolute errors over surface pixels and channels, and numbers of terms."""
+    """Sums by map of squared and absolute errors over surface pixels and channels, and their counts."""
 
     squared: dict[str, float] = field(default_factory=dict)
     absolute: dict[str, float] = field(default_factory=dict)
@@ -63,7 +63,7 @@ def score_of(metrics: Mapping[str, float]) -> float:
 def whole_views(
     places: Iterable[ViewPlace], names: Sequence[str], device: torch.device
 ) -> Iterable[dict[str, Tensor]]:
-    """Yield one batch per view of ``places``, which contains the whole view's buffers ``names``."""
+    """Yield a batch of one sample for each whole view of ``places``, with the buffers ``names``."""
     for index, place in enumerate(places):
         sample = view_sample(load_view(place, names), index)
         yield {name: value.unsqueeze(0).to(device) for name, value in sample.items()}
@@ -71,7 +71,7 @@ def whole_views(
 
 @torch.no_grad()
 def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dict[str, float]:
-    """Mean squared and absolute errors of a predictor over batches, as :meth:`MapErrors.metrics`."""
+    """Mean squared and absolute errors of ``predict`` over batches, as from :meth:`MapErrors.metrics`."""
     errors = MapErrors()
     for batch in batches:
         errors.add(predict(batch), batch)
@@ -111,7 +111,7 @@ def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverC
 def phase_metrics(
     context: TrainingContext, phase: PhaseName, views: Sequence[ViewPlace], log: RunLog, step: int
 ) -> dict[str, float]:
-    """Errors of the maps that a phase trains on ``views``, by name; panels of some views are logged."""
+    """Errors on ``views``, by name, of the maps that a phase trains; panels of some views are logged."""
     if not views:
         return {}
     config, models = context.config, context.models
@@ -128,7 +128,7 @@ def phase_metrics(
 
 
 def final_metrics(context: TrainingContext, views: Sequence[ViewPlace]) -> dict[str, float]:
-    """Errors of all maps on ``views``, by name; of filtered maps too if the last phase is confidence."""
+    """Errors on ``views``, by name, of all maps, and of filtered maps if the last phase is confidence."""
     if not views:
         return {}
     config, models = context.config, context.models
@@ -160,11 +160,11 @@ def constant_predictor(means: Mapping[str, Tensor]) -> Predictor:
 
 
 def median_predictor(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Predict the diffuse albedo by the exposed ``color_median``, clipped to [0, 1]: a baseline."""
+    """Baseline that predicts the exposed ``color_median``, clipped to [0, 1], as the diffuse albedo."""
     exposed = batch["color_median"] * batch["exposure"].reshape(-1, 1, 1, 1)
     return {"diffuse_albedo": exposed.clamp(0.0, 1.0)}
 
 
 def reflectance_predictor(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Predict the diffuse albedo by the recorded reflectance, clipped to [0, 1]: a baseline."""
+    """Baseline that predicts the recorded reflectance, clipped to [0, 1], as the diffuse albedo."""
     return {"diffuse_albedo": batch["reflectance"].clamp(0.0, 1.0)}

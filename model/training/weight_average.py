@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-_WARM_UP = 10.0  # at an early step n, about the last n / 10 steps are averaged, without the initial weights
+_WARM_UP = 10.0  # at an early step n, about the last n / 10 steps count, and hardly the initial weights
 
 
 class WeightAverage:
@@ -21,7 +21,7 @@ class WeightAverage:
 
     @torch.no_grad()
     def update(self, step: int) -> None:
-        """Include the current weights, which are those after step ``step`` (from 1)."""
+        """Update the averages with the current weights, those after step ``step`` (from 1)."""
         share = 1.0 - min(self.decay, step / (_WARM_UP + step))
         for value, parameter in zip(self.values, self.parameters, strict=True):
             value.lerp_(parameter, share)

@@ -84,7 +84,7 @@ def _float_dtype(name: Any, *_: Any) -> np.dtype:
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """Unpickler of nested dictionaries of float arrays; it rejects all other globals before their import."""
+    """Unpickler of nested dictionaries of float arrays; rejects all other globals before importing them."""
 
     def find_class(self, module: str, name: str) -> Any:
         admitted = {
@@ -103,7 +103,8 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
-    """Read nested dictionaries of float arrays from a pickle; :class:`InputError` for other content."""
+    """Read nested dictionaries of float arrays from a pickle; raises :class:`InputError` for other
+    content."""
     if len(data) > _MAX_PICKLE_BYTES:
         raise input_error(where, "size", len(data), f"at most {_MAX_PICKLE_BYTES} bytes")
     try:
@@ -121,8 +122,8 @@ def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
 
 
 def _checked(layers: list[Convolution], where: str | Path, known_file: bool = False) -> list[Convolution]:
-    """Return ``layers``. Raises :class:`InputError` for shapes other than VGG16's, or values of another hash
-    than the published weights; ``known_file`` omits the check of the values."""
+    """Return ``layers``. Raises :class:`InputError` for shapes other than VGG16's, and for values whose hash
+    is not that of the published weights; ``known_file`` skips the check of values."""
     num_in = 3
     for index, (layer, channels) in enumerate(zip(layers, VGG_CHANNELS, strict=True)):
         shape = tuple(layer.weight.shape)
@@ -193,7 +194,7 @@ def load_vgg(path: Path) -> list[Convolution]:
 def find_vgg(path: Path | None = None) -> list[Convolution]:
     """Read VGG16's convolutions from ``path``; if None, from the weights folder or torch hub's cache.
 
-    Raises :class:`InputError` if there is no file.
+    Raises :class:`InputError` if the file is missing or invalid.
     """
     if path is not None:
         if not path.is_file():
@@ -276,7 +277,7 @@ class Heads:
 def load_elpips_heads(path: Path) -> Heads:
     """Read E-LPIPS' 14 vectors ``layer_00`` ... ``layer_13`` from an .npz file without unpickling.
 
-    Raises :class:`InputError` for an unreadable file and for vectors of another length or with values < 0.
+    Raises :class:`InputError` for an unreadable file, and for vectors of wrong length or with values < 0.
     """
     widths = (3, *VGG_CHANNELS)
     vectors = []
@@ -310,8 +311,8 @@ def load_lpips_heads() -> Heads:
 
 
 def find_heads(path: Path | None = None) -> Heads:
-    """Read E-LPIPS' heads from ``path``; if None, from the weights folder or ``SCENE_DATA/weights``, else
-    return LPIPS' five heads."""
+    """Read E-LPIPS' heads from ``path``; None searches the weights folder and ``SCENE_DATA/weights``, and
+    returns LPIPS' five heads if neither contains them."""
     candidates = [path] if path is not None else [weights_folder() / HEADS_FILE]
     if path is None and os.environ.get("SCENE_DATA"):
         candidates.append(Path(os.environ["SCENE_DATA"]) / "weights" / HEADS_FILE)
