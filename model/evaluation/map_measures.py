@@ -85,8 +85,7 @@ class MapMeasures:
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
-        """Figures by name: PSNR of maps (dB), errors of D after gains, level error, other papers'
-        measures."""
+        """Figures by name: PSNR of maps (dB), errors of D after gains, level error, FIPT's measures."""
         found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
         estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
         found |= level_figures(estimate, truth, region)

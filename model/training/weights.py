@@ -103,8 +103,7 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
-    """Read nested dictionaries of float arrays from a pickle; raises :class:`InputError` for other
-    content."""
+    """Read nested dictionaries of float arrays from a pickle; other content raises :class:`InputError`."""
     if len(data) > _MAX_PICKLE_BYTES:
         raise input_error(where, "size", len(data), f"at most {_MAX_PICKLE_BYTES} bytes")
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds one asset in an empty file: its source creates tagged Blender data, which the add-on exports."""
+"""Builds an asset in an empty file: the source creates tagged Blender data, which the add-on exports."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SLOT_TEXTURE_PX = {"environment": 512, "object": 256}
 
 
 def sources() -> dict[str, str]:
-    """Map the id of every asset to its kind, in the order of building."""
+    """Return the kind of every asset by id, in building order."""
     kinds = {name: "material" for name in MATERIALS}
     kinds |= {name: "object" for name in OBJECTS}
     kinds |= {name: "environment" for name in ENVIRONMENTS}
@@ -58,7 +58,7 @@ def make(name: str) -> str:
 def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
     """Export one asset below ``out``; return the package's folder and the export's problems as text.
 
-    ``quality``: factor of the textures' maximum side and, inverted, of the tolerance.
+    ``quality`` multiplies the textures' maximum side and divides the tolerance.
     """
     kind = make(name)
     side = MATERIALS[name].max_px if kind == "material" else SLOT_TEXTURE_PX[kind]

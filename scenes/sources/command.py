@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line of the library's sources."""
+"""Command line of the library's sources."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def _build(arguments: argparse.Namespace, known: dict[str, str]) -> int:
 
 
 def _remove_orphans(out: Path, known: dict[str, str], folders: dict[str, str]) -> None:
-    """Remove the packages that no source builds."""
+    """Remove the packages in ``out`` that have no source."""
     for kind, folder in folders.items():
         for package in sorted((out / folder).glob("*/asset.json")):
             if known.get(package.parent.name) != kind:

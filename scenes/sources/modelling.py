@@ -15,7 +15,7 @@ from scenes.sources.materials.graph import Color, Graph
 from scenes.sources.materials.surfaces import SURFACES
 from scenes.sources.shapes import Point, Shape
 
-SMOOTH_DEGREES = 42.0  # larger angles between faces stay sharp; a two-step bevel has 30 degrees a step
+SMOOTH_DEGREES = 42.0  # edges with larger angles stay sharp; a two-step bevel has 30 degrees per step
 AUTHOR = "the scene-materials authors"
 LICENSE = "CC0-1.0"
 
@@ -31,9 +31,9 @@ def new_file() -> None:
 class Slot:
     """Default material of a slot, its classes, and the classes that may replace it.
 
-    ``source`` names a library material. Without it, ``graph``, a function of a :class:`Graph`, builds the
-    material over a unique UV layout, or it is constant: ``color`` (linear Rec.709), ``roughness`` (R),
-    ``metallic``, ``ior``.
+    ``source`` names a library material. Without it, the function ``graph`` of a :class:`Graph` builds the
+    material over a unique UV layout; without both, the material is constant: ``color`` (linear Rec.709),
+    ``roughness`` (R), ``metallic``, ``ior``.
     """
 
     classes: tuple[str, ...]
@@ -48,7 +48,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Pieces:
-    """A part's pairs of slot and shape, ``shapes``, to which ``+=`` adds shapes of one ``slot``."""
+    """The (slot, shape) pairs ``shapes`` of a part; ``+=`` adds shapes with the slot ``slot``."""
 
     shapes: list[tuple[str, Shape]]
     slot: str
@@ -72,9 +72,9 @@ class PartBuilder:
     _count: int = 0
 
     def __getitem__(self, place: tuple[str, str]) -> Pieces:
-        """The shapes of a part's slot, for ``builder["radio", "knob"] += shape``, or several shapes.
+        """The pieces of a (part, slot), for ``builder["radio", "knob"] += shape`` or ``+= shapes``.
 
-        A slot that does not exist raises ``KeyError``.
+        Raises ``KeyError`` if the slot does not exist.
         """
         part, slot = place
         if slot not in self.slots:
@@ -82,7 +82,7 @@ class PartBuilder:
         return Pieces(self.parts.setdefault(part, []), slot)
 
     def __setitem__(self, place: tuple[str, str], pieces: Pieces) -> None:
-        """Do nothing: ``+=`` calls this after it has added the shapes."""
+        """Do nothing: ``+=`` calls this method after adding the shapes."""
 
     def place(self, part: str, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> None:
         """Place a part at (x, y, z) [m], rotated about z; a part that is never placed is at the origin."""
@@ -120,7 +120,7 @@ class PartBuilder:
         for slot, shape in pieces:
             uv = shape.uvs
             if not shape.unit_uv:
-                # shapes read different parts of the pattern
+                # each shape shows another part of the pattern
                 self._count += 1
                 shift = np.array([0.6180339887, 0.7548776662]) * self._count % 1.0
                 uv = uv * self._uv_factor(slot) + shift
@@ -181,7 +181,7 @@ def rectangle_marker(
 
 
 def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Point) -> bpy.types.Object:
-    """Add the marker of a camera region, the box from ``low`` to ``high`` [m]."""
+    """Add the marker of a camera region: the box from ``low`` to ``high`` [m]."""
     corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(

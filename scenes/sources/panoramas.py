@@ -3,7 +3,7 @@
 
 The maps are Poly Haven's Radiance files of 1024 x 512, and those of Blender (``datafiles/studiolights/world``).
 Radiances are not rescaled, and the sun's disc is not clipped. EXR's lossy DWAB compression changes radiances
-by 3 % on average and gives files of 0.2 to 0.5 MB.
+by 3 % on average and results in files of 0.2 to 0.5 MB.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _IMAGE = "panorama.exr"
 
 @dataclass(frozen=True)
 class Source:
-    """A panorama: ``file`` is below the folder of Poly Haven's maps or, if ``is_blender``, of Blender's maps."""
+    """A panorama; ``file`` is in the folder of Poly Haven's maps or, if ``is_blender``, of Blender's maps."""
 
     id: str
     title: str
@@ -66,7 +66,8 @@ PANORAMAS: Sequence[Source] = (
 
 
 def write_panoramas(folder: Path, blender: Path, out: Path) -> list[Path]:
-    """Write the packages below ``out``; return their folders. A missing map raises :class:`InputError`."""
+    """Write the packages below ``out`` from the maps in ``folder`` (Poly Haven) and ``blender``; return their
+    folders. Raises :class:`InputError` for a missing map."""
     written = []
     for source in PANORAMAS:
         path = (blender if source.is_blender else folder) / source.file
@@ -116,7 +117,7 @@ def encoded(pixels: NDArray[np.float32]) -> bytes:
 
 
 def _encoded(pixels: NDArray[np.float32]) -> tuple[bytes, float]:
-    """Encode as EXR; return the bytes and the minimum of the values decoded from them."""
+    """Encode an image (H, W, 3) as EXR; return the bytes and the minimum of the decoded values."""
     import OpenEXR
 
     header = {

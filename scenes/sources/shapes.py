@@ -22,7 +22,7 @@ Face = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Shape:
-    """Polygons: ``points`` (n, 3) [m], ``faces`` f tuples of indices, counter-clockwise seen from outside,
+    """Polygons: ``points`` (n, 3) [m]; ``faces``, f tuples of point indices, counter-clockwise seen from outside;
     ``uvs`` (c, 2) by face corner.
     """
 
@@ -46,7 +46,7 @@ class Shape:
         return shape.flipped() if np.prod(factors) < 0 else shape
 
     def flipped(self) -> Shape:
-        """The shape with reversed winding of its faces."""
+        """The shape with the winding of its faces reversed."""
         corners, start = [], 0
         for face in self.faces:
             corners.append(self.uvs[start : start + len(face)][::-1])
@@ -58,7 +58,7 @@ class Shape:
         return replace(self, points=mapping(self.points))
 
     def uv_turned(self) -> Shape:
-        """The shape with its UVs, and so its grain, rotated by 90 degrees."""
+        """The shape with its UVs, and thus its grain, rotated by 90 degrees."""
         return replace(self, uvs=self.uvs[:, ::-1] * np.array([1.0, -1.0]))
 
     def __add__(self, other: Shape) -> Shape:
@@ -75,7 +75,7 @@ class Shape:
 
 
 def rotation(axis: str, degrees: float) -> NDArray:
-    """3x3 matrix of a rotation about ``axis`` ('x', 'y' or 'z')."""
+    """Matrix (3, 3) of a counter-clockwise rotation about ``axis`` ('x', 'y' or 'z')."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     matrix = np.eye(3)
@@ -102,7 +102,8 @@ def face_normals(points: NDArray, faces: Sequence[Face]) -> NDArray:
 
 
 def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) -> NDArray:
-    """UVs (c, 2) [m] of a box projection; u runs along axis ``grain`` (default: the longest) if a face can."""
+    """UVs (c, 2) [m] of a box projection; u runs along axis ``grain`` (default: the longest) on faces parallel to
+    it."""
     if grain is None:
         grain = int(np.argmax(np.ptp(points, axis=0)))
     uvs = []
@@ -111,7 +112,7 @@ def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) ->
         first, second = [i for i in (0, 1, 2) if i != axis]
         if grain == second:
             first, second = second, first
-        # UVs are moved by the face's direction, so that the two ends of a board differ
+        # an offset by the face's direction makes the two ends of a board differ
         offset = np.array([0.0, 0.37 * axis + (0.19 if normal[axis] > 0 else 0.0)])
         uvs.append(points[list(face)][:, [first, second]] + offset)
     return np.concatenate(uvs)
@@ -133,7 +134,7 @@ def box(
     segments: int = 1,
     grain: int | None = None,
 ) -> Shape:
-    """A block of ``size`` with its bottom centre at ``at`` and bevelled edges."""
+    """A block of ``size`` with its bottom centre at ``at`` and edges bevelled in ``segments`` steps."""
     mesh = bmesh.new()
     bmesh.ops.create_cube(mesh, size=1.0)
     bmesh.ops.scale(mesh, vec=Vector(size), verts=mesh.verts)
@@ -163,10 +164,10 @@ def smooth_curve(points: ArrayLike, per_span: int = 6, closed: bool = False) -> 
 
 
 def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shape:
-    """Quads over a lattice (rows, columns, 3). UVs are mean arc lengths (or in [0, 1]); u varies by column.
+    """Quads over a lattice (rows, columns, 3). UVs are mean arc lengths, or in [0, 1] with ``unit_uv``.
 
-    Seen from outside, columns run to the right and rows upwards. ``closed_u`` joins the last column to
-    the first.
+    Seen from outside, u increases to the right by column and v upwards by row. ``closed_u`` joins the last
+    column to the first.
     """
     rows, columns = points.shape[:2]
     wrapped = np.concatenate([points, points[:, :1]], axis=1) if closed_u else points
@@ -187,7 +188,7 @@ def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shap
 
 
 def without_degenerate(shape: Shape) -> Shape:
-    """The shape with coincident points merged, without faces of fewer than three distinct points."""
+    """The shape with coincident points merged and faces of fewer than three distinct points removed."""
     keys = np.round(shape.points, 7) + 0.0
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces, uvs, start = [], [], 0
@@ -206,9 +207,9 @@ def without_degenerate(shape: Shape) -> Shape:
 
 
 def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
-    """A body of revolution about z: ``profile`` (k, 2) is (radius, z), up the outside, then down the inside.
+    """A body of revolution about z; ``profile`` (k, 2) is (radius, z), up the outside, then down the inside.
 
-    Points on the axis close the shape. ``smooth`` > 0: spline steps between the profile's points.
+    Points on the axis close the shape. ``smooth``: number of spline steps per span; 0 for straight lines.
     """
     p = smooth_curve(profile, smooth) if smooth else np.asarray(profile, dtype=float)
     p = np.column_stack([np.maximum(p[:, 0], 0.0), p[:, 1]])
@@ -223,7 +224,7 @@ def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
 def vessel(
     outside: list[tuple[float, float]], wall: float, *, foot: float = 0.0, smooth: int = 3, segments: int = 34
 ) -> Shape:
-    """A hollow body of revolution: ``outside`` is (radius, z) from base to rim, ``wall`` the thickness.
+    """A hollow body of revolution; ``outside`` is (radius, z) from base to rim, ``wall`` the thickness.
 
     ``foot``: height of a foot ring; ``smooth``: as in :func:`lathe`.
     """
@@ -250,7 +251,7 @@ def vessel(
 
 
 def outward(shape: Shape) -> Shape:
-    """The shape, flipped if its faces enclose a negative volume."""
+    """The shape, with its faces flipped if they enclose a negative volume."""
     points = shape.points - shape.points.mean(axis=0)
     volume = 0.0
     for face in shape.faces:
@@ -317,7 +318,7 @@ def tube(
 
 
 def hoop(radius: float, thickness: float, z: float, count: int, segments: int) -> Shape:
-    """A torus about z at height ``z``, ``count`` points long; ``thickness`` is the radius of the bar."""
+    """A torus about z at height ``z`` of ``count`` rings of ``segments`` points; ``thickness``: radius of the bar."""
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
     path = [(radius * np.cos(a), radius * np.sin(a), z) for a in angles]
     return tube(path, thickness, segments, closed=True)
@@ -331,7 +332,7 @@ def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
 
 
 def loft(sections: ArrayLike, capped: bool = True) -> Shape:
-    """A surface over closed rings (k, m, 3), each counter-clockwise seen from the last one; ends are capped."""
+    """A surface through closed rings (k, m, 3), counter-clockwise seen from the last; ``capped`` closes the ends."""
     rings = np.asarray(sections, dtype=float)
     if capped:
         ends = []
@@ -360,7 +361,7 @@ def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: i
 def _in_fixed_order(shape: Shape) -> Shape:
     """The box-projected shape with sorted points and faces.
 
-    After extruding, Blender's order of both depends on addresses, so it differs between runs.
+    After extruding, Blender's order of both depends on memory addresses and thus differs between runs.
     """
     points = np.round(shape.points, 6) + 0.0
     order = np.lexsort(points.T[::-1])
@@ -376,7 +377,7 @@ def _in_fixed_order(shape: Shape) -> Shape:
 
 
 def rounded_rectangle(width: float, depth: float, radius: float, steps: int = 4) -> list[tuple[float, float]]:
-    """Outline (x, y) about the origin, counter-clockwise, for :func:`extrude`."""
+    """Outline (x, y) about the origin, counter-clockwise; each corner has ``steps`` segments."""
     outline = []
     corners = (((1, 1), 0.0), ((-1, 1), 90.0), ((-1, -1), 180.0), ((1, -1), 270.0))
     for (sx, sy), start in corners:

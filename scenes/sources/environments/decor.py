@@ -27,7 +27,7 @@ def rug(
     border: str = "",
     seed: int = 0,
 ) -> None:
-    """Add a slightly uneven rug, in a ``border`` slot if given, about ``at`` on the floor."""
+    """Add a slightly uneven rug about ``at`` on the floor, with an edging in the slot ``border`` unless ''."""
     rng = np.random.default_rng(seed)
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 33), np.linspace(-0.5, 0.5, 25))
     wave = 0.0012 * np.sin(9 * u + rng.uniform(0, 6)) * np.sin(7 * v + rng.uniform(0, 6))
@@ -64,7 +64,7 @@ def floor_lamp(
 
 
 def drum_shade(top: float, bottom: float, height: float, segments: int = 36) -> Shape:
-    """An open conical shade of ``top`` and ``bottom`` radius, 3 mm thick."""
+    """An open conical shade with the radii ``top`` and ``bottom``, 3 mm thick."""
     t = 0.003
     return lathe(
         [

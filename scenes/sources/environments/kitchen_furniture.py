@@ -25,7 +25,7 @@ from scenes.sources.shapes import (
 def basin_shape(
     width: float, depth: float, deep: float, wall: float = 0.004, corner: float = 0.05, taper: float = 0.88
 ) -> Shape:
-    """An open rectangular basin about the z axis, ``deep`` below z = 0, with a rolled rim."""
+    """An open rectangular basin about the z axis with a rolled rim at z = 0 and its floor at z = -``deep``."""
     rings = []
     for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (taper + 0.02, -0.85 * deep, 0.0),
                             (taper - 0.03, -0.97 * deep, 0.0), (0.55, -deep, 0.0), (0.1, -deep - 0.002, 0.0)):  # fmt: skip
@@ -76,7 +76,7 @@ def worktop(
     holes: tuple[tuple[float, float, float, float], ...] = (),
     thick: float = 0.038,
 ) -> None:
-    """Add a worktop with its upper side at ``height`` and ``holes`` (x, y, width, depth)."""
+    """Add a worktop with its upper side at ``height`` and with ``holes``, each (x, y, width, depth)."""
     xs = sorted({-width / 2, width / 2, *(v for x, _, hw, _ in holes for v in (x - hw / 2, x + hw / 2))})
     for left, right in pairwise(xs):
         middle = (left + right) / 2

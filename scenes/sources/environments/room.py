@@ -2,8 +2,8 @@
 """The shell of a room: thick walls with openings, floor, ceiling, skirting, windows, doors.
 
 The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height] [m]. In the *frame of a
-wall*, seen from inside, s = x is to the right from the wall's centre, the wall's face is y = 0, and the room is
-y < 0. Furniture is modelled in such a frame: its back at y = 0, its front towards -y.
+wall*, s = x points from the wall's centre to the right, seen from inside; the wall's face is at y = 0 and the room
+at y < 0. Furniture is modelled in such a frame, with its back at y = 0 and its front towards -y.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _WALLS = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
 
 @dataclass(frozen=True)
 class Window:
-    """A window in a wall, centred at ``s``, from z = ``sill`` to ``sill + height``; ``panes``: columns and rows."""
+    """A window centred at ``s`` along a wall, from z = ``sill`` to ``sill + height``; ``panes``: columns, rows."""
 
     wall: str
     s: float
@@ -36,7 +36,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Door:
-    """A closed door, centred at ``s``, with a leaf of ``width`` x ``height``."""
+    """A closed door, centred at ``s`` along a wall, with a leaf of ``width`` x ``height``."""
 
     wall: str
     s: float
@@ -67,14 +67,14 @@ class Room:
         return self.width if wall in ("north", "south") else self.depth
 
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
-        """Move a shape from a wall's frame to the room: ``s`` along the wall, ``gap`` away from it, up by ``z``."""
+        """Move a shape from a wall's frame into the room: ``s`` along the wall, ``gap`` away from it, up by ``z``."""
         x, y, degrees = self.frame(wall)
         return shape.moved(s, -gap, z).turned("z", degrees).moved(x, y)
 
     def place(
         self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0
     ) -> tuple[float, float, float]:
-        """Place a part against a wall, as :meth:`on_wall`; return its x, y [m] and rotation [degrees]."""
+        """Place a part at a wall as :meth:`on_wall` does; return its x, y [m] and rotation [degrees]."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         px, py = x + c * s + sine * gap, y + sine * s - c * gap
@@ -84,9 +84,9 @@ class Room:
     def clear_runs(
         self, wall: str, door_gap: float, window_gap: float | None = None, least: float = 0.03
     ) -> Iterator[tuple[float, float]]:
-        """Yield the bounds in s of a wall's free stretches longer than ``least``.
+        """Yield the bounds in s of the free stretches of a wall that are longer than ``least``.
 
-        ``door_gap`` is their distance from doors, ``window_gap`` that from windows (None: windows are ignored).
+        They keep the distance ``door_gap`` from doors and ``window_gap`` from windows (None: windows are ignored).
         """
         gaps = [
             (d.s - d.width / 2 - door_gap, d.s + d.width / 2 + door_gap) for d in self.doors if d.wall == wall
@@ -138,11 +138,11 @@ class Room:
             belly = -reach + rng.uniform(-0.2, 0.2, (5, len(s)))
             heights = level + np.linspace(-0.05, 1, 5)[:, None] * (top - level)
             points = np.stack([np.broadcast_to(s, belly.shape), belly, heights], axis=-1)
-            # seen from inside, columns to the right have decreasing s
+            # reversed: seen from inside, s decreases to the right
             self.builder["outside", "hedge"] += sheet(points[:, ::-1], 0.6).turned("z", degrees)
 
     def _wall(self, wall: str, holes: list[tuple[float, float, float, float]]) -> Shape:
-        # north and south walls also fill the corners; all walls enter floor and ceiling, so no light leaks in
+        # north and south walls also fill the corners; all walls extend into floor and ceiling against light leaks
         half = self.length(wall) / 2 + (THICKNESS if wall in ("north", "south") else 0.0)
         xs = sorted({-half, half, *(v for hole in holes for v in hole[:2])})
         zs = sorted({-0.05, self.height + 0.05, *(v for hole in holes for v in hole[2:])})
@@ -302,7 +302,7 @@ class Room:
     def surface(
         self, name: str, kind: str, wall: str, s: float, width: float, near: float, far: float, z: float, clearance: float
     ) -> None:  # fmt: skip
-        """Add a support surface along a wall, centred at ``s``, at distances ``near`` to ``far`` from the wall."""
+        """Add a support surface centred at ``s`` along a wall, between the distances ``near`` and ``far`` from it."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         low, high = min(near, far), max(near, far)
@@ -359,7 +359,7 @@ class Room:
     ) -> None:
         """Add a pair of curtains on a rail above a window; ``open_share`` is the uncovered share of the rail.
 
-        ``drop``: height of their lower edge [m], None for 0.02.
+        ``drop``: height of the curtains' lower edge [m]; None: 0.02 m.
         """
         rng = np.random.default_rng(seed)
         top = window.sill + window.height + 0.16

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Material slots that rooms share, with the classes that may replace them."""
+"""Material slots that rooms share, with the material classes that may replace their materials."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def shelf_unit(
     w: PartBuilder, part: str, *, width: float, height: float, depth: float = 0.3, levels: tuple[float, ...], columns: int = 1,
     slot: str = "shelves", back: bool = True, board: float = 0.022,
 ) -> None:  # fmt: skip
-    """Add an open bookcase; ``levels``: heights of the upper sides of its boards."""
+    """Add an open bookcase; ``levels``: heights of the boards' upper sides."""
     for k in range(columns + 1):
         x = -width / 2 + board / 2 + k * (width - board) / columns
         w[part, slot] += box((board, depth, height), (x, -depth / 2, 0), 0.002, grain=2)
@@ -56,7 +56,7 @@ def book_row(
     w: PartBuilder, part: str, covers: tuple[str, ...], pages: str, *, x: float, width: float, y: float, z: float, height: float, seed: int,
     depth: float = 0.19,
 ) -> None:  # fmt: skip
-    """Add books from ``x`` over ``width``, in front of ``y``; the last one leans."""
+    """Add a row of books from ``x`` to ``x + width``, in front of ``y``; the last book leans."""
     rng = np.random.default_rng(seed)
     at = x
     while True:
@@ -67,7 +67,7 @@ def book_row(
         if at + thick > x + width:
             return
         cover, block = book(thick, tall, deep)
-        # all spines near the shelf's front edge
+        # align all spines with the shelf's front edge
         move = (at + thick / 2, y - (depth - deep) + float(rng.uniform(0, 0.008)), z)
         if leans:
             angle = -9.0

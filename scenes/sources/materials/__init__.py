@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sources of materials: functions that build node graphs, and the list of their arguments."""
+"""Sources of materials: functions that build node graphs, and the catalogue of their arguments."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lists every material of the library: title, classes, function, its arguments, and size of a tile."""
+"""The library's materials, each with title, classes, building function, its arguments, and tile size."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Build = Callable[[Graph], bpy.types.Material]
 
 @dataclass(frozen=True)
 class MaterialSource:
-    """A material. ``tile_size_m``: length of a UV unit; ``max_px``: maximum side of a texture."""
+    """The source of a material. ``tile_size_m``: length of a UV unit; ``max_px``: maximum side of a texture."""
 
     title: str
     classes: tuple[str, ...]

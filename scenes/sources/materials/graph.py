@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds node graphs that are periodic over the UV unit square, the tile, so that baked textures repeat.
+"""Builds node graphs that are periodic over the UV unit square (the tile), for seamless baked textures.
 
 The tile is mapped to a torus in four dimensions, (cos 2πu, sin 2πu, cos 2πv, sin 2πv), on which 4D noise is
 evaluated; lattices (planks, tiles, threads) have a whole number of cells per tile and wrap. Scales are in
@@ -31,8 +31,8 @@ def srgb(code: str) -> Color:
 
 @dataclass(frozen=True)
 class Cells:
-    """A lattice: ``number`` of the cell, ``x`` and ``y`` in [0, 1) inside it, and ``edge``, the distance to its
-    border as a share of the tile's side.
+    """Outputs of a lattice: ``number`` of the cell, position ``x`` and ``y`` in [0, 1) in it, and ``edge``, the
+    distance to its border as a share of the tile's side.
     """
 
     number: Socket
@@ -83,17 +83,17 @@ class Graph:
         return self.math("MULTIPLY", a, b)
 
     def length(self, parts: Iterable[Value]) -> Socket:
-        """Length of the vector whose components are ``parts``."""
+        """Length of the vector with the two components ``parts``."""
         return self.math("SQRT", self.add(*[self.math("POWER", part, 2.0) for part in parts]))
 
     def fit(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
-        """Map [low, high] to [to_low, to_high], clamped, by a smooth step."""
+        """Map [low, high] to [to_low, to_high] by a smooth step, clamped."""
         return self._mapped("SMOOTHSTEP", value, low, high, to_low, to_high)
 
     def line(
         self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0
     ) -> Socket:
-        """Map [low, high] to [to_low, to_high], clamped, linearly."""
+        """Map [low, high] to [to_low, to_high] linearly, clamped."""
         return self._mapped("LINEAR", value, low, high, to_low, to_high)
 
     def _mapped(self, interpolation: str, *values: Value) -> Socket:
@@ -183,10 +183,11 @@ class Graph:
         return node.outputs["Value"]
 
     def cells(self, columns: int, rows: int, shift: str = "none", jitter_seed: float = 0.0) -> Cells:
-        """A lattice of ``columns`` x ``rows``; ``shift`` of rows: ``none``, ``half`` a cell, or ``random``."""
+        """A lattice of ``columns`` x ``rows``; ``shift`` displaces rows by ``none``, ``half`` a cell, or
+        ``random``."""
         u, v = self.uv()
         y = self.mul(v, rows)
-        # wrapping the row's number makes the pattern continue across the tile's border
+        # wrapped, so the pattern continues across the tile's border
         row = self.math("WRAP", self.math("FLOOR", y), rows, 0.0)
         x = self.mul(u, columns)
         if shift == "half":
@@ -208,7 +209,7 @@ class Graph:
         return self.math("MULTIPLY_ADD", self.math("SINE", angle), 0.5, 0.5)
 
     def periodic_distance(self, centre: tuple[float, float], stretch: float = 1.0) -> Socket:
-        """Distance to a point of the tile, also across its borders; ``stretch`` scales distances along v."""
+        """Distance to a point of the periodic tile, across its borders; ``stretch`` scales distances along v."""
 
         def along(coordinate: Socket, c: float, factor: float) -> Socket:
             away = self.math("ABSOLUTE", self.math("WRAP", self.add(coordinate, 0.5 - c), 1.0, 0.0))
@@ -244,7 +245,7 @@ class Graph:
     def finish(
         self, base: ColorValue, roughness: Value, metallic: Value = 0.0, ior: float = 1.5, level: Value = 0.5
     ) -> bpy.types.Material:
-        """Link a Principled BSDF to the output; return the material."""
+        """Link a Principled BSDF with these inputs to the output; return the material."""
         node = self.node("ShaderNodeBsdfPrincipled")
         for name, value in (
             ("Base Color", base), ("Roughness", roughness), ("Metallic", metallic), ("IOR", ior),

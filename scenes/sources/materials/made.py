@@ -16,7 +16,7 @@ def plain(g: Graph, color: Color, rough: float, *, metal: float = 0.0, ior: floa
 def brushed_metal(
     g: Graph, color: Color, *, rough: float = 0.28, spread: float = 0.14, prints: bool = False, seed: float = 1.0
 ) -> Material:  # fmt: skip
-    """Metal brushed along u: strokes and, with ``prints``, fingerprints in the roughness."""
+    """Metal brushed along u, with strokes and, if ``prints``, fingerprints in the roughness."""
     stroke = g.noise(3, 210, detail=2, seed=seed, spread=0.3)
     value: Value = g.line(stroke, 0, 1, rough - spread / 2, rough + spread / 2)
     value = g.add(value, g.mul(g.scratches(seed + 3, 0.35), 0.15))
@@ -49,7 +49,7 @@ def worn_metal(
 
 
 def galvanised(g: Graph, color: Color, *, seed: float = 1.0) -> Material:
-    """Galvanised zinc: brightness and roughness vary by crystal."""
+    """Galvanised zinc whose brightness and roughness vary by crystal."""
     node = g.voronoi(9, seed=seed, warp=g.mul(g.noise(6, detail=3, seed=seed), 0.8))
     pick = g.node("ShaderNodeSeparateColor")
     g.feed(pick.inputs[0], node.outputs["Color"])
@@ -84,7 +84,7 @@ def moulded(
 
 
 def studs(g: Graph, color: Color, *, count: int = 10, rough: float = 0.7, seed: float = 1.0) -> Material:
-    """Round-studded rubber flooring; stud tops are rubbed smoother and greyer."""
+    """Rubber flooring with round studs, whose tops are smoother and greyer from wear."""
     cell = g.cells(count, count)
     away = g.length(g.math("SUBTRACT", part, 0.5) for part in (cell.x, cell.y))
     top = g.line(away, 0.30, 0.34, 1.0, 0.0)
@@ -135,7 +135,7 @@ def tiles(
     cloud: float = 0.05, ior: float = 1.55,
 ) -> Material:  # fmt: skip
     """Glazed or stone tiles with matt grout; tone and gloss vary by tile. ``joint``: width of the joints as a
-    share of the texture's side; ``second``: a second glaze, mixed at random or, with ``checker``, alternating.
+    share of the texture's side; ``second``: a second glaze for random mixing or, with ``checker``, alternation.
     """
     cell = g.cells(*grid, shift=shift, jitter_seed=seed)
     tone = g.random(cell.number, seed)
@@ -196,7 +196,7 @@ def plaster(
     polish: float = 0.0,
     seed: float = 1.0,
 ) -> Material:
-    """Plaster and stucco with clouds of relative amplitude ``trowel``; ``polish`` lowers the roughness."""
+    """Plaster or stucco with clouds of relative amplitude ``trowel``; ``polish`` lowers the roughness."""
     arc = g.noise(3, detail=5, seed=seed, roughness=0.6)
     sweep = g.noise(4, 11, detail=4, seed=seed + 4)
     body = g.add(g.mul(arc, 0.6), g.mul(sweep, 0.4))

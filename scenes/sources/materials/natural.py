@@ -51,7 +51,7 @@ def marble(
     g: Graph, ground: Color, veins: Color, *, gloss: float = 0.12, scale: float = 2.0, sharp: float = 0.06,
     seed: float = 1.0, clouds: float = 0.25,
 ) -> Material:  # fmt: skip
-    """Polished marble: warped thin veins of two sizes over clouds; veins are a little duller."""
+    """Polished marble with thin warped veins of two sizes over clouds; veins are slightly rougher."""
     warp = g.noise(scale, detail=5, seed=seed, spread=0.25)
     big = g.math("ABSOLUTE", g.math("SUBTRACT", g.wave(1, 2, warp, 11.0), 0.5))
     small = g.math(
@@ -100,7 +100,7 @@ def rock(
     g: Graph, dark: Color, light: Color, *, rough: float = 0.75, bands: int = 0, pits: float = 0.3,
     scale: float = 4.0, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Unpolished stone: slate, sandstone, concrete, or travertine with ``bands`` per tile."""
+    """Unpolished stone such as slate, sandstone, concrete or travertine, with ``bands`` layers per tile."""
     body = g.noise(scale, detail=6, seed=seed, roughness=0.6)
     if bands:
         body = g.add(g.mul(body, 0.4), g.mul(g.wave(0, bands, g.noise(2, 6, 4, seed=seed + 1), 7.0), 0.6))
@@ -112,7 +112,7 @@ def rock(
 def leather(
     g: Graph, color: Color, *, gloss: float = 0.42, pebble: float = 40.0, wear: float = 0.25, seed: float = 1.0
 ) -> Material:  # fmt: skip
-    """Grained leather: creases are darker and rougher, rubbed parts lighter and smoother."""
+    """Grained leather with darker, rougher creases and lighter, smoother worn parts."""
     warp = g.mul(g.noise(pebble / 3, detail=2, seed=seed), 0.7)
     crease = g.fit(
         g.voronoi(pebble, feature="DISTANCE_TO_EDGE", seed=seed, warp=warp).outputs["Distance"],
@@ -144,7 +144,7 @@ def weave(
     fuzz: float = 0.3, seed: float = 1.0, warp_stripe: tuple[int, Color] | None = None,
     weft_stripe: tuple[int, Color] | None = None,
 ) -> Material:  # fmt: skip
-    """Woven cloth of ``threads`` along each side of a tile; the warp passes over ``twill`` threads (1: plain).
+    """Woven cloth of ``threads`` along each side of a tile; the warp passes over ``twill`` threads (1: plain weave).
 
     A stripe (count, colour) recolours every other group of ``count`` threads; two stripes make a check.
     """
@@ -188,7 +188,7 @@ def _grey(g: Graph, value: Value) -> Value:
 def pile(
     g: Graph, color: Color, second: Color, *, tufts: float = 60.0, seed: float = 1.0, rows: int = 0
 ) -> Material:
-    """Pile of velvet, felt, wool or carpet, or corduroy with ``rows`` of ribs per tile."""
+    """Velvet, felt, wool or carpet pile, or corduroy with ``rows`` ribs per tile."""
     clump = g.noise(6, detail=4, seed=seed)
     tuft = g.noise(tufts, detail=2, seed=seed + 3, spread=0.3)
     tone: Value = g.mul(g.line(clump, 0, 1, 0.86, 1.12), g.line(tuft, 0, 1, 0.68, 1.25))
@@ -290,7 +290,7 @@ def cork(g: Graph, color: Color, dark: Color, *, seed: float = 1.0) -> Material:
 
 
 def wicker(g: Graph, color: Color, dark: Color, *, strands: int = 8, seed: float = 1.0) -> Material:
-    """A basket weave of round strands, three times as wide as high."""
+    """A basket weave of round strands whose visible pieces are three times as wide as high."""
     cell = g.cells(strands, strands * 3, shift="half")
     bulge = g.mul(g.math("SINE", g.mul(cell.x, 3.14159265)), g.math("SINE", g.mul(cell.y, 3.14159265)))
     fibre = g.noise(20, 220, detail=2, seed=seed, spread=0.3)

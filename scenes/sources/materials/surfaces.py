@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kinds of surface to which each library material is assigned; others are assigned by class only."""
+"""Kinds of surface to which library materials are assigned; unlisted materials are assigned by class."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def radio(w: PartBuilder) -> None:
     steel=metal(rough=0.2),
 )
 def headphones(w: PartBuilder) -> None:
-    # modelled as they lie on the cups
+    # modelled in the pose in which they rest on the cups
     arch = [(0.083 * np.cos(a), 0.02 + 0.1 * np.sin(a), 0.0) for a in np.linspace(0.06, np.pi - 0.06, 15)]
     band = tube(arch, 0.006, 10).scaled(1, 1, 2.2)
     pad = tube(
@@ -110,7 +110,7 @@ def headphones(w: PartBuilder) -> None:
     lowest = 0.034
 
     def leaning(p: np.ndarray) -> np.ndarray:
-        """Tilt the band so that its crown touches the table, as the cups do."""
+        """Tilt the band until its crown touches the table on which the cups rest."""
         q = p.copy()
         q[:, 2] -= (0.034 - 0.006 * 2.2 - lowest) * np.clip((p[:, 1] - 0.02) / 0.1, 0, None)
         return q

@@ -67,8 +67,8 @@ def toy_bear(w: PartBuilder) -> None:
 
 
 def _hull(stations: np.ndarray, tumblehome: float, sharpness: float, segments: int = 28) -> Shape:
-    """A car's body through ``stations`` (k, 4) of x, half width, bottom and top; its sections are superellipses,
-    narrowed by the share ``tumblehome`` at the top."""
+    """A car's body through ``stations`` (k, 4) of x, half width, bottom and top. Its sections are superellipses of
+    exponent ``sharpness``, narrowed by the share ``tumblehome`` at the top."""
     rows = smooth_curve(stations, 3)
     angle = 2 * np.pi * (np.arange(segments) + 0.5) / segments
     c, s = np.cos(angle), np.sin(angle)

@@ -36,7 +36,7 @@ def thing(
     title: str, category: str, *, supports: str = TABLETOP, scale: tuple[float, float] = (0.92, 1.1),
     yaw: float | None = None, **slots: Slot,
 ) -> Callable[[Build], Build]:  # fmt: skip
-    """Decorate a builder to register it by its name; keyword arguments are its slots.
+    """Decorate a builder function to register it by its name; ``slots`` are the object's slots by name.
 
     ``yaw``: maximum rotation from facing -Y, in degrees, None for any.
     """
@@ -49,7 +49,7 @@ def thing(
 
 
 def yaw_range(source: ObjectSource) -> tuple[float, float]:
-    """The range of an object's yaw in radians."""
+    """Range of an object's yaw in radians."""
     limit = math.pi if source.yaw_degrees is None else math.radians(source.yaw_degrees)
     return (-limit, limit)
 

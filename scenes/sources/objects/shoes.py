@@ -39,7 +39,7 @@ def _sole(length: float, width: float, scale: float = 1.0, count: int = 36) -> n
 def _upper(
     length: float, width: float, base: float, heights: tuple[float, float, float], opening: float
 ) -> list[np.ndarray]:
-    """Rings (36, 3) from the sole to the collar; ``heights`` of the toe, instep and heel [m]."""
+    """Rings (36, 3) of the upper, from sole to collar; ``heights``: heights of toe, instep and heel [m]."""
     rings = []
     outline = _sole(length, width)
     t = (outline[:, 1] + length / 2) / length
@@ -55,7 +55,7 @@ def _upper(
 
 @dataclass(frozen=True)
 class _Shoe:
-    """A right shoe: ``heights`` of toe, instep and heel, ``thick``: thickness of the sole; in metres."""
+    """A right shoe in metres; ``heights``: heights of toe, instep and heel; ``thick``: thickness of the sole."""
 
     length: float = 0.285
     width: float = 0.102
@@ -95,7 +95,7 @@ class _Shoe:
         ]
 
     def laces(self) -> Shape:
-        """The five laces over the instep."""
+        """Five laces across the instep."""
         front = self.rings()[-1][:, 1].min()
         bars = []
         for k in range(5):
@@ -108,7 +108,7 @@ class _Shoe:
         return join(bars)
 
     def add_pair(self, w: PartBuilder, gap: float) -> None:
-        """Add a pair with centres ``gap`` apart and toes turned outwards."""
+        """Add a pair of shoes with the distance ``gap`` between centres and toes turned outwards."""
         for part, side in (("right", -1), ("left", 1)):
             for slot, shape in self.pieces():
                 own = shape.bent(lambda p: p * [-1, 1, 1]).flipped() if part == "left" else shape
