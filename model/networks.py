@@ -180,7 +180,7 @@ def assemble_inputs(
 
 
 def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
-    """Set x (B, C, H, W) to 0 outside its top left ``valid`` (height, width), as a convolution's padding."""
+    """Set x (B, C, H, W) to 0, as a convolution's padding, outside the top left ``valid`` (height, width)."""
     height, width = x.shape[-2:]
     if valid == (height, width):
         return x

@@ -63,7 +63,7 @@ class OwnNetwork(nn.Module):
         depth_max_m: Tensor | None = None,
         tracks: tuple[TrackName, ...] = ("diffuse", "specular"),
     ) -> dict[str, Tensor]:
-        """Predicted maps (B, 3 or 1, H, W) by name, of the outputs of ``tracks``.
+        """Predicted maps (B, 3 or 1, H, W) by name, for the outputs of ``tracks``.
 
         Raises :class:`InputError` if the module returns maps of other names or shapes.
         """

@@ -86,9 +86,9 @@ def brdf_cos(
 ) -> Tensor:
     """The BRDF times cos(theta_i), in 1/sr: (1-S) D/pi cos_i + F D_b G / (4 cos_o).
 
-    D_b is Beckmann's distribution. Albedos and vectors are (B, 3, ...), ``roughness`` is (B, 1, ...). The
-    result is 0 if the viewer or the light is at or below the horizon (one-sided). tan^2 of the half vector's
-    angle is computed from n x h, since 1 - cos^2 would cancel.
+    D_b is Beckmann's distribution, G Smith's and F Schlick's term. Albedos and vectors are (B, 3, ...),
+    ``roughness`` is (B, 1, ...). The result is 0 if the viewer or the light is at or below the horizon. tan^2
+    of the half vector's angle is computed from n x h, since 1 - cos^2 would cancel.
     """
     cos_o, cos_i = dot(normal, view_dir), dot(normal, light_dir)
     is_lit = (cos_o > 0) & (cos_i > 0)
@@ -164,8 +164,8 @@ def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) 
 def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
     """Integral of a unit-amplitude spherical Gaussian over the hemisphere whose pole is at beta to its axis.
 
-    Meder and Bruederlin 2018: the integrals over the hemispheres around the axis and opposite to it, blended
-    by a fitted sigmoid; written with expm1, which avoids overflow.
+    As in Meder and Bruederlin 2018, the integrals over the hemispheres around the axis and opposite to it are
+    blended by a fitted sigmoid; expm1 avoids overflow.
     """
     lam = sharpness
     t = torch.sqrt(lam) * ((1.6988 * lam + 10.8438) * lam) / ((lam + 6.2201) * lam + 10.2415)
@@ -181,8 +181,8 @@ _COSINE_SHARPNESS, _COSINE_AMPLITUDE, _COSINE_OFFSET = 0.0315, 32.7080, 31.7003
 def sg_irradiance(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
     """Irradiance due to a unit-amplitude spherical Gaussian whose axis is at the angle beta to the normal.
 
-    Meder and Bruederlin 2018: the cosine is approximated by a spherical Gaussian minus a constant, so the
-    irradiance is the difference of two hemisphere integrals. Cancellation loses 5 bits of precision.
+    As in Meder and Bruederlin 2018, the cosine is approximated by a spherical Gaussian minus a constant, so
+    the irradiance is the difference of two hemisphere integrals. Cancellation loses 5 bits of precision.
     """
     gap2 = 2.0 - 2.0 * cos_beta
     total = sharpness + _COSINE_SHARPNESS

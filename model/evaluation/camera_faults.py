@@ -37,7 +37,7 @@ _LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve is not monotonic
 
 
 class CameraFaults(StrictModel):
-    """Faults of photographs (see the module); ``seed`` seeds noise, exposures and pose errors."""
+    """Faults of photographs, explained in the module's docstring; ``seed`` seeds all random faults."""
 
     name: Slug
     bits: Literal[8, 14] | None = None
@@ -119,7 +119,7 @@ PRESETS = {
 """Camera faults by name: each fault separately, and three combinations."""
 BUNDLES = ("raw-camera", "phone", "phone-and-mesh")
 EACH = "each"
-"""Name that selects all cameras with a single fault in a suite."""
+"""Value of a suite's ``camera`` that selects all presets with a single fault."""
 
 
 def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, ...]:
@@ -141,7 +141,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 
 
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
-    """Return ``capture`` with the images and poses of a camera with ``faults``; only these change."""
+    """Return ``capture`` with images and poses altered by ``faults``; mesh and true maps are unchanged."""
     scale = 1.0 / _limit(capture, faults.clipped_share)
     views = tuple(
         replace(
@@ -181,7 +181,7 @@ def _moved(camera: Camera, faults: CameraFaults, view: str) -> Camera:
 
 @dataclass(frozen=True)
 class _Taken:
-    """Image source of a view with faults; ``scale`` is the reciprocal of the sensor limit, a radiance."""
+    """Image source of a view with faults; ``scale`` is 1 / (radiance at the sensor limit)."""
 
     source: ImageSource
     true_camera: Camera
@@ -230,7 +230,7 @@ def _radius_squared(camera: Camera) -> NDArray[np.float64]:
 
 
 def _distorted(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
-    """Distort an image (H, W, 3) by x' = x (1 + k1 r^2), repeating its border pixels beyond the image."""
+    """Distort an image (H, W, 3) by x' = x (1 + k1 r^2), normalised coordinates; repeats border pixels."""
     import cv2
 
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px

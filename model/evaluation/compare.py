@@ -19,13 +19,13 @@ from model.evaluation.results import MethodResult, SuiteResult
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Cell, Table
 
 _IMAGES = {"psnr_srgb_db": ("PSNR (dB)", True), "dssim": ("DSSIM", False), "lpips_vgg": ("LPIPS", False)}
-"""Image metrics that are compared, by name, and whether a higher value is better."""
+"""Compared image metrics, by name: (title, whether a higher value is better)."""
 _STAGES = {"per_view": "per view", "merged": "merged"}
 NONE = "none"
 
 
 def read_other(path: Path) -> SuiteResult:
-    """Read another run's ``evaluation.json``, a file or its folder; raises :class:`InputError` if invalid."""
+    """Read ``evaluation.json`` of a run from its path or folder. Raises :class:`InputError` if invalid."""
     file = path / "evaluation.json" if path.is_dir() else path
     if not file.is_file():
         expected = "evaluation.json of another run, or its folder"

@@ -51,14 +51,14 @@ _MEASURES = 4
 _RECONSTRUCTION = 13
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _MATERIALS_FROM_LIGHT = 13
-"""Revision of materials from light in evaluations, in addition to ``LIGHT_REVISION``."""
+"""Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Result of a suite; ``truth`` contains the true judged views under own light, by scene and view."""
+    """Result of a suite; ``truth``: true views under each scene's own light, by scene and view."""
 
     result: SuiteResult
     truth: dict[str, dict[str, JudgedView]]

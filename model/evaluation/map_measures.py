@@ -85,7 +85,7 @@ class MapMeasures:
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
-        """Figures by name: PSNR of maps (dB), errors of D after gains, level error, FIPT's measures."""
+        """Figures by name: PSNR of maps (dB), errors of D after gains, level error, and FIPT's measures."""
         found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
         estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
         found |= level_figures(estimate, truth, region)
@@ -104,7 +104,7 @@ class MapMeasures:
         return self.pixels.get("all", 0) / max(self.num_surface, 1)
 
     def by_kind(self) -> dict[str, dict[str, float]]:
-        """Mean squared errors by kind of surface, and each kind's ``share`` of all compared pixels."""
+        """Mean squared errors by kind of surface and map, and each kind's ``share`` of compared pixels."""
         return {
             kind: {
                 "share": self.pixels[kind] / max(self.pixels["all"], 1),

@@ -23,9 +23,9 @@ _MAX_HOLES = 10_000
 class GeometryError(StrictModel):
     """Errors of a mesh, in the order of their application.
 
-    Edges are split to at most ``edge_m`` metres (None: not split), vertices moved along each axis by Gaussian
-    noise of standard deviation ``noise_m``, the number of triangles reduced to the share ``keep_share``, and
-    round holes of radius ``hole_radius_m`` cut until ``hole_share`` of the area is removed.
+    Edges are split to at most ``edge_m`` metres (None: not split), vertices are moved along each axis by
+    Gaussian noise of standard deviation ``noise_m``, the number of triangles is reduced to the share
+    ``keep_share``, and round holes of radius ``hole_radius_m`` remove the share ``hole_share`` of the area.
     """
 
     noise_m: NonNegative = 0.0

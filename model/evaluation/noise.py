@@ -53,14 +53,14 @@ class Figure:
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
-    """Mean of ``values`` per view with its noise; ``spread`` is a value's standard deviation over seeds."""
+    """Mean and noise of ``values``, one per view; ``spread`` is a value's standard deviation over seeds."""
     return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
 
 
 def seed_spread(
     pairs: Sequence[tuple[Mapping[str, float | None], Mapping[str, float | None]]],
 ) -> dict[str, float]:
-    """Standard deviation over seeds of each figure of a view; a pair contains a view's figures for two seeds.
+    """Standard deviation over seeds of each figure of a view; a pair is a view's figures for two seeds.
 
     Figures with a gain are omitted, since the gain is fitted to all views but only a few are rendered twice.
     """

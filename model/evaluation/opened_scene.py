@@ -32,7 +32,7 @@ from model.reconstruction.captures.read import read_capture
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
 RECOVERED = "recovered"
-"""Lights recovered by a method; their renderings are compared with the truth under the scene's own light."""
+"""Name of the light recovered by a method; its truth is rendered under the scene's own light."""
 RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, which photographs use
 _REVISION = 2
 """Revision of atlases and renderings; cached ones of another revision are computed again."""

@@ -43,7 +43,7 @@ def page_html(
     rows: Mapping[str, list[Row]],
     truths: Mapping[str, Mapping[str, JudgedView]],
 ) -> str:
-    """The page as HTML. ``rows`` of pictures, and ``truths`` (true views under own light), are by scene."""
+    """The page as HTML; ``rows`` and ``truths`` (true views under the scene's own light) are by scene."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)
@@ -80,7 +80,7 @@ def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, Judg
 
 
 def _summary(scene: SceneResult) -> str:
-    """HTML table of a scene's main figures; the best are bold, without the upper bounds ``_BOUNDS``."""
+    """HTML table of a scene's main figures; the best value per column, except upper bounds, is bold."""
     judged = [method for method in scene.methods if not method.skipped]
     heads = [f"{letter} (MSE)" for letter in LETTERS.values()]
     heads += [f"{light} light, {views} (dB)" for light in LIGHTS for views in VIEW_SETS]

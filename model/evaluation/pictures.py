@@ -55,7 +55,7 @@ RELIGHTING = ("original light", "modified light", "inserted object", "novel view
 
 
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
-    """Rows of the truth and of each method; ``stored`` are the truth's views under own light, by name."""
+    """Rows of the truth and of each method; ``stored``: true views under the scene's own light, by name."""
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
     truth["own"] = stored
     if "recovered" in scene.exposures:
@@ -101,7 +101,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
 
 
 def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
-    """Convert the map ``name`` of a view to an image (H, W, 3): D and S as sRGB, R linear; 0 off surfaces."""
+    """The map ``name`` of a view as an image (H, W, 3): D and S in sRGB, R linear; black off surfaces."""
     values = view.maps[name]
     encoded = srgb_from_linear(values) if name != "roughness" else values
     pixels = np.where(view.surface_mask[..., None], encoded, 0.0)

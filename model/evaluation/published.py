@@ -21,7 +21,7 @@ class PublishedMaps:
     mse: tuple[float, float, float]
 
     def by_map(self) -> dict[str, float]:
-        """The errors by name of map."""
+        """Errors by name of map."""
         return dict(zip(MATERIAL_MAPS, self.mse, strict=True))
 
 
@@ -61,4 +61,4 @@ PUBLISHED = {
         (4.56, 3.26, 1.32),
     ),
 }
-"""Published figures by name of scene."""
+"""Published figures by scene name."""

@@ -18,7 +18,7 @@ Emission = dict[str, tuple[float, float, float]]
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """Sceneries of the package ``asset`` by light: those of the scene, and the recovered lights if any."""
+    """Sceneries of the package ``asset``: one for each light of the scene, one for recovered lights."""
     parts = scene.capture.geometry.parts
     sceneries = {}
     for light, truth in scene.sceneries.items():
@@ -31,7 +31,7 @@ def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
 
 
 def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emission:
-    """RGB radiance by emissive slot that replaces the lights of the package ``asset`` by the scene's lamps.
+    """RGB radiance by emissive slot of the package ``asset`` that reproduces the scene's lamps.
 
     Slot ``lamp-N`` (``export.slots``) gets the radiance of the N-th emissive part times ``gain``; all other
     slots get 0.

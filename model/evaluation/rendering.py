@@ -90,7 +90,7 @@ class EnoughOf:
     share: float
 
     def decides(self, names: Sequence[str]) -> IsEnough:
-        """Return the criterion in the renderer's form; its view indices refer to ``names``."""
+        """Return the criterion as a function for the renderer; its view indices refer to ``names``."""
 
         def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
             difference = relative_mse(image, self.truth[names[index]].color, exposed=True)
@@ -109,7 +109,7 @@ def render_scenery(
     tell: Advance = no_advance,
 ) -> None:
     """Render the missing views of ``renderings``; ``tell`` receives the numbers of finished and of all views.
-    Irradiance cache and sky guide are always estimated from all ``cameras``, also if few views are missing.
+    Irradiance cache and sky guide are always estimated from all ``cameras``, even if few views are missing.
     """
     missing = [(rendering, names) for rendering in renderings if (names := rendering.missing())]
     if not missing:

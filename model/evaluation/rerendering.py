@@ -49,7 +49,7 @@ def spread_of(
     lpips: Lpips | None,
 ) -> dict[str, float]:
     """Standard deviation of each figure of a view due to the renderer's noise, from the rendering ``again``
-    with a second seed and the figures ``first`` with the first one, by set, view and name."""
+    with a second seed and the figures ``first`` (by set, view and name) with the first seed."""
     if not again.views:
         return {}
     second = figures_of(scene, light, again.views, again.read(), lpips)
@@ -64,6 +64,6 @@ def figures_of(
     rendered: dict[str, JudgedView],
     lpips: Lpips | None,
 ) -> dict[str, dict[str, float | None]]:
-    """Figures of the ``rendered`` ``views``, by view and name; LPIPS is None without ``lpips``."""
+    """Figures of the views ``views`` in ``rendered``, by view and name; LPIPS is None without ``lpips``."""
     truth = {name: scene.truth[light][name] for name in views}
     return image_figures(rendered, truth, scene.exposures[light], lpips)

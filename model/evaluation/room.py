@@ -151,7 +151,7 @@ def prepare_scene(
 
 
 def photograph(planned: PlannedScene, progress: Progress = lambda stage, done, total: None) -> PreparedScene:
-    """Render a planned scene unless it is rendered; raises :class:`InputError` if rendering fails."""
+    """Render a planned scene unless this is already done; raises :class:`InputError` if rendering fails."""
     folder = planned.folder
     (unit,) = planned.plan.units
     if not folder.is_done(unit):

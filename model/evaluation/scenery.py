@@ -168,7 +168,7 @@ def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
 
 @dataclass(frozen=True)
 class Place:
-    """Position (3,) in metres of an inserted object, and the ``cost`` >= 0 of its image position and size."""
+    """Position (3,) in metres for an inserted object, and its ``cost`` >= 0; the lowest cost is chosen."""
 
     position_m: NDArray[np.float64]
     cost: float

@@ -46,7 +46,7 @@ class NetworkMethod(_Method):
 
 
 class TextureMethod(_Method):
-    """The exposed photographs as the diffuse albedo, without specular reflection; merged, their median."""
+    """The exposed photographs as diffuse albedo, merged by the median, without specular reflection."""
 
     kind: Literal["texture"]
 
@@ -98,8 +98,8 @@ Method = Annotated[
 class ModifiedLight(StrictModel):
     """Modified light: the scene's own lights times ``own_gain``, plus ``lights``.
 
-    "ceiling" is a square lamp of 0.6 m side just below the ceiling, above the camera nearest to the mean
-    position of all cameras.
+    "ceiling" is a square lamp with a side of 0.6 m just below the ceiling, above the camera nearest to the
+    mean position of all cameras.
     """
 
     own_gain: NonNegative = 0.0

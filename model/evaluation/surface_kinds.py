@@ -52,7 +52,7 @@ def kinds_of_maps(truth: JudgedView) -> dict[str, NDArray[np.bool_]]:
 
 
 class SurfaceFinder:
-    """Classification of surfaces in views of one scene, by rays through their pixels."""
+    """Classifier of the surfaces in a scene's views, by rays through their pixels."""
 
     def __init__(self, geometry: CaptureGeometry, lights: Sequence[Light]):
         self._rays = RayScene(geometry.mesh.positions.astype(np.float64), geometry.mesh.faces)

@@ -17,7 +17,7 @@ Cell = str | float | None
 LETTERS = dict(zip(MATERIAL_MAPS, "DSR", strict=True))
 PAPER = "paper: "
 LIGHTS = ("own", "modified", "recovered")
-"""Lights in the order of the tables: own light, modified light, and lights recovered by a method."""
+"""Lights in the order of the tables: the scene's own, the modified, and those recovered by a method."""
 VIEW_SETS = ("input", "novel")
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
 _ALL = {

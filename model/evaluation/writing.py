@@ -25,7 +25,7 @@ KNOWN_WARNING = (
 
 
 def state_of(result: SuiteResult) -> bytes:
-    """Content of ``state.json``, a hash of the result, which identifies the files of a folder."""
+    """Content of ``state.json``, a hash of ``result`` by which :func:`is_written` recognises its files."""
     return canonical_json({"revision": _REVISION, "result": sha256_hex(canonical_json(result))})
 
 

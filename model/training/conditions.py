@@ -18,7 +18,7 @@ from torch import Tensor
 from model.shading import SphericalGaussians, dot, normalize, sg_integral
 
 VIEW_DISC_RADIUS2 = 0.9
-"""Squared radius of the disc of drawn view directions, which are up to 71.6 degrees off the original."""
+"""Squared radius of the disc from which view directions are drawn, up to 71.6 degrees off the original."""
 LIGHT_DISTANCE_LOG_MEAN, LIGHT_DISTANCE_LOG_STD = 0.5, 0.75
 NUM_SG_LIGHTS = 5
 SG_SHARPNESS_RANGE = (2.0, 200.0)
@@ -57,8 +57,8 @@ class AreaCondition:
 class SampleDraws:
     """Random numbers of a batch, with a separate stream for each image.
 
-    The conditions of an image thus depend only on the run's seed and its sample id: two processes with half a
-    batch each draw the same numbers as one process with the whole batch.
+    An image's conditions thus depend only on the run's seed and the image's sample id: two processes with
+    half a batch each draw the same numbers as one process with the whole batch.
     """
 
     def __init__(self, generators: Sequence[torch.Generator]):

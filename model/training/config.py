@@ -55,7 +55,7 @@ class PerceptualConfig(StrictModel):
     vgg: Path | None = None
     """File of VGG16's weights; None searches the weights folder and torch hub's cache."""
     heads: Path | None = None
-    """File of E-LPIPS' 14 heads; None searches the weights folder, and uses LPIPS' five heads without it."""
+    """File of E-LPIPS' 14 heads; None searches the weights folder, else LPIPS' five heads are used."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of VGG16's activations."""
 
@@ -80,7 +80,7 @@ class DataConfig(StrictModel):
     light_color_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel,
     with u uniform between minus and plus this value: colour channels of light transport are independent, so
-    the result is consistent. 0: neither."""
+    the result is consistent. 0 disables both."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
     """

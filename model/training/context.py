@@ -57,7 +57,7 @@ class Ranks:
 
 
 class Models(nn.Module):
-    """All trained networks, under one state dictionary."""
+    """All trained networks as one module, with one state dictionary."""
 
     def __init__(self, config: TrainingConfig):
         super().__init__()

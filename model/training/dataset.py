@@ -61,7 +61,7 @@ class DecodedView:
 
 
 def read_record(place: ViewPlace, remedy: str) -> ViewRecord:
-    """Read a view's record; raises :class:`InputError` with ``remedy`` if it is not valid JSON."""
+    """Read a view's record. Raises :class:`InputError` if it is invalid, with ``remedy`` for invalid JSON."""
     where = f"{place.shard}:{place.name}"
     try:
         text = json.loads(read_member(place, place.record))

@@ -36,7 +36,7 @@ _LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the log
 
 
 class LossConfig(StrictModel):
-    """Weights and counts of the loss."""
+    """Weights of the loss terms, and numbers of re-renderings."""
 
     num_point_lights: int = Field(default=3, ge=0)
     num_area_lights: int = Field(default=3, ge=0)

@@ -38,9 +38,9 @@ _PERMUTATIONS = tuple(permutations(range(3)))
 
 @dataclass(frozen=True)
 class Transform:
-    """A transform of B images. Shared: box downscaling by ``scale`` after padding by ``scale_offset`` (top,
-    left) in pixels, and ``transpose``. Per image: ``offsets`` (down, right) in pixels, ``flips`` (bit 0:
-    horizontal, bit 1: vertical), ``channel_orders`` and ``gains`` (B, 3).
+    """A transform of B images. All share a box downscaling by ``scale`` after padding by ``scale_offset``
+    (top, left) in pixels, and ``transpose``. Each has its own ``offsets`` (down, right) in pixels, ``flips``
+    (bit 0: horizontal, bit 1: vertical), ``channel_orders`` and ``gains`` (B, 3).
     """
 
     scale: int
@@ -222,8 +222,8 @@ def lpips_check_value(layers: list[Convolution]) -> float:
 class GradientSsim(nn.Module):
     """Distance (B,) of images (B, C, H, W) in [0, 1] without learned weights: gradients and SSIM.
 
-    The mean over the scales 1, 1/2 and 1/4 of the mean absolute difference of the finite differences along x
-    and y, plus half of 1 - SSIM (Gaussian window of 11 pixels, sigma 1.5, data range 1).
+    It is the mean over the scales 1, 1/2 and 1/4 of the mean absolute difference of the finite differences
+    along x and y, plus half of 1 - SSIM (Gaussian window of 11 pixels, sigma 1.5, data range 1).
     """
 
     name = "gradient-ssim-3"

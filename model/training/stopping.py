@@ -11,7 +11,7 @@ from typing import Any
 
 @contextmanager
 def stop_signals(request: Callable[[], None]) -> Iterator[None]:
-    """Context in which SIGINT and SIGTERM call ``request``; a SIGINT after that has its earlier handler."""
+    """Context in which SIGINT and SIGTERM call ``request``; the first one restores SIGINT's old handler."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     try:
         earlier = {number: signal.getsignal(number) for number in numbers}

@@ -11,7 +11,7 @@ import torch
 
 
 class Stopwatch:
-    """Seconds by section. With a CUDA ``device``, each section waits for the GPU, which slows training."""
+    """Total seconds by section. With a CUDA ``device``, sections wait for the GPU, which slows training."""
 
     def __init__(self, device: torch.device | None = None):
         self.seconds: dict[str, float] = {}

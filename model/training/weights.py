@@ -297,7 +297,7 @@ def load_elpips_heads(path: Path) -> Heads:
 
 
 def load_lpips_heads() -> Heads:
-    """Read the five heads of LPIPS-VGG 0.1 that are bundled with the project."""
+    """Read LPIPS-VGG 0.1's five heads, which are bundled. Raises :class:`InputError` if unreadable."""
     from safetensors.torch import load_file
 
     path = Path(__file__).with_name(LPIPS_HEADS_FILE)
@@ -310,8 +310,8 @@ def load_lpips_heads() -> Heads:
 
 
 def find_heads(path: Path | None = None) -> Heads:
-    """Read E-LPIPS' heads from ``path``; None searches the weights folder and ``SCENE_DATA/weights``, and
-    returns LPIPS' five heads if neither contains them."""
+    """Read E-LPIPS' heads from ``path``; None searches the weights folder and ``SCENE_DATA/weights``, else
+    returns LPIPS' five heads. Raises :class:`InputError` if ``path`` is missing or a file is invalid."""
     candidates = [path] if path is not None else [weights_folder() / HEADS_FILE]
     if path is None and os.environ.get("SCENE_DATA"):
         candidates.append(Path(os.environ["SCENE_DATA"]) / "weights" / HEADS_FILE)

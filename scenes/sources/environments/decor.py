@@ -27,7 +27,7 @@ def rug(
     border: str = "",
     seed: int = 0,
 ) -> None:
-    """Add a slightly uneven rug about ``at`` on the floor, with an edging in the slot ``border`` unless ''."""
+    """Add a slightly uneven rug about ``at`` on the floor, with an edging in the slot ``border`` if given."""
     rng = np.random.default_rng(seed)
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 33), np.linspace(-0.5, 0.5, 25))
     wave = 0.0012 * np.sin(9 * u + rng.uniform(0, 6)) * np.sin(7 * v + rng.uniform(0, 6))

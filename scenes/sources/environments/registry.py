@@ -23,7 +23,7 @@ ENVIRONMENTS: dict[str, EnvironmentSource] = {}
 
 
 def environment(name: str, title: str) -> Callable[[Build], Build]:
-    """Decorate a builder to register it as ``name``."""
+    """Decorator that registers the builder of a room as ``name``."""
 
     def register(build: Build) -> Build:
         ENVIRONMENTS[name] = EnvironmentSource(title, build)

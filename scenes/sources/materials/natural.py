@@ -228,7 +228,7 @@ def paper(
 def print_lines(
     g: Graph, ground: Color, ink: Color, *, rows: int = 26, gloss: float = 0.6, seed: float = 1.0
 ) -> Material:
-    """Printed text: ``rows`` of words of random length in two columns; the ink is glossier than the paper."""
+    """Printed text: ``rows`` lines of words of random length in two columns; the ink is glossier than the paper."""
     column = g.cells(2, 1)
     margin = g.math("GREATER_THAN", g.math("MINIMUM", column.x, g.math("SUBTRACT", 1.0, column.x)), 0.07)
     letters = g.cells(150, rows)

@@ -36,7 +36,7 @@ def thing(
     title: str, category: str, *, supports: str = TABLETOP, scale: tuple[float, float] = (0.92, 1.1),
     yaw: float | None = None, **slots: Slot,
 ) -> Callable[[Build], Build]:  # fmt: skip
-    """Decorate a builder function to register it by its name; ``slots`` are the object's slots by name.
+    """Decorator that registers an object's builder by its name; ``slots`` are the slots by name.
 
     ``yaw``: maximum rotation from facing -Y, in degrees, None for any.
     """
