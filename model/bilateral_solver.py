@@ -106,7 +106,7 @@ class BilateralGrid:
 
 def guide_yuv(guide: Tensor) -> Tensor:
     """Scale linear RGB (B, 3, H, W) to a maximum of 255 per image, and return luma and chromas (+128)."""
-    peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide has no edges
+    peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide would divide by 0
     matrix = torch.tensor(_YUV_FROM_RGB, dtype=guide.dtype, device=guide.device)
     yuv = torch.einsum("kc,bchw->bkhw", matrix, guide / peak * 255.0)
     return yuv + torch.tensor([0.0, 128.0, 128.0], dtype=guide.dtype, device=guide.device).reshape(1, 3, 1, 1)

@@ -25,7 +25,7 @@ ALPHA_MIN = 1e-3
 
 _SQRT_PI = math.sqrt(math.pi)
 _TINY_SIN2 = 1e-12  # keeps the gradient of a square root finite for coincident directions
-_TINY_COS2 = 1e-12  # keeps tan^2 finite at grazing half vectors; the lobe is 0 there whatever tan^2 is
+_TINY_COS2 = 1e-12  # keeps tan^2 finite at grazing half vectors, where the lobe is 0 in any case
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -217,7 +217,7 @@ def shade_spherical_gaussians(
     visible = smith_g1_over_cos(cos_o, dot(tangent_o, tangent_o), alpha) ** 2 * (0.25 * cos_o)
     lobe_axis = 2.0 * cos_o * normal - view_dir
     lobe_sharpness = 0.5 / (alpha * alpha * cos_o.clamp_min(0.1))
-    # 1/(pi alpha^2) reaches 3e5; it is first multiplied by the inner product, which falls as fast
+    # 1/(pi alpha^2) reaches 3e5; it is first multiplied by the inner product, which decreases equally fast
     lobe_amplitude = 1.0 / (math.pi * alpha * alpha)
     trailing = (1,) * (normal.dim() - 2)
     specular = torch.zeros_like(diffuse_albedo)

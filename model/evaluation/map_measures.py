@@ -177,7 +177,7 @@ def measures_of_others(
     squared difference of ln(1 + emission).
     """
     lit = truth.emission_mask
-    is_seen = truth.surface_mask | lit  # in both images the background is zero
+    is_seen = truth.surface_mask | lit  # the background is zero in both images
     rough = np.clip(_eight_bits(truth.maps[R]), _MIN_ROUGHNESS, 1.0)
     matt = rough[..., 0] >= 1.0
     pairs: dict[str, tuple[NDArray, NDArray, NDArray]] = {

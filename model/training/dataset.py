@@ -365,7 +365,7 @@ def make_loader(
         pin_memory=pin_memory,
         prefetch_factor=4 if workers else None,
         worker_init_fn=_one_thread,
-        generator=torch.Generator(),  # otherwise the loader draws from the global generator
+        generator=torch.Generator(),  # otherwise the loader draws its seed from the global generator
         multiprocessing_context="forkserver" if workers else None,
     )
 

@@ -69,7 +69,7 @@ def predicted_step(
 
     def fastest(crops: int) -> float:
         batch = synthetic_batch(crops, config.data.crop_px, device)
-        # the least disturbed measurement
+        # the minimum is the least disturbed measurement
         return min(timed_step(phase, batch, key, Stopwatch(device)) for key in (1, 2))
 
     timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch(device))  # warm-up

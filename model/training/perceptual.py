@@ -25,7 +25,7 @@ OFFSET_MAX = 7
 DROPOUT = 0.01
 MIN_SIDE_PER_SCALE = 64
 """Images are downscaled by a factor k only if their shorter side has at least 64 k pixels."""
-_NORM_EPS = 1e-10  # inside the square root; added outside, the gradient at a zero feature would be NaN
+_NORM_EPS = 1e-10  # under the square root; added outside it, the gradient at a zero feature would be NaN
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 _POOL_BEFORE = (2, 4, 7, 10)
@@ -259,7 +259,7 @@ class GradientSsim(nn.Module):
         for level in range(self.NUM_SCALES):
             if level:
                 image, reference = F.avg_pool2d(image, 2), F.avg_pool2d(reference, 2)
-            if min(image.shape[-2:]) < 11:  # the window does not fit any more
+            if min(image.shape[-2:]) < 11:  # the window no longer fits
                 break
             difference = image - reference
             dx = (difference[..., 1:] - difference[..., :-1]).abs().mean(dim=(1, 2, 3))

@@ -22,7 +22,7 @@ def stop_signals(request: Callable[[], None]) -> Iterator[None]:
 
         for number in numbers:
             signal.signal(number, handle)
-    except ValueError:  # not the main thread: its owner handles signals
+    except ValueError:  # not in the main thread, the only one that can set signal handlers
         yield
         return
     try:

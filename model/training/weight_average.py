@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-_WARM_UP = 10.0  # at an early step n, about the last n / 10 steps count, and hardly the initial weights
+_WARM_UP = 10.0  # at first, the last tenth of the steps is averaged, almost without the initial weights
 
 
 class WeightAverage:

@@ -22,7 +22,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import read_image
 
 SIZE_PX = (768, 384)
-_LEVEL = 100.0  # of DWAB compression
+_LEVEL = 100.0  # DWAB compression level
 _MAX_RADIANCE = 60000.0  # below the largest half float
 _FLOOR = 1e-5  # initial minimum of radiances, doubled until none is negative after compression
 _IMAGE = "panorama.exr"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Crockery: turned walls with thickness, rolled rims and a foot ring."""
+"""Crockery with walls of finite thickness, rolled rims and foot rings."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def toy_car(w: PartBuilder) -> None:
         w["car", "paint"] += tube([(0.01, side * y, z) for z, y in middle], 0.0011, 8, smooth=2)
         for x in (-0.046, 0.046):
             arch = _half_ring(0.0208, 0, 0, 0, (-10, 190))[:, [0, 2]]
-            plate = extrude(arch, 0.01, 0.0003).turned("x", 90)  # now from y = 0 to -0.01
+            plate = extrude(arch, 0.01, 0.0003).turned("x", 90)  # extends from y = 0 to -0.01
             w["car", "dark"] += plate.moved(x, 0.0343 if side > 0 else -0.0243, 0.0175)
             w["car", "paint"] += tube(_half_ring(0.0214, x, side * 0.0338, 0.0175, (-8, 188)), 0.0013, 8)
             _wheel(w, x, side)
