@@ -24,7 +24,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def mitsuba_variant() -> str:
-    """Set the variant before a test imports mitsuba."""
+    """Select Mitsuba's variant before a test imports mitsuba."""
     from mitsuba_plugins.variant import select_variant
 
     return select_variant(VARIANT)

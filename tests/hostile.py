@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Attacks readers with damaged and malicious files, which must give a valid object or a clear error.
+"""Attacks readers with damaged and malicious files, which must yield a valid object or a clear error.
 
 A case writes one input into a folder and reads it. :func:`attack` runs a case many times in a child process,
-which a native library may crash and an endless loop may stall without ending the tests. In the child a reader
-may open, list, make or remove files only in the case's folder, look up no global of a pickle, and start no
-process or connection.
+so that crashes of native libraries and endless loops do not end the tests. In the child a reader may open,
+list, make or remove files only in the case's folder, look up no global of a pickle, and start no process or
+connection.
 
 ``HOSTILE_EXAMPLES=20000`` sets the number of inputs per case. To repeat one input in the same process:
 
@@ -47,9 +47,9 @@ SEED = int(os.environ.get("HOSTILE_SEED", "0"))
 MAX_SECONDS = 10.0
 MAX_BYTES = 2 << 30
 PRISTINE = 0.05
-"""Share of inputs that are left as they are: a case that is never read attacks nothing."""
+"""Share of undamaged inputs, which show that the reader accepts valid ones."""
 MAX_MESSAGE = 200_000
-"""Characters of an error: a small file must not fill a log."""
+"""Greatest length of an error in characters: a small file must not fill a log."""
 
 HOSTILE_VALUES: list[Any] = [
     None, True, -1, 0, 1e308, -1e308, 2**70, "", "..", "../../etc/passwd", "/etc/passwd", "a\x00b", "é" * 300,
@@ -71,7 +71,7 @@ class Case:
 
 CaseMaker = Callable[[Path], Case]
 PRELOADED = ("tests.datagen.hostile_cases", "tests.model.hostile_cases")
-"""Imported once by the process that children are forked from; those that cannot be are passed over."""
+"""Modules that the fork server imports once; those that cannot be imported are ignored."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
 
 
 def damage(data: bytes, rng: random.Random) -> bytes:
-    """The bytes truncated, flipped, spliced, or with ones or large counts inserted."""
+    """The bytes with flipped, truncated, repeated or overwritten parts."""
     content = bytearray(data)
     if rng.random() < PRISTINE:
         return data
@@ -151,7 +151,7 @@ def damage(data: bytes, rng: random.Random) -> bytes:
 
 
 def write_fresh(path: Path, data: bytes) -> Path:
-    """Replace a file; it is removed first, since overwriting makes some disks wait."""
+    """Write a file after removing an existing one, because overwriting is slow on some disks."""
     if path.is_dir() and not path.is_symlink():
         path.rmdir()
     else:
@@ -168,7 +168,7 @@ def write_document(path: Path, document: Any, rng: random.Random) -> Path:
 
 
 def set_traps(folder: Path) -> None:
-    """Create targets of hostile names: links that lead outside, a pipe without a writer."""
+    """Create the targets of hostile file names: links that lead outside and pipes without a writer."""
     outside = folder.parent / "outside"
     outside.mkdir(exist_ok=True)
     for suffix in ("png", "ply", "json"):
@@ -243,7 +243,7 @@ _PATH_EVENTS = {
     "os.remove": (1, 1), "os.rmdir": (1, 1), "os.link": (2, 2), "os.symlink": (2, 0), "os.truncate": (1, 0),
     "os.chmod": (1, 2), "os.chown": (1, 3), "os.utime": (1, 3),
 }  # fmt: skip
-"""Audit events of files: how many paths lead their arguments, where their folders' descriptors begin."""
+"""Audit events of files: number of leading path arguments, and index of the first folder descriptor."""
 _WATCHED = {
     *_PATH_EVENTS, "pickle.find_class", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn",
     "os.fork", "socket.connect", "socket.bind",
@@ -324,7 +324,7 @@ def attack(
     ours, theirs = context.Pipe(duplex=False)
     arguments = (module, name, folder, examples, progress, theirs)
     process = context.Process(target=_child, args=arguments, daemon=True)
-    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # threads only delay 4 x 4 matrices
+    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # threads only slow down 4 x 4 matrices
         process.start()  # the first child starts the fork server, whose environment all inherit
     theirs.close()
     again = f"again: python -m tests.hostile {module} {name}"
@@ -381,7 +381,7 @@ class _Watch:
 
     def seconds(self) -> float:
         """The larger of processor time and time asleep since the start, in seconds."""
-        with contextlib.suppress(psutil.Error):  # it has ended
+        with contextlib.suppress(psutil.Error):  # the process has ended
             if self.process.status() not in (psutil.STATUS_SLEEPING, psutil.STATUS_DISK_SLEEP):
                 self.asleep_since = time.monotonic()
         return max(self._cpu() - self.begun, time.monotonic() - self.asleep_since)
@@ -391,7 +391,7 @@ class _Watch:
         try:
             return self.process.memory_info().rss
         except psutil.Error:
-            return 0  # it has ended
+            return 0  # the process has ended
 
     def _cpu(self) -> float:
         try:

@@ -26,7 +26,7 @@ _RENDER = f"{_LIBRARY} datagen.multiview datagen.rendering mitsuba_plugins"
 _NETWORKS = "model.networks model.own_network model.confidence"
 _ATLAS = "model.reconstruction.atlas datagen.geometry"
 
-# Package -> its allowed imports from the project, besides itself. A name is a module or a whole package.
+# Package -> modules or whole packages of the project that it may import in addition to itself.
 MATRIX = {
     package: frozenset(allowed.split())
     for package, allowed in {
@@ -118,7 +118,7 @@ FORBIDDEN = {
     "model.training": ("mitsuba", "drjit", "bpy"),
     "blender_addon": ("torch", "mitsuba", "pydantic"),
 }
-"""Other people's packages that ours must do without."""
+"""Third-party packages that packages of the project must not import."""
 GROUND_MAY = {
     "numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer", "psutil",
     "meshopt", "opengl_basisu",  # decoders of glTF, imported on demand
@@ -248,7 +248,7 @@ def test_every_permission_is_used() -> None:
 
 
 def test_modules_import_each_other_in_no_circle() -> None:
-    """Not even in functions; ``static_order`` raises at a circle."""
+    """Imports within functions count; ``static_order`` raises an error at a circle."""
     imported = {_module(path): _imports(path) & _modules() for path in _sources()}
     assert set(TopologicalSorter(imported).static_order()) == _modules()
     module, (name, *_) = next((m, sorted(names)) for m, names in imported.items() if names)
@@ -262,8 +262,8 @@ def test_a_package_without_a_row_is_found() -> None:
 
 
 def test_the_matrix_has_no_cycle() -> None:
-    """Packages can be ordered such that each imports only earlier ones, except ``model`` and ``tests``, whose
-    rows name whole packages."""
+    """Packages can be ordered such that each imports only earlier ones, aside from rows that name whole
+    packages."""
     left = {package: _rows_of(allowed) - {package} for package, allowed in MATRIX.items()}
     for command in ("model.cli", "model.reconstruction.commands"):
         left.pop(command)  # at the top, and imported by none
@@ -277,7 +277,7 @@ def test_the_matrix_has_no_cycle() -> None:
 
 
 def test_every_imported_name_exists() -> None:
-    """Also in functions, where a broken import could stay unnoticed."""
+    """Imports within functions count, where faults could stay unnoticed."""
     missing = []
     for path in _sources():
         for node in ast.walk(_tree(path)):

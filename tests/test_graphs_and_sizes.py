@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every reader, on random graphs and sizes: a valid object or an InputError, in 10 s and 1 GB.
+"""Every reader returns an object or raises an InputError for random graphs and sizes, in 10 s and 1 GB.
 
 The long run reads 5,000 inputs per reader (``-m slow``); ``HOSTILE_EXAMPLES`` sets it for the short one.
 """

@@ -27,7 +27,7 @@ EXPECTED = {
     "transforms_frames": "values",
     "transforms_empty_frames": "frames",
 }
-"""Refusals name a limit, or the fault of a file that is wrong however small."""
+"""Limit that a refusal names, or the fault of a file that is wrong at any size."""
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -124,7 +124,7 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The doctor reports it too; formerly it accepted a package without the library."""
+    """The doctor reports them, too; formerly it accepted a package without the library."""
     from datagen.foundation import bundled
     from datagen.inspection import doctor
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Comparison of generated with imported rooms: statistics and written files."""
+"""Comparison of generated and imported rooms: statistics and written files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def lit_sill(view: View) -> View:
-    """A view of a dim room with metal, whose top rows show a brightly lit window sill."""
+    """``view`` as a dim room with a brightly lit window sill in the top rows and metal in the bottom rows."""
     height, width = view.buffers["beauty"].shape[:2]
     rows = max(1, round(0.05 * height))
     buffers = {name: array.copy() for name, array in view.buffers.items()}

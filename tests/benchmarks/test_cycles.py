@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The comparison at equal error with Cycles: its arithmetic, and one run on a tiny configuration."""
+"""Arithmetic of the comparison with Cycles at equal error, and one run on a tiny configuration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.conftest import REPOSITORY
 
 def test_interpolation_finds_the_sample_count_of_a_power_law() -> None:
     curve = {samples: 0.5 * samples**-0.7 for samples in (4, 8, 16, 32)}
-    assert interpolated(curve, 0.5 * 21**-0.7) in (21, 22)  # the count itself, or rounded up
+    assert interpolated(curve, 0.5 * 21**-0.7) in (21, 22)  # 21, or 22 by rounding up
     assert interpolated(curve, curve[32]) == 32
     assert interpolated({4: 0.1}, 0.2) == 4
     assert interpolated({4: 0.1, 8: 0.1}, 0.1) == 8  # a flat curve is ambiguous: the larger count
@@ -59,7 +59,7 @@ def test_cycles_gets_the_rendered_sky(tmp_path: Path, mitsuba_variant: str) -> N
         file.write(str(tmp_path / "sky.exr"))
     with OpenEXR.File(str(tmp_path / "sky.exr")) as file:
         read = file.channels()["RGB"].pixels
-    assert np.array_equal(read, image)  # OpenEXR ignores strides
+    assert np.array_equal(read, image)  # OpenEXR ignores strides, so the image must be contiguous
     above, horizon = image[: len(image) // 4].mean(axis=(0, 1)), image[len(image) // 2 - 2].mean(axis=0)
     assert above[2] > above[0] and horizon.sum() > above.sum()
 
@@ -73,11 +73,11 @@ def test_both_renderers_on_a_tiny_configuration(tmp_path: Path) -> None:
     command += ["--cycles-views", "3", "--max-cycles-samples", "16"]
     subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
     result = json.loads((tmp_path / "bench_cycles.json").read_text())
-    # the same room and light: only material models and Blender's clamp differ
+    # room and light are equal; only material models and Blender's clamp differ
     assert all(0.8 < ratio < 1.2 for ratio in result["agreement"]["ratio_of_means"])
     assert min(result["agreement"]["correlation"]) > 0.9
     curve = [result["cycles"]["curve"][key] for key in sorted(result["cycles"]["curve"], key=int)]
-    assert curve[-1] < 0.8 * curve[0]  # but not at every doubling: a firefly in two tiny views outweighs one
+    assert curve[-1] < 0.8 * curve[0]  # fireflies in tiny views may raise the error at a single doubling
     assert 0 < result["ours"]["rel_mse"] < 0.1
     assert result["cycles"]["total_wall_s"] > result["cycles"]["a_view_wall_s"] * 4
     text = (tmp_path / "bench_cycles.md").read_text()

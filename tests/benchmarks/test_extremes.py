@@ -86,7 +86,7 @@ def test_three_hundred_views_equal_the_oracle() -> None:
 
 
 def wall_camera() -> tuple[PackedViews, Camera]:
-    """A camera at the origin, 10 x 10 px, that sees a wall at 2 m everywhere."""
+    """A view of 10 x 10 px from the origin with a depth of 2 m everywhere, and its camera."""
     camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
     return PackedViews([camera], [np.full((10, 10), 2.0)]), camera
 
@@ -94,7 +94,7 @@ def wall_camera() -> tuple[PackedViews, Camera]:
 def test_depth_test_includes_equality_and_ends_at_its_tolerance() -> None:
     packed, _ = wall_camera()
     options = VisibilityOptions(depth_tolerance=0.25, slope_limit=0.0)
-    # |2 - z| <= z / 4: 1.6 <= z <= 2.666...; 2 itself exactly
+    # |2 - z| <= z / 4 means 1.6 <= z <= 2.666...; a tolerance of 0 accepts only z = 2
     depths = np.array([2.0, 1.6001, 1.5999, 2.6666, 2.6667])
     points = np.stack([np.zeros(5), depths, np.zeros(5)], axis=1)
     normals = np.tile([0.0, -1.0, 0.0], (5, 1))
@@ -167,8 +167,8 @@ def test_exposure_and_error_do_not_depend_on_the_unit_of_radiance() -> None:
 
 
 def test_scale_and_brightness_of_a_room_hardly_change_its_image() -> None:
-    # Mitsuba starts rays at least 1.8e-4 m off a surface, a large offset in a room of 1 cm. In one of 10 cm
-    # it decides whether one path in 64 hits the light's edge: that pixel changes, the median does not.
+    # Mitsuba starts rays at least 1.8e-4 m off a surface, a large offset in a room of 1 cm. In a room of 10
+    # cm it changes whether one path in 64 hits the light's edge, hence one pixel but not the median.
     largest = {(1e-3, 1.0): 0.02, (0.1, 1.0): 1 / 64, (1e4, 1.0): 1e-5, (1.0, 1e-6): 1e-6, (1.0, 1e4): 1e-6}
     found = dict(zip(largest, image_at_scales(list(largest)), strict=True))
     assert all(found[key][0] <= limit for key, limit in largest.items()), found

@@ -33,7 +33,7 @@ def datasets(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         "a": ("train", 2),
         "b": ("train", 2),
         "d": ("train", 2),
-    }  # other content
+    }  # "z" shifts the seeds, so "a" and "b" have other content than those above
     return make_dataset(root / "good", good), make_dataset(root / "cheap", cheap)
 
 
@@ -66,7 +66,7 @@ def test_a_dataset_without_validation_views_uses_those_of_another(
     report = json.loads((tmp_path / "results.json").read_text())
     assert set(report["results"]) == {bench_learning_curve.CONSTANT, "cheap 1"}
     monkeypatch.setattr(sys, "argv", ["bench", str(cheap), *arguments])
-    with pytest.raises(SystemExit):  # the same name twice
+    with pytest.raises(SystemExit):  # the same name twice is refused
         bench_learning_curve.main()
     validation = Dataset(tmp_path / "cheap-1" / "data").index.splits["validation"]
     assert validation == Dataset(good).index.splits["validation"]

@@ -13,7 +13,7 @@ SIDE = 8
 
 
 def halves(left: float, right: float) -> Atlas:
-    """Merged D: ``left`` where one view sees the surface, ``right`` where two do."""
+    """An atlas with a merged D of ``left`` where one view sees the surface and ``right`` where two do."""
     atlas = empty_atlas(SIDE)
     atlas.count[:, : SIDE // 2], atlas.count[:, SIDE // 2 :] = 1, 2
     atlas.maps["diffuse_albedo"][:, : SIDE // 2] = left

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mutants of a small module: one change each, and their identity after changes elsewhere in the module."""
+"""Mutants of a small module: each makes one change and is recognised after changes elsewhere."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_mutant_is_recognised_after_changes_elsewhere() -> None:
     ],
 )
 def test_endless_tests_are_stopped(code: str, timeout_s: float, ended: int) -> None:
-    """Time limits: processor time for computing tests, wall time for sleeping ones."""
+    """The limit applies to the processor time of computing tests and to the wall time of sleeping ones."""
     process = subprocess.Popen([sys.executable, "-S", "-c", code], start_new_session=True)
     assert warm.outcome_of(process.pid, timeout_s) == ended
     process.returncode = ended  # outcome_of has waited for it

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Excess of the qualities over fixed sample counts."""
+"""Cost of the qualities relative to fixed sample counts of equal error."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ def test_qualities_are_on_the_front_of_two_different_rooms(tmp_path: Path) -> No
     )
     found = excesses(points_of(Sweep(folder, tmp_path / "out", options).run()))
     assert set(found) == {"draft", "standard"}
-    # two similar rooms: passes double the samples, so up to twice as many are taken as needed
+    # the rooms are similar; each pass doubles the samples, so up to twice the necessary number is taken
     assert all(quality["path_samples"] < 2.0 for quality in found.values()), found

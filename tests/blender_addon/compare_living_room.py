@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Poly Haven living room in Cycles with its original graphs and in Mitsuba with the exported package.
+"""Compares the Poly Haven living room in Cycles (original graphs) and in Mitsuba (exported package).
 
 ``python -m tests.blender_addon.compare_living_room ASSETS OUT [--width W] [--samples N]`` prints the
 agreement of the two pictures and writes ``OUT/comparison.jpg``: Cycles, Mitsuba, and their difference,
 denoised.
 
-Both renderers make two independent images, x1, x2 and r1, r2, with half the samples each. The mean of
-``(x1-r1)(x2-r2)`` estimates the converged images' squared difference without noise. Figures named
-``psnr_srgb_db`` are of values clipped to [0, 1] and sRGB-encoded, with 1 as the largest value.
+Both renderers make two independent images, x1 and x2 (Mitsuba), r1 and r2 (Cycles), with half the samples
+each. The mean of ``(x1-r1)(x2-r2)`` estimates the converged images' squared difference without noise. Figures
+named ``psnr_srgb_db`` compare values clipped to [0, 1] and sRGB-encoded, with a peak of 1.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ def _run(*arguments: object) -> str:
 
 
 def render(assets: Path, out: Path, width: int, samples: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Two linear images (2, H, W, 3) each from Cycles and Mitsuba, and the remarks of the export."""
+    """Render two linear images (2, H, W, 3) with either renderer; returns them and the export's remarks."""
     text = _run("tests.blender_addon.living_room", assets, out, "--width", width, "--samples", samples // 2)
     _run("tests.blender_addon.render_twice", out / "packages" / "living_room", out, samples // 2)
     return np.load(out / "cycles.npy"), np.load(out / "mitsuba.npy"), json.loads(text.splitlines()[-1])
 
 
 def encoded(linear: np.ndarray) -> np.ndarray:
-    """Clipped to [0, 1] and sRGB-encoded."""
+    """The values clipped to [0, 1] and sRGB-encoded."""
     return srgb_from_linear(np.clip(linear, 0, 1))
 
 
@@ -63,7 +63,7 @@ def _blocks(images: np.ndarray) -> np.ndarray:
 
 
 def figures(cycles: np.ndarray, mitsuba: np.ndarray) -> dict[str, float]:
-    """Agreement of two pairs of images (2, H, W, 3), linear."""
+    """Measures of agreement, by name, of two pairs of linear images (2, H, W, 3)."""
     theirs, ours = cycles.astype(np.float64), mitsuba.astype(np.float64)
     reference = theirs.mean(axis=0)
     squared = (ours[0] - theirs[0]) * (ours[1] - theirs[1])
@@ -91,7 +91,7 @@ def picture(cycles: np.ndarray, mitsuba: np.ndarray) -> Image.Image:
 
 
 def main() -> None:
-    """Command line."""
+    """Render both pictures, print their agreement and write the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("assets", type=Path)
     parser.add_argument("out", type=Path)

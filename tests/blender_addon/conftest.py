@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender runs in separate processes: one file state each, and never in one process with mitsuba."""
+"""Fixtures that run Blender in separate processes: one per file state, and never together with mitsuba."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.conftest import REPOSITORY
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip tests that need bpy where it is absent."""
+    """Skip tests that need bpy if it is not installed."""
     if importlib.util.find_spec("bpy") is not None:
         return
     for item in items:
@@ -27,7 +27,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def run_module() -> Callable[..., Any]:
-    """Runs ``python -m MODULE ARGUMENTS`` in the repository; returns the JSON on its last line, if any."""
+    """A function that runs ``python -m MODULE ARGUMENTS`` and returns the JSON of its last line, if any."""
 
     def run(module: str, *arguments: str, timeout: float = 300) -> Any:
         done = subprocess.run(

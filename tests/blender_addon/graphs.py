@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Node graphs of many kinds, each with the closed form of its expected channels.
 
-As a program it builds all of them in one file, exports them with the add-on and saves the .blend: ``python -m
-tests.blender_addon.graphs OUT``. Each graph sits on a unit square from (0, 0) to (1, 1) in the XY plane with
-uv = (x, y), unless the case defines other geometry; expected values are functions of the position (N, 3) in
-metres.
+``python -m tests.blender_addon.graphs OUT`` builds all of them in one file, exports them with the add-on and
+saves the .blend. Each graph shades a unit square from (0, 0) to (1, 1) in the XY plane with uv = (x, y),
+unless the case defines other geometry; expected values are functions of the position (N, 3) in metres.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ import numpy as np
 from datagen.foundation.color import linear_from_srgb
 
 Expected = Callable[[np.ndarray], np.ndarray]
-F0 = 0.04  # of the default index 1.5
+F0 = 0.04  # of the default refractive index of 1.5
 
 
 @dataclass
 class Case:
-    """``build`` takes a :class:`Stage`; ``expected`` maps channels to constants or functions of position."""
+    """A graph created by ``build``, with ``expected`` channels: constants or functions of position (N, 3)."""
 
     name: str
     build: Callable[[Stage], None]
@@ -37,7 +36,7 @@ CASES: list[Case] = []
 
 
 def case(kinds: dict[str, str] | None = None, **expected: Any) -> Callable[[Callable[[Stage], None]], Any]:
-    """Register a graph; ``kinds`` maps channels to the expected form, "constant" or "texture"."""
+    """Decorator that registers a graph; ``kinds`` maps channels to "constant", "image" or "texture"."""
 
     def register(build: Callable[[Stage], None]) -> Callable[[Stage], None]:
         CASES.append(Case(build.__name__, build, expected, kinds or {}))
@@ -149,7 +148,7 @@ FOLDER = Path()
 
 
 def smooth_image(size: int = 64, channels: int = 3) -> np.ndarray:
-    """Stored values that vary slowly and repeat at the borders."""
+    """Stored values (size, size, channels) in [0, 1] that vary slowly and tile."""
     t = (np.arange(size) + 0.5) / size * 2 * np.pi
     y, x = np.meshgrid(t, t, indexing="ij")
     stack = [0.5 + 0.35 * np.sin(x), 0.5 + 0.35 * np.cos(y), 0.5 + 0.3 * np.sin(x + y), 0.6 + 0.3 * np.cos(x)]
@@ -157,7 +156,7 @@ def smooth_image(size: int = 64, channels: int = 3) -> np.ndarray:
 
 
 def lookup(pixels: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear, repeating lookup of values (H, W, C), row 0 at v = 1."""
+    """Bilinear lookup (N, C) in the tiled ``pixels`` (H, W, C), whose row 0 is at v = 1, at ``uv`` (N, 2)."""
     height, width = pixels.shape[:2]
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
@@ -285,7 +284,7 @@ def _glossy(s: Stage, colour: tuple[float, float, float], roughness: float) -> A
     return node
 
 
-# The reflected light is kept: (1 - S) D = 0.7 * 0.4.
+# Energy is conserved: (1 - S) D = 0.7 * 0.4.
 @case(diffuse_albedo=0.7 * 0.4 / (1 - 0.3 * 0.8), specular_albedo=0.3 * 0.8, roughness=0.35)
 def mix_of_diffuse_and_glossy(s: Stage) -> None:
     s.surface(_mix(s, _diffuse(s, (0.4,) * 3), _glossy(s, (0.8,) * 3, 0.35), 0.3))
@@ -595,7 +594,7 @@ def alpha_of_an_image_without(s: Stage) -> None:
     roughness=lambda p: 0.5 * lookup(smooth_image(), p)[:, 0],
 )
 def one_map_by_name_and_without(s: Stage) -> None:
-    """Two meshes; the UV Map node names the map that is active for rendering."""
+    """Two textures on two meshes; one names the UV map that is active for rendering, the other names none."""
     s.add(s.square(), (2, 0, 0))
     invert = s.node("Invert")
     named = s.node("UVMap", uv_map="UVMap").outputs[0]

@@ -45,7 +45,7 @@ def main(folder: Path, packages: Path) -> None:
 
     archive, output = build(folder)
     outcome: dict[str, Any] = {"tool": output}
-    sys.path = [p for p in sys.path if Path(p or ".").resolve() != REPOSITORY]  # the installed copy, not ours
+    sys.path = [p for p in sys.path if Path(p or ".").resolve() != REPOSITORY]  # import the installed copy
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.extensions.package_install_files(
         filepath=str(archive), repo="user_default", enable_on_install=True
@@ -64,7 +64,7 @@ def main(folder: Path, packages: Path) -> None:
     outcome["problems"] = [f"{p.severity} {p.place} {p.message}" for p in chosen.problems]
     outcome["export"] = sorted(bpy.ops.scene_materials.export(directory=str(folder / "again")))
     operators = sys.modules[f"{MODULE}.operators"]
-    outcome["is_command_registered"] = operators.cli_command is not None  # what `blender --command` looks up
+    outcome["is_command_registered"] = operators.cli_command is not None  # needed by `blender --command`
     arguments = ["--kind", "object", "--max-texture", "1024", "--out"]
     outcome["command"] = operators.run_command([*arguments, str(folder / "by_command")])
     outcome["refused_command"] = operators.run_command(

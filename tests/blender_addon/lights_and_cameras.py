@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A floor under each kind of light, and cameras of every fit, exported and rendered by Cycles; prints JSON.
+"""Exports a floor under each light and cameras of every fit, and renders them with Cycles; prints JSON.
 
 ``python -m tests.blender_addon.lights_and_cameras OUT`` writes ``packages/<name>`` and ``cycles/<name>.npy``.
 """
@@ -165,11 +165,11 @@ CAMERAS: dict[str, dict[str, Any]] = {
     "half_resolution": {"lens": 50, "resolution_percentage": 50, "size": (80, 60)},
     "scaled_parent": {"lens": 35, "scale": (2.0, 2.0, 2.0)},
 }
-CLIP = "clip_depths"  # a package
+CLIP = "clip_depths"  # name of the package
 
 
 def clipped(bpy: Any, scene: Any) -> None:
-    """A black card nearer than Clip Start, a black wall beyond Clip End, in units of 2 m."""
+    """A black card in front of Clip Start and a black wall beyond Clip End; the unit is 2 m."""
     scene.unit_settings.scale_length = 2.0
     _world(bpy, scene).nodes["Background"].inputs["Color"].default_value = (0.3, 0.4, 0.6, 1)
     camera = scene.camera
@@ -229,7 +229,7 @@ def _cycles(bpy: Any, scene: Any, path: Path) -> None:
 
 
 def _projected(bpy: Any, scene: Any) -> list[dict[str, Any]]:
-    """World points projected by Blender: pixel coordinates, v downwards."""
+    """Twenty random world points with their pixel coordinates by Blender, v downwards."""
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A room and a lamp with every kind of light, marker, camera and tag, exported, imported and exported again.
+"""Exports, imports and re-exports a room and a lamp with every kind of light, marker, camera and tag.
 
 ``python -m tests.blender_addon.places OUT`` writes ``first/``, ``again/`` (imported into an empty file) and
 ``in_centimetres/`` (into one whose unit is a centimetre), and prints the remarks of the imports as JSON.

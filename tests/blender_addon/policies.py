@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Refusals by name, bakes to normal textures, and the fidelity report; prints JSON.
+"""Checks graphs that must be refused, exports normals as textures and writes a fidelity report; prints JSON.
 
 ``python -m tests.blender_addon.policies OUT``.
 """
@@ -21,7 +21,7 @@ REFUSED: dict[str, tuple[str, Callable[[Stage], None]]] = {}
 
 
 def refused(fragment: str) -> Callable[[Callable[[Stage], None]], Callable[[Stage], None]]:
-    """Register a graph that must be refused with a message that contains ``fragment``."""
+    """Decorator that registers a graph whose refusal must contain ``fragment``."""
 
     def register(build: Callable[[Stage], None]) -> Callable[[Stage], None]:
         REFUSED[build.__name__] = (fragment, build)
@@ -133,7 +133,7 @@ def area_light_spread(s: Stage) -> None:
 
 
 def normal_image(size: int = 64) -> np.ndarray:
-    """Encoded unit normals that vary by 20 degrees and repeat."""
+    """Encoded unit normals (size, size, 3) that tilt by up to 23 degrees and tile."""
     t = (np.arange(size) + 0.5) / size * 2 * np.pi
     y, x = np.meshgrid(t, t, indexing="ij")
     vector = np.stack([0.3 * np.sin(x), 0.3 * np.cos(y), np.ones_like(x)], axis=-1)
@@ -142,7 +142,7 @@ def normal_image(size: int = 64) -> np.ndarray:
 
 
 def _normal_map(s: Stage, strength: float = 1.0) -> None:
-    node = s.node("NormalMap", uv_map="UVMap")  # as glTF importers do, while the texture names no map
+    node = s.node("NormalMap", uv_map="UVMap")  # glTF importers set the map here, not in the texture node
     node.inputs["Strength"].default_value = strength
     s.link(s.texture(s.image(normal_image(), "Non-Color")).outputs[0], node.inputs["Color"])
     s.link(node.outputs[0], s.shader.inputs["Normal"])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders a package's first camera with Mitsuba, twice: ``python -m ... PACKAGE OUT SAMPLES``.
 
-``OUT/mitsuba.npy`` holds the two images (2, H, W, 3), linear, whose noise is independent.
+``OUT/mitsuba.npy`` contains the two linear images (2, H, W, 3), whose noise is independent.
 """
 
 from __future__ import annotations

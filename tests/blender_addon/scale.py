@@ -67,7 +67,7 @@ def _export(bpy: Any, out: Path, measured: dict[str, float], name: str, **values
 
 
 def million_triangles(bpy: Any) -> dict[str, Any]:
-    """One mesh of a million triangles with a constant material, so no baking."""
+    """One mesh of a million triangles with a constant material, which needs no baking."""
     mesh = _grid(bpy, "million", 708, [_material(bpy, 0)])
     bpy.context.scene.collection.objects.link(bpy.data.objects.new("million", mesh))
     return {}

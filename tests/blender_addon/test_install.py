@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension as distributed: built, validated, installed, enabled; and a package round trip."""
+"""The distributed extension is built, validated, installed and enabled; packages survive a round trip."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_package_survives_import_and_export(
     after = open_package(installed[0] / "again" / name)
     assert isinstance(before.asset, ObjectAsset)
     assert isinstance(after.asset, ObjectAsset)
-    size = np.subtract(before.asset.maximum_m, before.asset.minimum_m)  # the origin is centred again
+    size = np.subtract(before.asset.maximum_m, before.asset.minimum_m)  # the import centres the origin
     assert np.allclose(size, np.subtract(after.asset.maximum_m, after.asset.minimum_m), atol=1e-5)
     assert [p.uv_per_m for p in before.asset.parts] == pytest.approx([p.uv_per_m for p in after.asset.parts])
     for channel in CHANNELS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lights: Cycles against Mitsuba on the exported package. Cameras: Blender's projection against ours."""
+"""Exported lights rendered by Mitsuba against Cycles, and exported cameras against Blender's projection."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def rendered(cycles: tuple[Path, Any], run_module: Callable[..., Any]) -> Path:
 
 
 def _ratio(folder: Path, name: str) -> tuple[np.ndarray, float]:
-    """Ratio of mean radiance, Mitsuba / Cycles, per component, and relative difference of the images."""
+    """Ratio of mean radiance, Mitsuba / Cycles, per lit colour, and relative difference of the images."""
     ours, theirs = np.load(folder / "mitsuba" / f"{name}.npy"), np.load(folder / "cycles" / f"{name}.npy")
     lit = theirs.mean(axis=(0, 1)) > 0
     ratio = ours.mean(axis=(0, 1))[lit] / theirs.mean(axis=(0, 1))[lit]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Refusals name the node and the remedy; normals bake to a texture; the fidelity report compares."""
+"""Refusals name node and remedy, normals bake to textures, and the fidelity report compares renderings."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_bump_has_the_slope_of_its_height(outcome: tuple[Path, Any]) -> None:
     baked = _normals(outcome[0], "bump")
     vectors = baked * 2 - 1
     slope = vectors[..., 0] / vectors[..., 2]
-    border = 1 / 32  # left free around the layout
+    border = 1 / 32  # margin of the UV layout
     x = ((np.arange(baked.shape[1]) + 0.5) / baked.shape[1] - border) / (1 - 2 * border)
     inside = (x > 0.02) & (x < 0.98)
     wanted = -0.05 * 2 * np.pi * np.cos(2 * np.pi * x)

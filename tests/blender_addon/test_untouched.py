@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The user's file is unchanged after an export, however the export ended."""
+"""The user's file is unchanged after an export, however it ends."""
 
 from __future__ import annotations
 

@@ -2,10 +2,9 @@
 """Screenshots of the add-on in a real window, under Xvfb: ``python -m tests.blender_addon.window OUT``.
 
 ``--blender PROGRAM`` takes them in that program; a Blender older than the add-on requires shows the refusal.
-Without it pip's bpy is used, which opens no window: on the pinned wheel (bpy 4.5.15, x86-64) this program
-patches the byte of the start-up code that enables background mode before importing it, and then runs
-Blender's main loop. It needs Xvfb and ImageMagick's ``import``, for an old Blender xdotool, too; use it only
-for pictures and checks.
+The default is pip's bpy, which opens no window by itself: in the pinned wheel (bpy 4.5.15, x86-64), before
+the import, the program patches the start-up instruction that enables background mode; then it runs Blender's
+main loop. Requires Xvfb, ImageMagick's ``import`` and, for an old Blender, xdotool.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _PAGE = 4096
 
 
 def main(out: Path, blender: str | None = None) -> int:
-    """Start Xvfb and, in it, this program again or in Blender; returns the child's exit code."""
+    """Start Xvfb and run this module in it, with Python or ``blender``; returns the child's exit code."""
     out.mkdir(parents=True, exist_ok=True)
     server = subprocess.Popen(["Xvfb", DISPLAY, "-screen", "0", f"{SIZE}x24"], stderr=subprocess.DEVNULL)
     try:
@@ -73,7 +72,7 @@ def import_with_window() -> tuple[Any, int]:
 
 
 def inside(out: Path) -> None:
-    """Runs in the display: opens the window, drives it by timers, saves the pictures."""
+    """Open the window, drive it by timers and save the pictures; runs in the virtual display."""
     bpy, base = import_with_window()
     drive(out.resolve())
     loop = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(base + _MAIN_LOOP)
@@ -165,14 +164,14 @@ def _script(bpy: Any, out: Path) -> Any:
 
 
 def _refused(bpy: Any, out: Path) -> Any:
-    """As :func:`_script` in an old Blender, whose panel shows the refusal."""
+    """Steps like those of :func:`_script` for an old Blender, whose panel shows the refusal."""
     bpy.context.preferences.view.show_splash = False
     cube = bpy.data.objects["Cube"]
     cube["sm_role"], cube["sm_category"], cube["sm_license"] = "object", "paperweight", "CC0-1.0"
     view = _view(bpy)
     view["area"].spaces.active.show_region_ui = True
     yield 2.0
-    # Blender 3.4 shows the splash anyhow and has no `active_panel_category`: a mouse does it.
+    # Blender 3.4 ignores show_splash and lacks `active_panel_category`: click both with the mouse.
     for x, y in ((500, 950), (1043, 252)):
         subprocess.run(["xdotool", "mousemove", str(x), str(y), "click", "1"], check=True)
         yield 2.0

@@ -30,14 +30,14 @@ _FLAGS = (
     "--disable-extensions",
 )
 SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""WebGL without a graphics card."""
+"""Browser flags for WebGL by software."""
 _ADVICE = ("willReadFrequently", "GPU stall due to ReadPixels")
 WAIT_S = 60.0
-"""Longest wait for the page; a crowded machine may need tens of seconds for what else takes one."""
+"""Longest wait for the page (s); an action of one second may take tens of seconds on a busy machine."""
 
 
 def find_browser() -> tuple[str, str]:
-    """Paths of Chromium and its driver; skips the test where either, or selenium, is absent."""
+    """Paths of Chromium and its driver; skips the test if one of them or selenium is absent."""
     pytest.importorskip("selenium", reason="selenium is not installed (extra `dev`)")
     browser = shutil.which("chromium") or shutil.which("chromium-browser")
     driver = shutil.which("chromedriver")
@@ -56,8 +56,8 @@ def open_browser(
 ) -> Iterator[Chrome]:
     """A browser with an empty profile in ``profile``; closed at the end.
 
-    ``logs_requests`` is needed by :meth:`Page.requested`, and makes the browser keep all loaded text: disable
-    it to measure memory.
+    :meth:`Page.requested` needs ``logs_requests``, which makes the browser keep all loaded text: disable it
+    to measure memory.
     """
     browser, driver_path = find_browser()
     from selenium.webdriver import Chrome, ChromeOptions, ChromeService
@@ -120,7 +120,7 @@ class Page:
         self.driver.find_element(By.CSS_SELECTOR, to).send_keys(*keys)
 
     def hover(self, buffer: str, x: int, y: int, click: bool = False) -> None:
-        """Move the real pointer over pixel (x, y) of a buffer's picture, and click it if asked."""
+        """Move the real pointer over pixel (x, y) of a buffer's picture; ``click`` also clicks it."""
         from selenium.webdriver import ActionChains
         from selenium.webdriver.common.by import By
 
@@ -134,7 +134,7 @@ class Page:
         (actions.click() if click else actions).perform()
 
     def values(self, buffer: str) -> list[float]:
-        """Value of the pixel under the cursor as the page shows it."""
+        """Displayed values of a buffer at the pixel under the cursor."""
         texts = self.run(
             "return [...document.querySelectorAll(`#values tr[data-buffer='${arguments[0]}'] .value`)]"
             ".map((n) => n.textContent)",
@@ -164,7 +164,7 @@ class Page:
         self.driver.save_screenshot(str(path))
 
     def _renderers(self, what: Callable[[psutil.Process], float]) -> float:
-        """Sum of a figure over the page's renderer processes, including the browser's one or two spare
+        """Sum of ``what`` over the page's renderer processes, including the browser's one or two spare
         ones."""
         total, num = 0.0, 0
         for process in psutil.Process(self.driver.service.process.pid).children(recursive=True):
@@ -173,7 +173,7 @@ class Page:
                     total += what(process)
                     num += 1
             except psutil.Error:
-                continue  # it has just ended
+                continue  # the process has just ended
         assert num > 0
         return total
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Screenshots for the documentation: ``python -m tests.browser.pictures OUT --report FOLDER``.
 
-``--report`` is a folder of ``datagen report``, ``--predictions`` one with predictions, ``--asset`` one of
-``materials view``. ``--view`` chooses the view whose pixels are shown. The pictures are JPEG files named as
-docs/report.md names them; check each before it replaces another.
+``--report`` is a folder of ``datagen report``, ``--predictions`` a report with predictions, ``--asset`` a
+folder of ``materials view``. ``--view`` chooses the view whose pixels are shown. The pictures are JPEG files
+with the names that docs/report.md uses; check each before it replaces another.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ QUALITY, SETTLE_S, SLOW_S = 88, 1.0, 600
 
 
 class Camera:
-    """Takes pictures of a page."""
+    """Saves screenshots of a page."""
 
     def __init__(self, page: Page, out: Path):
         self.page, self.out = page, out
@@ -53,7 +53,7 @@ def _scroll(page: Page, section: str) -> None:
 
 
 def _view(camera: Camera, folder: Path, key: str, method: str = "", wipes: bool = False) -> None:
-    camera.page.driver.get("about:blank")  # settings of the view before
+    camera.page.driver.get("about:blank")  # discard the settings of the previous view
     camera.page.open(folder / "index.html", f"#view/{key}" + (f"?method={method}" if method else ""))
     camera.page.wait_for_view(key)
     if wipes:
@@ -62,7 +62,7 @@ def _view(camera: Camera, folder: Path, key: str, method: str = "", wipes: bool 
 
 
 def report(camera: Camera, folder: Path, view: str) -> None:
-    """The report's sections and the viewer."""
+    """Take pictures of the report's sections and of its viewer."""
     page = camera.page
     camera.emulate(SIZE)
     page.open(folder / "index.html")
@@ -81,7 +81,7 @@ def report(camera: Camera, folder: Path, view: str) -> None:
 
 
 def predictions(camera: Camera, folder: Path) -> None:
-    """Errors of predictions: the table and the worst view."""
+    """Take pictures of prediction errors: the table and the worst view."""
     page = camera.page
     camera.emulate(SIZE)
     page.open(folder / "index.html")
@@ -94,7 +94,7 @@ def predictions(camera: Camera, folder: Path) -> None:
 
 
 def asset(camera: Camera, folder: Path) -> None:
-    """The 3D page: lit, and two of its channels."""
+    """Take pictures of the 3D page: lit, and two of its channels."""
     camera.emulate((1200, 620))
     camera.page.open(folder / "index.html")
     for name, key in ASSET_KEYS.items():

@@ -89,7 +89,7 @@ def make_quad(root: Path, side: int = SIDE, seed: int = 5) -> Quad:
 
 
 def confidence_of(side: int) -> np.ndarray:
-    """Confidences (N, 3) by patch: D's falls from left to right; S's and R's are higher."""
+    """Confidences (side, side, 3), 0 to 255; D's falls from left to right, those of S and R are constant."""
     steps = np.linspace(230, 20, PATCHES).astype(np.uint8).repeat(side // PATCHES)
     of_d = np.broadcast_to(steps, (side, side))
     return np.stack([of_d, np.full_like(of_d, 240), np.full_like(of_d, 250)], axis=-1)
@@ -117,7 +117,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 @pytest.fixture
 def page(browser: Page, folder: Path) -> Iterator[Page]:
-    """A newly opened page; afterwards its console must be empty and no request may have left the disk."""
+    """A newly opened page; afterwards the console must be empty and all requests local."""
     browser.console()
     browser.driver.get("about:blank")
     browser.open(folder / "index.html")
@@ -131,7 +131,7 @@ CAMERA, TARGET, FOV_DEG = np.array([0.4, -1.6, 1.5]), np.array([0.1, 0.0, 0.0]),
 
 
 def pose(page: Page, light: tuple[float, float, float] = (0.3, 0.5, 1.1), **more: object) -> None:
-    """Set a fixed camera and ``light`` as the only light, its ball hidden."""
+    """Set a fixed camera and ``light`` as the only light, with its ball hidden."""
     wanted = {"camera": CAMERA.tolist(), "target": TARGET.tolist(), "fov": FOV_DEG, "light": light, "fill": 0}
     page.run("VIEW.set(arguments[0])", {**wanted, "showsLight": False, **more})
 
@@ -152,8 +152,8 @@ def read(page: Page) -> np.ndarray:
 def points_seen(
     height: int, width: int, shift: tuple[float, float] = (0, 0)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Intersections of the pixels' rays with z = 0, (H, W, 3), and the mask of those inside the square.
-    ``shift`` in pixels."""
+    """Intersections (H, W, 3) of pixel rays, shifted by ``shift`` (px), with z = 0, and the mask (H, W) of
+    those inside the square."""
     forward = (TARGET - CAMERA) / np.linalg.norm(TARGET - CAMERA)
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
@@ -174,7 +174,7 @@ def expected_bytes(
     exposure: float,
     alpha_factor: float = 1,
 ) -> np.ndarray:
-    """Screen colours (N, 3) of points (N, 3) by the oracle, in double precision."""
+    """8-bit screen colours (N, 3) of points (N, 3) by the oracle, in double precision."""
     u, v = (points[:, 0] + 1) / 2, (points[:, 1] + 1) / 2
     row, column = ((1 - v) * SIDE).astype(int), (u * SIDE).astype(int)
     at = {name: image[row, column].astype(np.float64) / 255 for name, image in quad.images.items()}
@@ -206,7 +206,7 @@ def expected_bytes(
 
 @pytest.mark.parametrize("light", [(0.3, 0.5, 1.1), (-0.6, 1.2, 0.5)])
 def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float, float, float]) -> None:
-    """At hundreds of pixels inside patches, diffuse and glossy, to the rounding of 8 bits."""
+    """At hundreds of pixels of diffuse and glossy patches, the canvas equals the oracle within 8 bits."""
     pose(page, light, exposure=-1, power=1)
     shown = read(page)
     points, is_seen = points_seen(*shown.shape[:2])
@@ -219,8 +219,8 @@ def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float,
     assert state["light"] == pytest.approx(light)
 
     def beyond(alpha_factor: float) -> float:
-        """Deviation of the screen from the oracle's bounds, in bytes. Rasterisers round corners to 1/16 of a
-        pixel, so a pixel may show points up to that far from its centre."""
+        """Deviation of the screen from the oracle's bounds, in 8-bit steps. Rasterisers round corners to 1/16
+        of a pixel, so a pixel may show points up to that far from its centre."""
         shifts = [(0.0, 0.0), *((x / 16, y / 16) for x in (-1, 1) for y in (-1, 1))]
         possible = []
         for shift in shifts:
@@ -230,7 +230,7 @@ def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float,
         low, high = np.min(possible, axis=0), np.max(possible, axis=0)
         return float(np.maximum(low - got, got - high).max())
 
-    assert beyond(1.0) <= 0.75  # half a byte of rounding, and single precision
+    assert beyond(1.0) <= 0.75  # half a step of rounding, and single precision
     assert beyond(1.05) > 2
 
 
@@ -346,7 +346,7 @@ def test_camera_turns_and_moves(page: Page) -> None:
 
 
 def test_page_starts_with_the_whole_room(browser: Page, quad: Quad, tmp_path: Path) -> None:
-    """Opens at the outermost camera, looking at the mean position; then an outside view, and each camera."""
+    """The page opens at the outermost camera, looking at the mean position; key C selects further views."""
     places = [(-0.9, -0.9, 1.0), (0.5, 0.2, 1.0), (0.6, 0.4, 1.2), (0.4, 0.5, 1.0)]
     with open_package(quad.asset / "asset") as package:
         asset = package.asset
@@ -409,7 +409,7 @@ def test_large_textures_load_after_a_small_preview(browser: Page, tmp_path: Path
 
 @pytest.mark.slow
 def test_atlas_of_4096_texels_opens_quickly(tmp_path: Path) -> None:
-    """Every texel is noise, which PNG hardly compresses: larger than an atlas of photographs."""
+    """Textures of pure noise, which PNG hardly compresses, make a page larger than that of a real atlas."""
     quad = make_quad(tmp_path / "large", side=4096)
     rng = np.random.default_rng(1)
     for name, image in quad.images.items():
@@ -445,8 +445,8 @@ SHELF = 0.25 * CORNERS + [0, 0, 0.4]
 
 
 def make_room(root: Path, lights: tuple[AreaLight, ...] = (), *, has_lamp: bool = True) -> Path:
-    """A white floor of 2 m, a shelf 0.5 m wide 0.4 m above its middle, and a lamp of 0.2 m at 1.9 m that
-    emits downwards."""
+    """Write the page of a package with a white floor of 2 m, a shelf 0.5 m wide 0.4 m above its middle, and a
+    lamp of 0.2 m at 1.9 m that emits downwards; returns its path."""
     up, uv = np.tile([0.0, 0, 1], (4, 1)).astype("f4"), np.zeros((4, 2), np.float32)
     shapes = {"surface": CORNERS, "shelf": SHELF, "lamp": 0.1 * CORNERS + [0, 0, 1.9]}
     down = np.ascontiguousarray(FACES[:, ::-1]).astype(np.int32)
@@ -479,7 +479,7 @@ def open_page(browser: Page, page: Path) -> None:
 
 
 def is_behind_shelf(points: np.ndarray, light: np.ndarray, slack: float) -> np.ndarray:
-    """Whether segments from floor points (..., 3) to the light cross the shelf, widened by ``slack`` m."""
+    """Mask of floor points (..., 3) whose segment to the light crosses the shelf, widened by ``slack`` m."""
     crossing = points + (light - points) * (SHELF[0, 2] / light[2])
     return np.abs(crossing[..., :2]).max(axis=-1) < 0.25 + slack
 
@@ -497,7 +497,7 @@ def floor_seen(shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_movable_light_casts_shadows(
     browser: Page, tmp_path: Path, light: tuple[float, float, float]
 ) -> None:
-    """Black behind the shelf, as its geometry predicts, and elsewhere unchanged, so without acne."""
+    """The floor is black in the shelf's geometric shadow and elsewhere unchanged, without shadow acne."""
     open_page(browser, make_room(tmp_path, has_lamp=False))
     pose(browser, light, exposure=-1, power=1, shadows=False)
     bare = read(browser).astype(int)
@@ -511,7 +511,7 @@ def test_movable_light_casts_shadows(
     assert shown[is_dark].max() == 0
     np.testing.assert_array_equal(shown[is_lit], bare[is_lit])
     lit_shelf = points_seen(*shown.shape[:2])[1] & ~is_floor
-    assert (shown[lit_shelf] == bare[lit_shelf]).all(axis=-1).mean() > 0.9  # no self-shadowing either
+    assert (shown[lit_shelf] == bare[lit_shelf]).all(axis=-1).mean() > 0.9  # the shelf does not shadow itself
     moved = (-light[0], -light[1], light[2] + 0.2)
     pose(browser, moved, exposure=-1, power=1)  # the shadow follows the light
     after = read(browser)
@@ -562,7 +562,7 @@ def test_lights_of_the_asset_are_switched(browser: Page, tmp_path: Path) -> None
 
 
 def test_lamps_do_not_shadow_themselves(browser: Page, tmp_path: Path) -> None:
-    """The centre of a lamp of two plates back to back, 10 cm apart, is between the plates."""
+    """A lamp of two plates, 10 cm apart, lights the floor although its centre is between the plates."""
     index = make_room(tmp_path, has_lamp=False)
     with open_package(tmp_path / "asset") as package:
         asset = package.asset
@@ -590,12 +590,12 @@ def test_assets_without_lights_have_a_notice(browser: Page, tmp_path: Path) -> N
     open_page(browser, make_room(tmp_path, has_lamp=False))
     assert browser.run("return document.getElementById('sources').disabled") is True
     assert "There are none" in browser.run("return document.getElementById('sources-note').textContent")
-    pose(browser, sources=True)  # not through a script either
+    pose(browser, sources=True)  # a script cannot enable them either
     assert browser.run("return VIEW.state().sources") is False
 
 
 def test_many_lights_are_merged_and_keep_their_power(tmp_path: Path) -> None:
-    """Ten windows in a row, the last two offset from one another by 1 cm and 2 cm."""
+    """Ten windows in a row, of which the last three are 1 cm and 2 cm apart, become eight sources."""
     places = [0.0, 1, 2, 3, 4, 5, 6, 7, 7.01, 7.03]
     lights = tuple(
         AreaLight(name=f"w-{k}", origin_m=(x, 0, 1), edge_u_m=(0.5, 0, 0), edge_v_m=(0, 0, 1),
@@ -617,7 +617,7 @@ def test_many_lights_are_merged_and_keep_their_power(tmp_path: Path) -> None:
 
 
 def test_lights_of_every_kind_become_sources(tmp_path: Path) -> None:
-    """Intensity L (max(V.w, 0) + rest) of points, spheres and disks towards a direction w."""
+    """Intensity of point, sphere and disk lights towards w is L (max(V . w, 0) + rest)."""
     make_room(tmp_path, has_lamp=False)
     with open_package(tmp_path / "asset") as package:
         asset = package.asset
@@ -653,7 +653,7 @@ def test_large_textures_are_averaged_down_and_named(tmp_path: Path) -> None:
     quad = make_quad(tmp_path / "quad", side=1024)
     result = write_view(quad.asset / "asset", tmp_path / "page", max_side=256)
     assert len(result.notes) == 3 and "256 of 1024 texels" in result.notes[0]
-    assert write_view(quad.asset, tmp_path / "page", max_side=256).notes == result.notes  # updated
+    assert write_view(quad.asset, tmp_path / "page", max_side=256).notes == result.notes  # updated page
 
 
 def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> None:

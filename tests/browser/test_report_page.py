@@ -93,7 +93,7 @@ def browser(report: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 
 @pytest.fixture
 def page(browser: Page, report: Path) -> Iterator[Page]:
-    """A newly opened page; afterwards its console must be empty and no request may have left the disk."""
+    """A newly opened page; afterwards the console must be empty and all requests local."""
     browser.console()
     browser.driver.get("about:blank")
     browser.open(report / "index.html")
@@ -362,7 +362,7 @@ def choose(page: Page, box: str, value: str) -> None:
 def test_prediction_is_chosen_and_its_error_is_read(
     page: Page, views: dict[str, View], predictions: list[Path]
 ) -> None:
-    """Values and errors under the cursor, the view's figure and the error map's colours, against the EXRs."""
+    """Values and errors under the cursor, the view's error and the error map's colours equal the EXRs'."""
     key, slug = "small-00000/view-001", "ours"
     predicted = decode_view(predictions[0] / f"{key}.exr")
     truth = views[key].buffers
@@ -383,13 +383,13 @@ def test_prediction_is_chosen_and_its_error_is_read(
     squares = (predicted["roughness"].astype(float) - truth["roughness"].astype(float))[mask] ** 2
     displayed = page.run("return document.querySelector(`tr[data-mse='roughness'] td`).textContent")
     assert float(displayed) == pytest.approx(squares.mean(), rel=6e-3)  # three digits
-    page.keys("+", "+")  # larger pixels: no filter between them
+    page.keys("+", "+")  # pixels so large that they are not filtered
     errors = np.abs(predicted["diffuse_albedo"].astype(float) - truth["diffuse_albedo"].astype(float)).mean(
         axis=-1
     )
     colors = np.array(cividis())
     seen = []
-    y, x = (int(k) for k in np.argwhere(mask[38:46, 50:62])[0] + (38, 50))  # visible, not the cursor's
+    y, x = (int(k) for k in np.argwhere(mask[38:46, 50:62])[0] + (38, 50))  # visible, without cursor
     for largest in (0.2, 0.05):
         choose(page, "max-error", str(largest))
         expected = colors[round(min(255, 255 * errors[y, x] / largest))]
@@ -428,7 +428,7 @@ def test_missing_and_broken_predictions_are_named(page: Page) -> None:
         page.go(f"#view/{key}?method=their-method")
         page.wait_for_view(key)
         assert page.run(notice).startswith("Their <method>") and expected in page.run(notice)
-        assert page.run("return document.querySelectorAll('#panels canvas').length") == 3  # the truth
+        assert page.run("return document.querySelectorAll('#panels canvas').length") == 3  # of the truth
     page.keys("m")  # no prediction follows the last method
     page.wait_for_view("small-00001/view-004")
     assert page.run("return document.querySelectorAll('#panels canvas').length") > 5

@@ -30,12 +30,12 @@ MODULES = {
     "model.schemas": schemas_of_model,
     "model.training.fetch_weights": fetch_weights,
 }
-"""Commands of one function, which are run as modules."""
+"""Commands that are run as modules, each of one function."""
 _STANDARD = {"venv", "pip", "http.server", "pytest", "ensurepip", "zipfile"}
 
 
 def check_command(words: list[str], is_whole: bool) -> str:
-    """Fault of a command; "" if there is none or the command is not of this project.
+    """Fault of a command line, or "" for none or for a command of another project.
 
     ``is_whole`` requires all arguments; a mention in a sentence may omit them.
     """

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Finds the commands of the README and the documentation, and how to test them.
 
-A fenced block of commands (or of Python) is preceded by a comment that is invisible to the reader of the
-page:
-
-<!-- test: run --> run it <!-- test: run; needs rooms, photos --> run it with these stand-ins (stand_ins.py)
-<!-- test: run slow --> the same, among the long tests only <!-- test: not run; REASON --> it needs what a
-test cannot have <!-- test: file NAME --> the block is a file that later blocks use <!-- test: patch --> the
-block is a patch to the stand-in `source`
+A fenced block of commands or Python is preceded by an HTML comment: ``<!-- test: run -->`` runs it, ``run;
+needs rooms, photos`` runs it with these stand-ins (stand_ins.py), ``run slow`` runs it only in the long
+tests, ``not run; REASON`` excludes it, ``file NAME`` declares it a file that later blocks use, and ``patch``
+a patch to the stand-in `source`.
 
 The blocks of a page run one after another in one folder.
 """
@@ -53,7 +50,7 @@ class Block:
 
     @property
     def action(self) -> str:
-        """``run``, ``run slow``, ``not run``, ``file``, ``patch`` or ""."""
+        """Action of the note: ``run``, ``run slow``, ``not run``, ``file``, ``patch`` or ""."""
         words = self.note.partition(";")[0].split()
         return words[0] if words[:1] in (["file"], ["patch"]) else " ".join(words)
 
@@ -65,7 +62,7 @@ class Block:
 
     @property
     def reason(self) -> str:
-        """Reason for not running it."""
+        """Reason why the block is not run."""
         return self.note.partition(";")[2].strip()
 
     @property
@@ -74,7 +71,7 @@ class Block:
 
     @property
     def is_command(self) -> bool:
-        """Whether it must be classified: Python, a shell language, or lines that begin with a program."""
+        """Whether the block needs a note: Python, a shell language, or lines that begin with a program."""
         if self.is_python or self.language in SHELLS[1:]:
             return True
         return self.language == "" and any(_program(line) for line in self.text.splitlines())

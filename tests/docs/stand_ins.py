@@ -62,7 +62,7 @@ def _rooms(out: Path, has_light: bool = False) -> None:
 
 
 def _staircase(out: Path) -> None:
-    """A Mitsuba scene of a few shapes with the licence beside it."""
+    """A Mitsuba scene of a few shapes with its licence file."""
     out.mkdir()
     (out / "LICENSE.txt").write_text("https://creativecommons.org/publicdomain/zero/1.0/\n")
     wall = '<shape type="rectangle"><transform name="to_world">{}</transform><ref id="Walls"/></shape>'
@@ -96,7 +96,7 @@ def _sofa(out: Path) -> None:
 
 
 def _photographs(out: Path) -> None:
-    """The rendered room in COLMAP's form: images, cameras and a mesh."""
+    """The rendered room in COLMAP's format: images, cameras and a mesh."""
     from PIL import Image
 
     from datagen.foundation.color import exposure_for, srgb_from_linear
@@ -185,7 +185,7 @@ STAND_INS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "cork": ("Cork001", _cork),
     "source": ("", _source),
 }
-"""Name in the pages' notes: where it lies in the working folder, and who makes it."""
+"""Path in the working folder and maker of each stand-in, by its name in the pages' notes."""
 
 
 class StandIns:
@@ -195,13 +195,13 @@ class StandIns:
         self.root = root
 
     def begin(self, folder: Path) -> None:
-        """Stand-ins of every page: the recipes with their library, and the bundled library."""
+        """Create the stand-ins of every page: the recipes with their library, and the bundled library."""
         write_recipes(folder / "scenes" / "recipes")
         (folder / "scenes" / "library").symlink_to(REPOSITORY / "scenes" / "library")
         self._copy(LIBRARY, folder / LIBRARY, _library)
 
     def bring(self, name: str, folder: Path) -> None:
-        """Copy a stand-in to where the pages expect it, unless that exists."""
+        """Copy a stand-in to its path below ``folder`` if that does not exist."""
         place, make = STAND_INS[name]
         if not place or not (folder / place).exists():
             self._copy(place or name, folder / place, make)

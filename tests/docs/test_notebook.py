@@ -16,9 +16,9 @@ nbformat = pytest.importorskip("nbformat", reason="needs the extra notebook")
 NOTEBOOK = REPOSITORY / "docs" / "tutorials" / "round-trip.ipynb"
 SMALL = {"SIZE": (64, 48), "VIEWS": 6, "STEPS": 3, "ATLAS": 256}
 HANGS_S = 1800
-"""A cell that takes longer hangs: a shared machine may be many times slower than a free one."""
+"""Limit of a cell's time in seconds; a busy machine may be many times slower than an idle one."""
 PROCESSOR_S = 300
-"""Of the whole notebook; as it is, 168 s on two cores that other programs use, too."""
+"""Limit of the notebook's processor seconds; unchanged, it takes 168 s on two shared cores."""
 
 
 def _parameters(out: Path, library: Path | None) -> str:
@@ -33,8 +33,7 @@ def _processor_s() -> float:
 
 
 def execute(out: Path, library: Path | None = None) -> Any:
-    """Run the notebook in a separate process with other parameters, within its time limit; returns it with
-    its outputs."""
+    """Run the notebook with changed parameters in a separate process; returns it with its outputs."""
     from nbclient import NotebookClient
 
     book = nbformat.read(NOTEBOOK, as_version=4)

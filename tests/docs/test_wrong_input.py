@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every verb with typical mistakes: code 2, a message with a remedy, no traceback, no files written.
+"""Typical mistakes in every verb cause exit code 2 and a message with a remedy, no traceback and no files.
 
 The commands run in this process through the function that the installed programs call.
 """

@@ -75,7 +75,7 @@ def test_projected_density_integrates_to_one(alpha: np.float32) -> None:
 @pytest.mark.parametrize("alpha", [0.001, 0.09, 0.5, 1.0])
 @pytest.mark.parametrize("angle_deg", [0.0, 40.0, 80.0, 89.0])
 def test_visible_normals_integrate_to_one(alpha: float, angle_deg: float) -> None:
-    """Heitz 2014: masking makes the visible area of the microsurface that of the surface."""
+    """By Heitz 2014, the visible area of the masked microsurface equals that of the surface."""
     w = oracle.direction(np.array([np.radians(angle_deg)]), np.array([0.4]))
     h, weight = oracle.slopes_grid(alpha, num=1000, reach=6.0)
     w_all = np.repeat(w, len(h), 0)

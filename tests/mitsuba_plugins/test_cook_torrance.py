@@ -82,7 +82,7 @@ def test_value_and_density_agree_with_the_oracle() -> None:
 
 
 def test_oracle_against_a_second_derivation() -> None:
-    """The oracle against the formula written in cosines, where those are accurate."""
+    """The oracle equals the formula written in cosines where those are accurate."""
     rng = np.random.default_rng(22)
     num = 4000
     wi, wo = (oracle.direction(rng.uniform(0.1, 1.2, num), rng.uniform(0, 2 * np.pi, num)) for _ in range(2))
@@ -206,7 +206,7 @@ def _two_sided_z(significance: float, num_tests: int) -> float:
 def _gradients(
     wi: np.ndarray, wo: np.ndarray, channels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Derivatives of eval, summed over RGB, by D, S and R with Dr.Jit, per lane."""
+    """Derivatives, per lane, of eval summed over RGB with respect to D, S and R, by Dr.Jit."""
     num = len(wi)
     bsdf = material(*channels, num)
     parameters = mi.traverse(bsdf)
@@ -243,12 +243,13 @@ def test_gradients_agree_with_finite_differences_of_the_oracle() -> None:
         (grad_s, value(ds=step), value(ds=-step)),
     ):
         expected = (plus - minus) / (2 * step)
-        # The derivative by S, F' spec - D cos / pi, may cancel: the error is relative to its larger term.
+        # The derivative with respect to S, F' spec - D cos / pi, may cancel: the error is relative to its
+        # larger term.
         scale = np.maximum(np.abs(expected), 1e-2 * value())
         assert np.max((np.abs(got - expected) - rounding)[checked] / scale[checked]) < 1e-3
     h = 1e-5 * r64
     expected_r = ((value(dr_=h) - value(dr_=-h)) / (2 * h[:, None])).sum(1)
-    # The derivative by R crosses zero inside the lobe: the error is relative to value / R.
+    # The derivative with respect to R crosses zero inside the lobe: the error is relative to value / R.
     scale = np.maximum(np.abs(expected_r), value().sum(1) / r64)[checked]
     assert np.max(np.abs(grad_r - expected_r)[checked] / np.maximum(scale, 1e-20)) < 1e-3
     assert checked.sum() > num / 3

@@ -118,7 +118,7 @@ def test_samples_follow_their_density(angle_deg: float, roughness: float) -> Non
 @pytest.mark.parametrize("roughness", NARROW_ROUGHNESS[1:] + WIDE_ROUGHNESS)
 @pytest.mark.parametrize("angle_deg", ANGLES_DEG)
 def test_a_wrong_density_is_detected(angle_deg: float, roughness: float) -> None:
-    """Injected fault: the density's alpha is 5 % too small (specular lobe only; the diffuse dilutes it)."""
+    """Injected fault: the density's alpha is 5 % too small; the diffuse lobe, which dilutes it, is off."""
     test = _chi2_test(angle_deg, roughness, roughness * np.sqrt(0.95), specular_only=True)
     assert not test.run(SIGNIFICANCE, NUM_CHI2_TESTS, quiet=True)
 
@@ -230,7 +230,7 @@ def _diffuse_context() -> Any:
 
 @pytest.mark.parametrize("radiance", [1e-6, 1e6])
 def test_renders_scale_with_radiance(radiance: float) -> None:
-    """The same samples under 1e-6 and 1e6 times the light give the same picture, scaled."""
+    """Scaling the light by 1e-6 or 1e6 scales the image of the same samples equally."""
     own = {"type": "cook_torrance", "diffuse_albedo": 0.5, "specular_albedo": 0.3, "roughness": 0.2}
 
     def render(level: float) -> np.ndarray:

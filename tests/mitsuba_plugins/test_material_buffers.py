@@ -96,7 +96,7 @@ def test_depth_is_along_the_axis_at_the_pixels_centre(scale: float) -> None:
     ray = np.stack([(WIDTH / 2 - x) / focal_px, (HEIGHT / 2 - y) / focal_px, np.ones_like(x)], -1)
     ray_world = ray @ world_from_camera[:3, :3].T
     origin = world_from_camera[:3, 3]
-    depth = -origin[2] / ray_world[..., 2]  # ray has unit depth per unit of its parameter
+    depth = -origin[2] / ray_world[..., 2]  # the ray's parameter is depth
     hits = (depth > 0) & (np.abs(origin + depth[..., None] * ray_world) < 50 * scale).all(-1)
     np.testing.assert_allclose(buffers["depth_z_m"][hits][:, 0], depth[hits], rtol=2e-5)
     expected = origin + depth[..., None] * ray_world
@@ -138,7 +138,7 @@ def test_more_samples_change_blends_only() -> None:
 
 @pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell"])
 def test_pixel_filter_is_that_of_the_beauty_image(rfilter: str) -> None:
-    """The mask of a surface before a black background is the filtered coverage of Mitsuba's film."""
+    """The mask of a surface in front of a black background equals the filtered coverage of Mitsuba's film."""
     # The filter extends beyond the image's border, where the film has no samples.
     tilted = T().translate([0.3, 0.4, 0]).rotate([0, 0, 1], 31).scale(0.9)
     white = {"diffuse_albedo": [0.5, 0.5, 0.5], "specular_albedo": [0.0, 0.0, 0.0], "roughness": 1.0}
@@ -168,7 +168,7 @@ def test_sub_pixel_samples_are_even() -> None:
 
 
 def test_depth_of_field_is_that_of_the_beauty_image() -> None:
-    """With a thin lens out of focus the mask blurs as Mitsuba's film does, and depth is the lens centre's."""
+    """A thin lens blurs the mask like Mitsuba's film; depth is measured through the lens centre."""
     tilted = T().translate([0.3, 0.1, 0]).rotate([0, 0, 1], 31).scale(0.9)
     white = {"diffuse_albedo": [0.5, 0.5, 0.5], "specular_albedo": [0.0, 0.0, 0.0], "roughness": 1.0}
     lens = _sensor("gaussian") | {"type": "thinlens", "aperture_radius": 0.3, "focus_distance": 2.5}
@@ -178,7 +178,7 @@ def test_depth_of_field_is_that_of_the_beauty_image() -> None:
     film = np.array(mi.render(scene, integrator=aov, spp=4096))[..., -3] / 0.5
     mask = ours["surface_mask"][..., 0]
     assert np.abs(mask - np.clip(film, 0, 1)).max() < 0.03
-    assert ((mask > 0.02) & (mask < 0.98)).mean() > 0.2  # it does blur
+    assert ((mask > 0.02) & (mask < 0.98)).mean() > 0.2  # the mask is blurred
     assert set(np.unique(np.round(ours["depth_z_m"], 4))) == {0.0, CAMERA_HEIGHT}
 
 
@@ -299,7 +299,7 @@ def test_front_and_back_have_separate_materials() -> None:
 
 
 def test_textures_are_exact_texel_by_texel() -> None:
-    """With one texel per pixel, nearest and box filters, the buffer equals the texture."""
+    """With one texel per pixel and nearest and box filters, the buffer equals the texture."""
     rng = np.random.default_rng(4)
     texels = rng.uniform(size=(HEIGHT, WIDTH, 1)).astype(np.float32)
     texture = {
@@ -353,7 +353,7 @@ def test_materials_are_created_once_for_all_views() -> None:
 
 
 def test_scenes_from_xml_have_distinct_ids() -> None:
-    """Mitsuba gives shapes of an XML file no ids."""
+    """Mitsuba assigns no ids to shapes of an XML file."""
     xml = """<scene version="3.0.0">
       <shape type="sphere"><bsdf type="cook_torrance"/></shape>
       <shape type="cube"><bsdf type="cook_torrance"/></shape>

@@ -2,8 +2,8 @@
 """Loads an asset package with the add-on in a separate process and renders its cameras with Cycles.
 
 ``python -m tests.model.cycles_of_asset PACKAGE OUT SAMPLES CAMERA...`` writes ``OUT/CAMERA.npy``, linear.
-``PACKAGE+FILE.glb`` (or ``.usdz``) takes the surfaces from that file through Blender's importer, cameras and
-lights from the package.
+``PACKAGE+FILE.glb`` (or ``.usdz``) imports the surfaces from that file with Blender's importer, and cameras
+and lights from the package.
 """
 
 from __future__ import annotations

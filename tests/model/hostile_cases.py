@@ -94,7 +94,7 @@ def _camera() -> Camera:
 
 
 def _read_all(path: Path, options: CaptureOptions | None = None) -> None:
-    """Read a capture and the pixels of its first view; no image or mesh may be outside of the folder."""
+    """Read a capture and the pixels of its first view; all photographs must be inside of the folder."""
     capture = read_capture(path, options or CaptureOptions(max_width_px=32))
     folder = path if path.is_dir() else path.parent
     for view in capture.views:
@@ -105,12 +105,12 @@ def _read_all(path: Path, options: CaptureOptions | None = None) -> None:
 
 
 def capture_texts(name: str) -> dict[str, str]:
-    """Text files of a valid capture in a format, by name; its photograph is ``images/a.png``."""
+    """Text files, by name, of a valid capture in format ``name`` with the photograph ``images/a.png``."""
     return _TEXTS[name]()
 
 
 def _capture(text: Callable[[], dict[str, str]], opened: str = "") -> CaseMaker:
-    """A capture in a text format: one file is mutated, or sometimes the photograph or the mesh."""
+    """Cases of a capture in a text format with one damaged file: a text, the photograph or the mesh."""
 
     def make(folder: Path) -> Case:
         root = folder / "capture"
@@ -118,7 +118,7 @@ def _capture(text: Callable[[], dict[str, str]], opened: str = "") -> CaseMaker:
         set_traps(root)
         set_traps(root / "images")
         for trap in root.glob("*.ply"):
-            trap.unlink()  # to avoid several meshes
+            trap.unlink()  # several meshes would be ambiguous
         files = {**{name: content.encode() for name, content in text().items()},
                  "images/a.png": _picture(), "room.ply": _mesh_bytes()}  # fmt: skip
         for name, content in files.items():
@@ -363,7 +363,7 @@ def photograph(folder: Path) -> Case:
 
 
 def rendered(folder: Path) -> Case:
-    """A shard and the library of its rendering: damaged, or with mutated documents."""
+    """A shard that is damaged or has mutated documents, with the library of its rendering."""
     package = write_package(folder / "library" / "room", _room(), {"room.ply": _mesh_bytes()})
     shard = _small_shard(folder, package.sha256)
 
@@ -421,7 +421,7 @@ def _damaged_shard(shard: bytes, rng: random.Random) -> bytes:
         at = 512 * rng.randrange(len(data) // 512)
         data[at : at + 512] = damage(bytes(data[at : at + 512]), rng)[:512].ljust(512, b"\0")
         return bytes(data)
-    # Values of the same length keep the tar whole.
+    # replacements of equal length keep the tar readable
     data = bytearray(shard)
     digits = [k for k, c in enumerate(data) if c in b"0123456789" and data[k - 1 : k] in (b" ", b"[", b".")]
     for _ in range(rng.randint(1, 3)):

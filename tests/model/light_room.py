@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A room of 4 x 3 x 2.5 m of the project's BSDF whose materials and light are known: coloured walls, a floor
-of tiles, a glossy and a metal panel, a mirror, a lamp in the ceiling and a window onto a blue sky,
-photographed by Mitsuba's path tracer."""
+"""A room of 4 x 3 x 2.5 m with known materials of the project's BSDF and known light, rendered by Mitsuba's
+path tracer: coloured walls, a tiled floor, a glossy and a metal panel, a mirror, a lamp in the ceiling and a
+window onto a blue sky."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def quads() -> list[Quad]:
         Quad("south", (0, 0, 0), (0, 0, z), (x, 0, 0), green),
         Quad("north", (0, y, 0), (x, 0, 0), (0, 0, z), grey),
         Quad("ceiling", (0, 0, z), (0, y, 0), (x, 0, 0), white),
-        # the east wall about a window of 1.2 x 1 m
+        # the east wall around a window of 1.2 x 1 m
         Quad("east-low", (x, 0, 0), (0, 0, 0.9), (0, y, 0), grey),
         Quad("east-high", (x, 0, 1.9), (0, 0, 0.6), (0, y, 0), grey),
         Quad("east-left", (x, 0, 0.9), (0, 0, 1.0), (0, 0.9, 0), grey),
@@ -81,7 +81,7 @@ def room_geometry() -> CaptureGeometry:
 
 
 def room_cameras(num: int = 24) -> list[Camera]:
-    """Cameras on two rings around the centre, looking outwards, up and down."""
+    """Cameras on two rings around the centre that look across it, level, up and down."""
     cameras = []
     for index in range(num):
         angle = 2 * np.pi * (index + 0.5 * (index % 2)) / num * 2
@@ -93,7 +93,7 @@ def room_cameras(num: int = 24) -> list[Camera]:
 
 @lru_cache(maxsize=2)
 def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
-    """HDR views, with samples at pixel centres."""
+    """Path-traced HDR views of the room, with samples at pixel centres."""
     import mitsuba as mi
 
     from mitsuba_plugins import register
@@ -147,7 +147,7 @@ def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
 
 
 def without_pixels(view: TracedView, hidden: NDArray[np.bool_]) -> TracedView:
-    """The view without the pixels where ``hidden`` (H, W)."""
+    """The view without the pixels of the mask ``hidden`` (H, W)."""
     geometry = replace(
         view.geometry,
         face=np.where(hidden, -1, view.geometry.face),

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""A closed room of 4 x 3 x 2.5 m with six walls of known diffuse albedos and a lamp in its ceiling,
-photographed by Mitsuba's path tracer: a reference for methods based on interreflection."""
+"""A closed room of 4 x 3 x 2.5 m with six walls of known diffuse albedos and a lamp in its ceiling, rendered
+by Mitsuba's path tracer: a reference for methods based on interreflection."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIDES = np.array([4.0, 3.0, 2.5])
 ALBEDOS = np.array(
     [[0.6, 0.5, 0.4], [0.6, 0.5, 0.4], [0.3, 0.5, 0.6], [0.7, 0.7, 0.7], [0.4, 0.3, 0.2], [0.8, 0.8, 0.8]]
 )
-"""(6, 3) of x-low, x-high, y-low, y-high, floor, ceiling."""
+"""Diffuse albedos (6, 3) of the walls x-low, x-high, y-low, y-high, floor and ceiling."""
 LAMP_RADIANCE = (14.0, 13.0, 10.0)
 SIZE = (48, 36)
 _LAMP = np.array([[1.5, 1.0, 2.49], [1.5, 2.0, 2.49], [2.5, 2.0, 2.49], [2.5, 1.0, 2.49]])  # faces down
@@ -62,8 +62,8 @@ def box_cameras(num: int = 12) -> list[Camera]:
 
 @lru_cache(maxsize=2)
 def photographed_box(has_sun: bool = False, samples: int = 64) -> tuple[TracedView, ...]:
-    """The views. ``has_sun`` adds an unphotographed spot light that lights part of the floor several times
-    brighter than the lamp does."""
+    """Path-traced views of the box. ``has_sun`` adds an unphotographed spot light that lights part of the
+    floor several times brighter than the lamp does."""
     import mitsuba as mi
 
     scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 24}}
@@ -129,7 +129,7 @@ class Photograph:
 
 
 def box_capture(white: float = np.inf) -> Capture:
-    """The room as a capture by a sensor that clips at ``white``."""
+    """The box as a capture by a sensor that clips at ``white``."""
     views = [
         CaptureView(f"view-{index:03d}", view.camera, Photograph(view.color, white))
         for index, view in enumerate(photographed_box())

@@ -37,7 +37,7 @@ class Photograph:
 
 
 def photograph(mesh: Mesh, camera: Camera, seed: int = 0) -> Photograph:
-    """Albedo under a light from a corner, one brightness per quad, with 1 % noise."""
+    """Photograph of the diffuse albedo times a random brightness per quad, with noise of 0.01."""
     uv, depth = uv_of_pixels(mesh, camera)
     maps = materials_at(np.nan_to_num(uv))
     cell = np.floor(np.nan_to_num(uv) * [4, 3]).astype(int)

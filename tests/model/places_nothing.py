@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Replacement of ``model.reconstruction.unwrap.xatlas_process``: an unwrap without any placed triangle."""
+"""Replacement of ``model.reconstruction.unwrap.xatlas_process`` that places no triangle."""
 
 from __future__ import annotations
 

@@ -20,19 +20,19 @@ from model.reconstruction.level.albedo_level import (
 
 NUM = 1200
 WANTED = np.array([[1.5, 1.2, 0.8], [0.7, 0.9, 1.1], [1.3, 1.3, 1.3]])
-"""Gains of three regions, R, G, B; the middle one is number 2, and number 1 has no points."""
+"""True RGB gains of the regions 0, 2 and 3; region 1 has no points."""
 REGIONS = np.array([0, 2, 3])
 ARRIVING = np.random.default_rng(5).uniform(0.5, 2.0, (NUM, 3))
-"""Irradiance of the points."""
+"""RGB irradiance of the points."""
 
 
 def leaving(reflected: float = 0.4) -> NDArray[np.float64]:
-    """Outgoing radiance (NUM, 3) of points with the predicted reflectance times the wanted gains."""
+    """Outgoing radiance (NUM, 3) of points with the reflectance ``reflected`` times the true gains."""
     return reflected * WANTED[np.arange(NUM) % 3] * ARRIVING / np.pi
 
 
 def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_level.Points:
-    """Points of the three regions in turn, with outgoing ``radiance``."""
+    """Points that alternate between the three regions, with outgoing ``radiance`` (N, 3)."""
     nowhere, which = np.zeros_like(radiance), np.arange(len(radiance)) % 3
     return albedo_level.Points(nowhere, nowhere, radiance, np.full_like(radiance, reflected), REGIONS[which])
 
@@ -40,7 +40,8 @@ def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_l
 def fit(
     num: int = NUM, coverage: Any = 1.0, noise: float = 0.0, reflected: float = 0.4, **changes: Any
 ) -> AlbedoLevel:
-    """Fit to points in three regions whose ln reflectances have deviation ``noise`` from the wanted ones."""
+    """Fit gains to points with log-normal ``noise`` of reflectance and a known share ``coverage`` of
+    light."""
     which = np.arange(num) % 3
     arriving = np.resize(ARRIVING, (num, 3))
     factor = np.exp(noise * np.random.default_rng(4).normal(size=(num, 1)))
@@ -70,7 +71,7 @@ def test_gains_are_per_region_and_the_rooms_elsewhere() -> None:
 
 
 def test_points_with_little_known_light_count_less() -> None:
-    """Points have full weight from a known share of 0.9, none below 0.6, half in the middle."""
+    """Points have full weight from a known share of light of 0.9, half at 0.75 and none below 0.6."""
     random = np.random.default_rng(0)
     coverage = random.choice([0.5, 0.75, 0.9, 1.0], NUM)
     level = fit(coverage=coverage)
@@ -92,7 +93,7 @@ def test_dark_points_are_not_used(num_dark: int) -> None:
 
 
 def test_points_without_incident_light_are_not_used() -> None:
-    """Their incident light is not photographed, so the reflectance would be unbounded."""
+    """Without photographed incident light the reflectance would be unbounded."""
     arriving = ARRIVING.copy()
     arriving[:60] = 0.0
     level = albedo_level.fit_level(points_of(leaving()), arriving, np.ones(NUM), 4, 0.0)
@@ -136,7 +137,7 @@ def test_few_points_change_nothing(num: int, is_applied: bool) -> None:
 
 @pytest.mark.parametrize(("coverage", "is_applied"), [(0.73, True), (0.71, False)])
 def test_little_weight_changes_nothing(coverage: float, is_applied: bool) -> None:
-    """A known share of 0.72 gives 0.4 of the full weight."""
+    """A known share of 0.72 has 0.4 of the full weight."""
     assert fit(coverage=coverage).report.is_applied == is_applied
 
 
@@ -149,7 +150,7 @@ def test_predictions_near_zero_are_clamped_to_a_fiftieth() -> None:
 
 
 def test_the_gain_of_a_small_region_is_shrunk_to_the_rooms() -> None:
-    """One point at 4 times the room's level changes its region's gain less than 200 do."""
+    """One point at 4 times the room's level changes its region's gain less than 200 points do."""
     gains = []
     for count in (1, 200):
         region = np.zeros(NUM, np.int64)

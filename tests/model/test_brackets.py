@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Exposure brackets against the photographed radiance."""
+"""Exposure brackets are merged to the photographed radiance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from model.reconstruction.captures.read import read_capture
 from tests.model.test_reconstruction_captures import SIZE, write_mesh
 
 TIMES_S = (0.0025, 0.02, 0.16)
-"""Three stops apart; 0.02 s has the scale 1, so that the shortest clips at a radiance of 8."""
+"""Exposure times three stops apart; 0.02 s has the scale 1, so the shortest clips at a radiance of 8."""
 RADIANCE = np.geomspace(0.004, 12.0, SIZE[0] * SIZE[1]).reshape(SIZE[1], SIZE[0])
 
 

@@ -256,8 +256,8 @@ def test_loader_yields_the_plan_for_any_number_of_workers(shard, workers):
     ("ranks", "workers"), [(1, 0), (2, 0), (3, 0), pytest.param(2, 2, marks=pytest.mark.slow)]
 )
 def test_ranks_and_loader_workers_resume_in_an_epoch_without_overlap_or_loss(shard, ranks, workers):
-    """An epoch of 12 crops: with any loader and interruption each occurs once, in the same order, with the
-    same pixels."""
+    """Any number of ranks and loader workers and any interruption yield each of the 12 crops of an epoch
+    once, in the same order and with the same pixels."""
     order = CropOrder(4, 3, 4, seed=5)
     batch, cut = 12 // ranks // 2, 1
     whole = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)

@@ -61,7 +61,7 @@ def test_the_given_share_of_pixels_is_clipped_lamps_first() -> None:
     limit = max(float(color.max()) for color in _taken(capture, clipped_share=0.3))
     true = np.concatenate([view.read().color.max(axis=2).ravel() for view in capture.views])
     assert (true > limit * 1.0001).mean() == pytest.approx(0.3, abs=0.01)
-    assert limit < 0.8  # all lamp pixels are
+    assert limit < 0.8  # below all lamp pixels
 
 
 def test_every_image_has_its_own_exposure() -> None:

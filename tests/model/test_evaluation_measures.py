@@ -158,7 +158,7 @@ def test_level_and_pattern_are_separated() -> None:
 
 
 def test_published_measures_follow_their_code() -> None:
-    """Closed form for one view: kd where the truth is fully rough, and zeros off the surface in both."""
+    """Closed form for one view: kd counts only where the true R is 1; off the surface both images are 0."""
     truth = _maps(0.6, 0.0)
     truth[R][:, 3:] = 0.5
     lit = np.zeros(SHAPE, bool)
@@ -166,10 +166,10 @@ def test_published_measures_follow_their_code() -> None:
     view = _view(truth, ~lit, lit)
     estimate = _maps(0.4, 0.0, 0.1)
     found = measures_of_others(estimate, view)
-    error = (153 / 255 - 102 / 255) ** 2  # 0.6 and 0.4 in whole steps of 255
+    error = (153 / 255 - 102 / 255) ** 2  # 0.6 and 0.4 in whole steps of 1 / 255
     assert found["kd_db"] == pytest.approx(-10 * np.log10(error * (3 * 3) / 24), abs=1e-3)
     assert found["a_prime_db"] == pytest.approx(-10 * np.log10(error * (3 * 6) / 24), abs=1e-3)
-    rough = ((1 - 51 / 255) ** 2 * 9 + (127 / 255 - 51 / 255) ** 2 * 9) / 24  # clamped at 0.2
+    rough = ((1 - 51 / 255) ** 2 * 9 + (127 / 255 - 51 / 255) ** 2 * 9) / 24  # 0.1 is clamped to 0.2
     assert found["roughness_db"] == pytest.approx(-10 * np.log10(rough), abs=1e-3)
     assert "emission_iou" not in found
     half = lit.copy()
@@ -200,7 +200,7 @@ def test_informative_confidence_scores_higher() -> None:
 
 
 def test_the_bootstrap_has_the_size_of_the_noise() -> None:
-    """Over 300 draws of 12 views its mean is the standard deviation of their means, within 5 %."""
+    """The RMS of 300 bootstrap errors of 12 views is the standard error of their mean within 6 %."""
     random = np.random.default_rng(11)
     draws = random.normal(20, 3, (300, 12))
     errors = np.array([bootstrap_error(row) for row in draws])
@@ -236,7 +236,7 @@ def test_a_second_seed_gives_the_spread() -> None:
 
 
 def _random_layers() -> list[Convolution]:
-    """VGG16 with random weights."""
+    """Convolutions of VGG16 with random weights."""
     generator = torch.Generator().manual_seed(23)
     channels = (3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
     return [

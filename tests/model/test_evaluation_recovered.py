@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Re-lighting of reconstructed rooms: which lights are on, and the columns of their figures."""
+"""Relighting of reconstructed rooms: active lights, and separate columns for recovered light."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def opened(asset: Path, gain: float) -> Opened:
 def test_lamps_of_the_scene_light_a_reconstruction(
     reconstruction: Path, gain: float, mitsuba_variant: str
 ) -> None:
-    """They have the scene's radiance instead of the recovered one, times the gain under modified light."""
+    """Named lamps have the scene's instead of the recovered radiance, times the gain of modified light."""
     sceneries = recovered_sceneries(opened(reconstruction, gain), reconstruction)  # type: ignore[arg-type]
     assert list(sceneries) == [OWN, MODIFIED, INSERTED, RECOVERED]
     off = (0.0, 0.0, 0.0)

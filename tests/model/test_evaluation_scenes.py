@@ -92,7 +92,7 @@ def test_a_finished_scene_is_not_prepared_again(prepared: PreparedScene) -> None
     again = prepare_scene(small_scene(), cache, lambda stage, done, total: stages.append(stage))
     assert again == prepared
     assert stages == []
-    index = prepared.capture.parents[1] / "index.json"  # written from the markers in any case
+    index = prepared.capture.parents[1] / "index.json"  # rewritten by every run
     kept = {p: t for p, t in files.items() if p.name not in ("index.json", "dataset.json", "recipe.yaml")}
     assert index.is_file() and kept
     assert {p: p.stat().st_mtime_ns for p in kept} == kept
@@ -199,8 +199,8 @@ materials: {replace_probability: 1.0, any_class_probability: 1.0, include: [mapl
 
 
 def test_a_recipe_defines_a_scene(tmp_path: Path) -> None:
-    """The recipe determines furniture, materials and lights, the scene the cameras; either all assets or only
-    the materials must be unknown to a checkpoint."""
+    """The recipe determines furniture, materials and lights; the scene determines the cameras, and whether a
+    checkpoint must know none of the assets or none of the materials."""
     recipe = tmp_path / "drawn.yaml"
     recipe.write_text(DRAWN)
     scene = small_scene(name="drawn", source=recipe, configuration=1, may_know_shapes=True)
@@ -229,7 +229,7 @@ def test_a_scene_can_provide_assets(tmp_path: Path, shared_data: Path) -> None:
     configuration = planned.folder.read_configuration(planned.plan.units[0])
     assert configuration.environment.asset == "living_room"
     assert len({thing.asset for thing in configuration.objects}) >= 3
-    assert all(thing.materials == {} for thing in configuration.objects)  # in their classes
+    assert all(thing.materials == {} for thing in configuration.objects)  # they keep their materials
 
 
 def test_wrong_sources_are_refused(prepared: PreparedScene, tmp_path: Path) -> None:
@@ -243,7 +243,7 @@ def test_wrong_sources_are_refused(prepared: PreparedScene, tmp_path: Path) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "unit_m"), [("veach-ajar", 0.75), ("dining-room", 0.34)])
 def test_scenes_of_the_paper(name: str, unit_m: float, shared_data: Path, tmp_path: Path) -> None:
-    """They are marked for evaluation only and can be photographed."""
+    """Scenes of the paper are marked for evaluation only and can be photographed."""
     scene = small_scene(
         name=name, source=shared_data / "scenes" / name, unit_m=unit_m, views=6, novel_views=2
     )

@@ -98,7 +98,7 @@ def test_results_are_written_and_self_contained(small: tuple[Suite, Evaluation],
     page = (tmp_path / "index.html").read_text()
     # with the colon: letters alone may occur in base64 images
     assert "http:" not in page and "https:" not in page and "<script src" not in page and "<link" not in page
-    sliders, errors = 4 * 2 * 2, 5 * 3 + 1  # four methods: two pairs; maps with the truth, and the scale
+    sliders, errors = 4 * 2 * 2, 5 * 3 + 1  # per method two pairs; per method and truth three maps; the scale
     assert (
         page.count("data:image/jpeg;base64,") == 5 * 8 + 1 + sliders + errors
     )  # and all pictures, with the truth for recovered light
@@ -230,7 +230,7 @@ def test_estimates_need_fewer_samples_than_the_truth(
     constant = tuple(method for method in suite.methods if method.kind == "constant")
     render = RenderRecipe(max_rel_mse=1e-3, max_path_samples=128, auxiliary_samples=16)
     changes = {"methods": constant, "render": render, "truth": render, "input_views": 2, "novel_views": 1}
-    evaluate(suite.model_copy(update={**changes, "noise_share": 0.5}), cache)  # including the truth
+    evaluate(suite.model_copy(update={**changes, "noise_share": 0.5}), cache)  # renders the truth
     figures, needed = [], []
     for share in (None, 0.05):
         passes.clear()

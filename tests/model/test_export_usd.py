@@ -48,7 +48,7 @@ def made(folder: Path, lights: FoundLights | None, known: tuple[Light, ...] = ()
 
 
 def all_lights(folder: Path) -> Path:
-    """Export with a lamp, an emissive surface, a panel, and a sky with one bright pixel."""
+    """Export the room with a lamp, an emissive surface, a panel, and a sky with one bright pixel."""
     lamps = tuple(
         FoundLamp(slot, np.array([face], np.int32), 1, (1.0, 2.0, 4.0), (0.0, 0.0, 0.0), 0.01, is_named)
         for slot, face, is_named in (("lamp-0", 0, True), ("found-0", 5, False))
@@ -69,7 +69,7 @@ def faults(stage: Any) -> list[str]:
 
 
 def texture(shader: Any, name: str) -> tuple[str, str, str]:
-    """File, channel and colour space of the texture at an input of a surface."""
+    """File, channel and colour space of the texture that feeds an input of a shader."""
     from pxr import UsdShade
 
     connected, channel, _ = shader.GetInput(name).GetConnectedSource()
@@ -102,7 +102,7 @@ def test_usd_validators_find_nothing(tmp_path: Path) -> None:
 
 @needs_usd
 def test_surfaces_are_exported_completely(tmp_path: Path) -> None:
-    """In metres with Y up; D, S and R equal the atlas's images and are connected to the right inputs."""
+    """The USDZ is in metres with Y up; D, S and R equal the atlas's images and feed the right inputs."""
     from pxr import Usd, UsdGeom, UsdShade
 
     path = all_lights(tmp_path)
@@ -127,7 +127,7 @@ def test_surfaces_are_exported_completely(tmp_path: Path) -> None:
         ("metallic", {"diffuseColor": "base_color.rgb", "metallic": "orm.b", "roughness": "orm.g"}),
         ("specular", {"diffuseColor": "diffuse_albedo.rgb", "specularColor": "specular_albedo.rgb"}),
     ):
-        if workflow == "specular":  # the other one exists from the start
+        if workflow == "specular":  # the default is the other one
             stage.GetDefaultPrim().GetVariantSet("workflow").SetVariantSelection(workflow)
         assert shader.GetInput("useSpecularWorkflow").Get() == (workflow == "specular")
         for name, source in wanted.items():
@@ -196,7 +196,7 @@ def radiance(prim: Any) -> NDArray[np.float64]:
 
 @needs_usd
 def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None:
-    """The sphere that replaces a point light has its intensity."""
+    """Lights of the capture replace missing ones; a point light becomes a sphere of equal intensity."""
     from pxr import Usd, UsdLux
 
     known: tuple[Light, ...] = (

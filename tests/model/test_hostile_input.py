@@ -250,7 +250,7 @@ def _calls(tree: ast.AST) -> list[tuple[str, ast.Call]]:
 
 
 def test_no_source_loads_pickles_or_unpacks_archives() -> None:
-    """The only unpickler is restricted and for a file of pinned hash: ``model.training.weights``."""
+    """Only ``model.training.weights`` unpickles: by a restricted unpickler, and a file of pinned hash."""
     forbidden = {
         "pickle.load", "pickle.loads", "pickle.Unpickler", "marshal.loads", "marshal.load", "shelve.open",
         "yaml.load", "yaml.unsafe_load", "yaml.full_load", "eval", "exec", "joblib.load", "dill.load",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ld, Ls0 and Ls1 against brute-force integration in float64, and the solve against known materials."""
+"""Baked Ld (diffuse), Ls0 and Ls1 (specular) against float64 integrals, and the solve for materials."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from model.reconstruction.light.solve import (
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 RADIANCE = np.array([3.0, 2.0, 1.0])
 ABOVE = 0.25
-"""The panel emits at this z, 0.6 x 0.6 m about the origin, downwards."""
+"""Height (m) of a panel of 0.6 x 0.6 m, centred above the origin, that emits downwards."""
 
 
 def background(radiance: NDArray) -> Background:
@@ -75,7 +75,7 @@ def baker(*, has_sky: bool) -> Baker:
 
 
 def hemisphere(num: int = 1200) -> tuple[NDArray, NDArray]:
-    """Directions (K, 3) of a grid uniform in cosine and azimuth, and their solid angle."""
+    """Grid of directions (K, 3), uniform in cosine and azimuth, and their solid angles (K,)."""
     z = (np.arange(num) + 0.5) / num
     azimuth = (np.arange(num) + 0.5) / num * 2 * np.pi
     z, azimuth = (part.ravel() for part in np.meshgrid(z, azimuth, indexing="ij"))
@@ -108,7 +108,7 @@ def test_diffuse_shading(has_sky: bool) -> None:
 
 
 def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
-    """The integrand's BRDF parts times cos_o in float64: D G / (4 cos_i) times 1 - f and f."""
+    """The BRDF times cos_o in float64: D G / (4 cos_i) times 1 - f and times f, with f = (1 - h.i)^5."""
     from scipy.special import erf
 
     half = wi + wo
@@ -129,7 +129,7 @@ def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
 @pytest.mark.parametrize("roughness", [0.25, 0.55, 1.0])
 @pytest.mark.parametrize("has_sky", [False, True])
 def test_specular_shading(roughness: float, has_sky: bool) -> None:
-    """Within 2 % of the integrals of the BRDF's two parts, plus 0.003."""
+    """Ls0 and Ls1 are within 2 % plus 0.003 of the integrals of the BRDF's two parts."""
     view = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.9, 0.1, np.sqrt(1 - 0.82)]])
     normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
     found = baker(has_sky=has_sky).specular(POINTS, normal, view, np.full(len(POINTS), roughness), 8192)
@@ -143,8 +143,8 @@ def test_specular_shading(roughness: float, has_sky: bool) -> None:
 
 @pytest.mark.parametrize(("albedo", "roughness"), [(0.8, 0.25), (0.3, 0.7)])
 def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
-    """A point above a metal floor under a uniform sky receives its lobe's reflection within 1 %, not the
-    radiance that the floor shows to the cameras."""
+    """A point above a metal floor under a uniform sky receives the floor's reflection of the sky within 1 %,
+    instead of the floor's photographed radiance."""
     corners = np.array([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], np.float32)
     floor = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, None)
     one = dark_surfel()
@@ -178,7 +178,7 @@ def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
 
 
 def observations(num: int, metal: bool, seed: int) -> tuple[NDArray, ...]:
-    """Random shading of points, and their appearance with a material: S 0.06 or coloured, R 0.4."""
+    """Random shading in 8 views, and radiance with S 0.06 or coloured and R 0.4, as segment_costs expects."""
     random = np.random.default_rng(seed)
     levels = len(ROUGHNESS_LEVELS)
     ls0 = random.gamma(0.6, 1.0, (num, 8, levels, 3)).astype(np.float32)
@@ -214,7 +214,7 @@ def test_known_materials_are_found(metal: bool) -> None:
 
 
 def test_textured_metal_costs_no_more_than_plain_metal() -> None:
-    """Tiles of S 0.8 and 0.17 in one segment, as reflectance under changing reflections bins them."""
+    """One segment with metal tiles of S 0.8 and 0.17 has no cost as metal of the right roughness."""
     _, weight, diffuse, ls0, ls1 = observations(60, True, 5)
     s = np.where(np.arange(60) % 2, 0.8, 0.17)[:, None, None]
     radiance = (s * ls0[:, :, 2] + ls1[:, :, 2]).astype(np.float32)
@@ -237,7 +237,7 @@ def test_metal_spreads_to_dark_segments_of_its_region(albedo: float, becomes_met
 
 @pytest.mark.parametrize(("advantage", "becomes_metal"), [(0.01, True), (0.0, False)])
 def test_segments_of_a_region_share_their_evidence_of_metal(advantage: float, becomes_metal: bool) -> None:
-    """A fifth of the region is surely metal, too little to spread by its share; 0.012 would suffice alone."""
+    """With metal on a fifth of its region, a segment needs less than 0.012 of advantage to be metal."""
     levels = len(ROUGHNESS_LEVELS)
     dielectric = np.full((2, levels, len(SPECULAR_LEVELS)), 0.1, np.float32)
     metal = np.repeat(0.1 - np.float32([0.05, advantage]), levels).reshape(2, levels)
@@ -249,8 +249,8 @@ def test_segments_of_a_region_share_their_evidence_of_metal(advantage: float, be
 
 
 def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, views: int = 4) -> SolvedSegments:
-    """Decision for one segment whose hypotheses cost ``dielectric`` (levels, speculars) and ``metal`` (S
-    0.9), with a network's S of 0.04 and R of 0.6."""
+    """Decision for one segment with costs ``dielectric`` (levels, speculars) and ``metal`` (S 0.9), where a
+    network predicts S 0.04 and R 0.6."""
     num_levels = len(ROUGHNESS_LEVELS)
     costs = Costs(
         dielectric[None].astype(np.float32),
@@ -263,7 +263,7 @@ def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, view
 
 
 def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) -> NDArray:
-    """Costs (levels, speculars): ``noise`` for the best hypothesis, ``noise + matte`` without S, and twice
+    """Costs (levels, speculars): ``noise`` for the best hypothesis, ``noise + matte`` for S = 0, and twice
     the noise for all others."""
     costs = np.full((len(ROUGHNESS_LEVELS), len(SPECULAR_LEVELS)), 2 * noise)
     costs[:, 0] = noise + matte
@@ -273,7 +273,7 @@ def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) 
 
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_surfaces_without_evidence_of_gloss_are_matte(noise: float) -> None:
-    """Matte where S reduces the cost by no more than a share of the noise; glossy where by a fifth more."""
+    """A segment is matte if S does not lower the cost, and glossy if S lowers it by a fifth of the noise."""
     matte, glossy = decided(costs_of_levels(noise, 0.0)), decided(costs_of_levels(noise, 0.2 * noise))
     assert matte.specular_albedo.max() < 0.03 and matte.roughness[0] > 0.75
     np.testing.assert_allclose(glossy.specular_albedo, 0.06, atol=0.005)
@@ -284,7 +284,7 @@ def test_surfaces_without_evidence_of_gloss_are_matte(noise: float) -> None:
 
 
 def test_equally_likely_hypotheses_are_averaged() -> None:
-    """R of two hypotheses of equal cost is in between, not decided by rounding."""
+    """R of two hypotheses of equal cost is averaged rather than decided by rounding."""
     costs = costs_of_levels(0.01, 0.01, (1, 2))
     costs[4, 2] = 0.01
     found = decided(costs, evidence=0.999)
@@ -293,7 +293,7 @@ def test_equally_likely_hypotheses_are_averaged() -> None:
 
 
 def test_unexplained_segments_have_no_confidence() -> None:
-    """Confidence is 0 from a residual of 0.06 on, 0.5 at 0.045; for metals at twice these residuals."""
+    """Confidence is 0.5 at a residual of 0.045 and 0 from 0.06 on; for metals at twice these residuals."""
     for residual, expected in ((0.03, 1.0), (0.045, 0.5), (0.06, 0.0)):
         found = decided(costs_of_levels(residual, 0.05))
         np.testing.assert_allclose(found.confidence[:, :2], expected, atol=1e-3)
@@ -304,7 +304,7 @@ def test_unexplained_segments_have_no_confidence() -> None:
 
 
 def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
-    """Confidence falls with the variance over hypotheses, as for means of two independent estimates."""
+    """Confidence of R is the inverse-variance weight of the mean over hypotheses against the network."""
     clear = decided(costs_of_levels(0.01, 0.01))
     assert clear.confidence[0, 2] > 0.95
     costs = costs_of_levels(0.01, 0.01, (1, 2))
@@ -318,7 +318,7 @@ def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
 
 
 def test_cost_equals_that_of_a_dense_solve() -> None:
-    """Costs of all dielectric hypotheses against float64 NumPy."""
+    """Costs of all dielectric hypotheses equal those of float64 NumPy."""
     radiance, weight, diffuse, ls0, ls1 = observations(12, False, 9)
     weight = np.random.default_rng(2).uniform(0.2, 2.0, weight.shape).astype(np.float32)
     costs = segment_costs(np.array([0, 12], np.int64), radiance, weight, diffuse, ls0, ls1, 0.4)

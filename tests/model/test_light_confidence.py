@@ -47,7 +47,7 @@ def wall(radiance: NDArray) -> Surfels:
 def shares_of(
     radiance: NDArray, is_metal: NDArray[np.bool_] | None = None, region: NDArray | None = None
 ) -> ImpossibleShares:
-    """Impossible shares of a wall where a white surface would have a radiance of 1."""
+    """Shares of impossibly bright surfels on a wall where a white surface has a radiance of 1."""
     num = len(radiance)
     is_metal = np.zeros(num, dtype=bool) if is_metal is None else is_metal
     region = np.zeros(num, np.int32) if region is None else region
@@ -85,8 +85,8 @@ def test_few_bright_surfels_do_not_lower_confidence() -> None:
 
 
 def test_confidence_is_low_everywhere_in_an_unlit_room() -> None:
-    """If four tenths of the surface reflect more than arrives, the lamps are unphotographed and no block is
-    trusted."""
+    """If four tenths of the surface reflect more light than they receive, lamps are unphotographed and no
+    block is trusted."""
     num = 10 * BLOCK_CELLS
     for blocks, trusted in ((2, 1.0), (3, 0.5), (4, 0.0)):
         radiance = np.full((num, 3), 0.5)
@@ -97,7 +97,7 @@ def test_confidence_is_low_everywhere_in_an_unlit_room() -> None:
 
 @pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5)])
 def test_confidence_follows_the_share_around(share: float, trusted: float) -> None:
-    """A share of up to a tenth is noise; a white surface may be a tenth brighter than 1."""
+    """Shares up to a tenth are noise, as is a radiance up to a tenth above that of a white surface."""
     num = 4 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
     radiance[np.arange(num) % 25 < round(25 * share)] = 1.5

@@ -71,7 +71,7 @@ def test_unlit_albedo_has_the_networks_level_and_the_photographs_pattern(
 
 
 def test_known_light_is_kept_and_a_deviating_network_counts_little(wall: Surfels) -> None:
-    """Half of the wall is known; the network is three times too dark there, so it is ignored beside it."""
+    """The network is three times too dark in known light, so it hardly affects the half in unknown light."""
     true = _checks(0.6, 0.5)
     known = (np.arange(len(true)) % SIDE < SIDE // 2).astype(np.float32)
     network = true / 3 * np.where(np.arange(len(true)) % 2, 2.0, 0.5)[:, None]

@@ -18,7 +18,7 @@ from tests.model.test_light_room import of_quad, predicted, room, solved
 
 
 def test_scale_comes_from_confident_surfels() -> None:
-    """Half of the surfels have no confidence and a ratio of 0.1."""
+    """Half of the surfels have a ratio of 0.1, but no confidence, and do not affect the scale."""
     predicted_albedo = np.full((1000, 3), 0.3)
     known = np.arange(1000) % 2 == 0
     albedo = predicted_albedo * np.where(known[:, None], [1.2, 1.5, 2.0], 0.1)
@@ -51,7 +51,7 @@ def of_face(view: TracedView, name: str) -> NDArray[np.bool_]:
 
 
 def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
-    """Diffuse albedo of the south wall, made unexplained by any hypothesis, relative to that from light."""
+    """Median D of the south wall, without a hypothesis that explains it, relative to D from light."""
     explained, south = stage.solve_points, of_quad(room(), "south")
 
     def unexplained(lit, points, shading, segmentation, *rest):  # type: ignore[no-untyped-def]
@@ -84,7 +84,7 @@ def test_light_without_weight_has_no_scale(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.usefixtures("mitsuba_variant")
 @pytest.mark.parametrize(("diffuse", "expected"), [(0.3, 0.6), (0.6, WHITE_PAINT), (0.9, 0.9)])
 def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, expected: float) -> None:
-    """The limit does not apply to brighter predictions of the network."""
+    """The limit does not lower brighter predictions of the network."""
     np.testing.assert_allclose(unknown_albedo(diffuse, 2, lighting=0.01)[0], expected, atol=2e-3)
 
 

@@ -71,7 +71,7 @@ def wall_error(found: LightMaterials) -> float:
 
 
 def test_light_of_lamp_and_sky_is_found() -> None:
-    """Radiance is within 5 %, although neither is given."""
+    """Radiance of lamp and sky is within 5 %, although neither is an input."""
     field = room().lit.baker.field
     np.testing.assert_allclose(field.emitters.radiance, [LAMP], rtol=0.05)
     sky = field.background.radiance[field.background.is_photographed]
@@ -79,7 +79,7 @@ def test_light_of_lamp_and_sky_is_found() -> None:
 
 
 def test_diffuse_albedo_of_coloured_walls_is_found() -> None:
-    """Within 3 %: the rest is specular albedo within the noise, 0.01."""
+    """D is within 3 %; the error compensates a specular albedo of 0.01, which is within the noise."""
     assert wall_error(room()) < 0.03
 
 
@@ -100,7 +100,7 @@ def test_glossy_panel_is_found() -> None:
 
 @pytest.mark.parametrize(("name", "tolerance"), [("metal", 0.03), ("mirror", 0.03)])
 def test_metal_has_its_colour_and_no_diffuse_part(name: str, tolerance: float) -> None:
-    """It differs from dark paint by its view-dependent radiance, without a prediction."""
+    """Metal is distinguished from dark paint by its view-dependent radiance, without a prediction."""
     (quad,) = (quad for quad in quads() if quad.name == name)
     panel = of_quad(room(), name)
     assert room().solved.is_metal[panel].mean() > 0.6
@@ -134,7 +134,7 @@ def test_predicted_diffuse_albedo_is_ignored_where_light_is_known() -> None:
 
 
 def test_a_ten_per_cent_irradiance_error_is_detected() -> None:
-    """Injected fault in the walls' test."""
+    """Injected fault for the test of coloured walls."""
     found = room()
     wrong = surfel_albedo(
         found.lit.surfels,
@@ -157,11 +157,11 @@ def test_energy_is_conserved(name: str) -> None:
 
 
 SEEN_FROM_M = 1.3
-"""Surface west of it, a third of the whole, is in no photograph of :func:`cropped_room`."""
+"""Smallest x in photographs of :func:`cropped_room`, in which a third of the room is unseen."""
 
 
 def without(axis: int, low_m: float, high_m: float) -> tuple[TracedView, ...]:
-    """The photographs without pixels whose surface is between two axis-aligned planes."""
+    """The photographs without pixels whose surface is between ``low_m`` and ``high_m`` along ``axis``."""
     views = []
     for view in photographed_room():
         depth = view.geometry.depth_z_m[..., 0]
@@ -192,8 +192,8 @@ def test_surface_in_uncertain_light_is_no_whiter_than_paint() -> None:
 
 
 def test_light_of_an_unseen_lamp_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the ceiling and its lamp unknown, surfaces are more than three times too bright for their light;
-    without the west wall, none is."""
+    """Without the ceiling and its lamp, surfaces are much too bright for their light (median hidden share
+    above 0.05); without the west wall, none is (all below 0.04)."""
     monkeypatch.setattr(estimated_light, "HIDDEN_GAIN", 3.0)
     geometry = room_geometry()
     traced = TracedGeometry(geometry)
@@ -229,7 +229,8 @@ def test_albedo_is_found_with_a_third_of_the_room_unseen() -> None:
 
 @pytest.mark.parametrize(("roughness", "shows_detail"), [(0.5, True), (0.1, False)])
 def test_rough_metal_has_the_detail_of_the_photograph(roughness: float, shows_detail: bool) -> None:
-    """Single pixels differ by a fifth from the radiance of their surfels."""
+    """Pixels that differ by a fifth from their surfels keep this detail on rough metal, not on smooth
+    metal."""
     view, surfels, found = photographed_room()[0], room().lit.surfels, room().solved
     ones = np.ones((len(surfels), 3), np.float32)
     metal = replace(

@@ -77,7 +77,7 @@ def bundle(
 
 
 def test_window_is_where_rays_are_closest() -> None:
-    """The window, 0.4 m inside of the box, has a footprint 1.5 times as large, on all faces of the box."""
+    """A window 0.4 m inside of the box is found, although its rays cover 1.5 times its area on the box."""
     rays = bundle(60_000, (3.6, 0.8, 0.9), (1.2, 1.0))
     (window,) = found_windows(rays, background(), 1.0)
     assert window.area_m2 == pytest.approx(1.2, rel=0.06)
@@ -160,8 +160,8 @@ def glow(direction: NDArray) -> NDArray[np.float64]:
 
 
 def test_sky_with_a_glow_is_stored_by_direction() -> None:
-    """It is exact in photographed directions and estimated elsewhere; bins of positions, with few pixels
-    each, hardly contain it."""
+    """Stored by direction, a glow is accurate in photographed directions and estimated elsewhere; bins of
+    positions, with few pixels each, hardly contain it."""
     random = np.random.default_rng(5)
     views = []
     for number in range(12):
@@ -211,7 +211,7 @@ def test_image_of_the_sky_has_the_directions_of_rays() -> None:
 
 
 def test_unnamed_lamp_is_found() -> None:
-    """In a box whose lamp is unnamed, a panel with its power is found in front of it."""
+    """In front of a lamp that the geometry does not name, a panel of its power is found."""
     named = room_geometry()
     parts = tuple(replace(part, emission=None) for part in named.parts)
     options = LightOptions(irradiance_rays=24, estimate_rays=16)
@@ -237,7 +237,7 @@ def test_unnamed_lamp_is_found() -> None:
     assert shining_patches(replace(lit, irradiance=hardly_seen)) == ()
     dark = lit_by(named)
     assert shining_patches(dark) == ()  # counterpart: the lamp is named, and nothing else emits
-    # a panel on the floor brighter than white, and equally bright light of a hidden lamp
+    # a bright panel on the floor is found, equally bright light of a hidden lamp is not
     distance = np.linalg.norm(dark.surfels.position_m - [1.2, 1.5, 0.0], axis=1)
     assert len(shining_patches(_brightened(dark, np.where(distance < 0.4, 9.0, 1.0)))) == 1
     assert shining_patches(_brightened(dark, 1 + 8 * np.exp(-np.square(distance / 0.5)))) == ()
@@ -265,7 +265,7 @@ WINDOW = FoundPatch("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
 
 
 def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) -> None:
-    """In the Mitsuba scene and in the package as rendered by the project."""
+    """The sky is equally oriented in the Mitsuba scene and in the package as rendered by the project."""
     import mitsuba as mi
 
     from datagen.formats.standalone import configuration_of

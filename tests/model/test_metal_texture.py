@@ -15,8 +15,8 @@ TILES = np.where(np.arange(NUM) % 2, 0.8, 0.17)[:, None] * np.array([1.0, 0.9, 0
 
 
 def found(roughness: float, wrong: float = 0.0) -> NDArray[np.float32]:
-    """S of metal :data:`TILES`, and of a painted last surfel, from noisy shading. In the share ``wrong`` of
-    the observations, light that no photograph shows makes the lobe 9 times as bright as assumed."""
+    """S (NUM, 3) found from noisy shading of :data:`TILES`, the last one painted. In the share ``wrong`` of
+    the observations, unphotographed light makes the lobe 9 times as bright as assumed."""
     random = np.random.default_rng(3)
     start = np.arange(NUM + 1) * VIEWS
     owner = np.repeat(np.arange(NUM), VIEWS)

@@ -192,7 +192,7 @@ def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> Non
     assert photograph_size(path) == (width, height) and exif_orientation(path) == 1
     assert relative_exposure(path) == pytest.approx(0.01 * 100 / 4, rel=1e-3)
     camera = Camera(width, height, 100.0, 100.0, width / 2, height / 2, np.eye(4))
-    image = PhotographSource(path, camera, None, "srgb").read(camera)  # sRGB applies to developed ones
+    image = PhotographSource(path, camera, None, "srgb").read(camera)  # raw files are not sRGB
     inner = (slice(30, -8), slice(8, -8))
     np.testing.assert_allclose(image.color[inner], linear[inner], rtol=0.02, atol=2e-3)
     assert image.clipped_mask is not None and image.clipped_mask[4:16, 4:26].all()
@@ -208,7 +208,7 @@ def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> Non
 
 
 def test_raw_photographs_need_cameras(tmp_path: Path) -> None:
-    """COLMAP cannot read them, but captures may contain their cameras."""
+    """COLMAP cannot read raw photographs, but captures may contain their cameras."""
     (tmp_path / "a.dng").write_bytes(b"anything")
     with pytest.raises(InputError, match=r"a\.dng = a raw photograph; .*COLMAP reads.*capture with cameras"):
         photographs_in(tmp_path)
@@ -216,7 +216,7 @@ def test_raw_photographs_need_cameras(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
 def test_16_bits_are_kept(tmp_path: Path, suffix: str) -> None:
-    """They are sRGB like 8 bits, but in finer steps."""
+    """16-bit values are sRGB-encoded like 8-bit ones, in finer steps."""
     stored = np.arange(64 * 40 * 3, dtype=np.uint16).reshape(40, 64, 3) * 8
     cv2.imwrite(str(tmp_path / f"a{suffix}"), stored[..., ::-1])
     np.testing.assert_array_equal(read_photograph(tmp_path / f"a{suffix}"), stored)

@@ -69,7 +69,7 @@ def points_of(capture: Capture) -> bytes:
 
 
 def photographed(folder: Path) -> tuple[Path, Path, Path]:
-    """Photographs of the lit box, a stub program that outputs their cameras and points, and its folder."""
+    """Write photographs of the lit box, and a stub of COLMAP beside its output; returns the three paths."""
     images, truth = folder / "kitchen", folder / "truth"
     images.mkdir()
     (truth / "model").mkdir(parents=True)

@@ -27,7 +27,7 @@ from tests.model.test_light_room import EXPOSURE, predicted, solved, wall_error
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 LIMIT = 1.2
-"""A twelfth of the lamp, below the sky, five times the median of the surfaces."""
+"""Clipping limit: a twelfth of the lamp, below the sky, five times the median radiance of surfaces."""
 
 
 def gains(stops: float) -> NDArray[np.float64]:
@@ -84,7 +84,7 @@ def test_vignetting_is_found() -> None:
 
 
 def test_response_is_found_where_exposures_differ() -> None:
-    """Without the curve, gains would be 10 % off."""
+    """Without the curve, gains would be wrong by 10 %."""
     found = radiometry(taken(stops=0.4, curve=0.08))
     assert 0.05 < found.curve < 0.1
     assert np.sqrt((np.log(found.gain / gains(0.4)[:, None]) ** 2).mean()) < 0.035
@@ -108,7 +108,7 @@ def test_clipped_lamp_and_sky_are_recovered_from_lit_surfaces() -> None:
 
 
 def test_materials_of_completed_photographs_are_found() -> None:
-    """Within 10 %, where exact photographs give 6 %; without completion the error is above 30 %."""
+    """D is within 10 % (exact photographs: 6 %), and more than 30 % off without completion."""
     found = completed()
     views = tuple(found.views)
     ours = solved(views, predicted(views), EXPOSURE)

@@ -40,7 +40,7 @@ VALIDATOR = REPOSITORY / ".ci" / "gltf"
 
 @pytest.fixture(scope="module")
 def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Path:
-    """The textured room, merged from its true maps, with a lamp: F0 from 0.05 to 0.3 and coloured."""
+    """The textured room with coloured F0 from 0.05 to 0.3 and a lamp, merged from its true maps."""
     out = tmp_path_factory.mktemp("asset") / "out"
     lamp = PointLight(name="lamp", position_m=(2.1, 1.4, 2.2), intensity=(5.0, 5.0, 4.0))
     capture = replace(room_capture(8, (96, 64), has_equal_views=True), lights=(lamp,))
@@ -113,7 +113,7 @@ def test_blender_opens_the_glb(
 def test_blender_opens_the_usdz(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """As for the GLB, with one refractive index for all dielectrics."""
+    """The test of the GLB for the USDZ, which has one refractive index for all dielectrics."""
     image = cycles(f"{asset / 'asset'}+{asset / 'room.usdz'}")
     ratio = image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1))
     assert (ratio > 0.78).all() and (ratio < 1.02).all(), ratio

@@ -377,7 +377,7 @@ def test_exif_exposures_are_equalised(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("exposure_scale", [1.0, 0.5])
 def test_clipped_pixels_are_marked(tmp_path: Path, exposure_scale: float) -> None:
-    """255 in one channel clips the pixel, a quarter of one of the reduced image; 245 is 0.91 of the limit."""
+    """255 in one channel clips a pixel and the reduced pixel of which it is a quarter; 245 clips neither."""
     pixels = np.full((6, 8, 3), 128, np.uint8)
     pixels[2, 4, 1] = 255
     pixels[0, 0, 0] = 245
@@ -408,7 +408,7 @@ def test_sixteen_bits_from_files(tmp_path: Path, suffix: str, encoding: Literal[
 
 
 def test_photographs_of_several_shapes_may_be_rotated(tmp_path: Path) -> None:
-    """A JPEG with an EXIF rotation of 90 degrees, calibrated upright, and a landscape one."""
+    """A JPEG with an EXIF rotation of 90 degrees and a landscape one are read upright in one capture."""
     write_mesh(tmp_path)
     ramp = np.tile(np.linspace(40, 220, 60).astype(np.uint8)[:, None, None], (1, 90, 3))  # dark at the top
     exif = Image.Exif()
@@ -433,7 +433,7 @@ def test_photographs_of_several_shapes_may_be_rotated(tmp_path: Path) -> None:
 
 
 def test_polynomial_lens_is_undone() -> None:
-    """k4 of r^8, as in RealityCapture and Metashape, is undone to the pinhole's image."""
+    """A lens with k4 of r^8, as in RealityCapture and Metashape, is undone to the pinhole's image."""
     lens = Camera(160, 100, 140.0, 143.0, 79.0, 52.0, np.eye(4))
     pinhole = Camera(160, 100, 150.0, 150.0, 80.0, 50.0, np.eye(4))
     distortion = Distortion(model="polynomial", coefficients=(-0.1, 0.05, 0.003, -0.004, -0.02, 0.3))

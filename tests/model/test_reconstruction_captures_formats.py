@@ -346,7 +346,7 @@ def test_bundler(tmp_path: Path) -> None:
 
 
 def test_environment_package_with_photographs(tmp_path: Path) -> None:
-    """Exports of the Blender add-on provide cameras and meshes; photographs are matched by name."""
+    """Packages of the Blender add-on provide cameras and meshes; photographs are matched by name."""
     mesh = with_uv(box([-1, -1, 0], [1, 1, 1]))
     cameras, oracles = [], {}
     for k, (rotation, center) in enumerate(poses()):

@@ -93,8 +93,8 @@ def test_a_camera_moved_along_its_axis_is_named(metres: float, expected: str) ->
     ("offset", "scale"), [((0.02, -0.01, 0.015), 1.02), ((0, 0, 0), 0.98), ((0.02, 0, 0), 1)]
 )
 def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, float], scale: float) -> None:
-    """Exact shifts of a point 3 m in front of each camera, before and after the error; two views have errors
-    of their own."""
+    """Exact shifts of a point 3 m in front of each camera determine offset and scale; two views are
+    outliers."""
     rng = np.random.default_rng(0)
     cameras = []
     for _ in range(14):

@@ -28,7 +28,7 @@ SIZE = 96
 
 
 def seen_atlas(seen_faces: list[int], half_seen: list[int]) -> tuple[Mesh, Atlas]:
-    """Mesh and atlas whose quads have the value number / 100; ``half_seen`` triangles: left half only."""
+    """Mesh and atlas with the value k / 100 in quad k; ``half_seen`` triangles are seen in the left half."""
     mesh = room_mesh()
     atlas = empty_atlas(SIZE)
     atlas.face[...] = TexelSurface(mesh, face_normals(mesh), SIZE).faces(0, 0, SIZE, SIZE)
@@ -71,7 +71,7 @@ def test_every_texel_gets_a_value_from_its_surroundings() -> None:
 
 
 def test_an_atlas_in_files_is_filled_identically(tmp_path: Path) -> None:
-    """Also in bands whose memory is released."""
+    """An atlas in files is processed in bands whose memory is released."""
     mesh, atlas = seen_atlas([f for f in range(24) if f // 2 not in (3, 11)], [6, 7])
     filed = empty_atlas(SIZE, tmp_path)
     for name, array in atlas.maps.items():

@@ -187,7 +187,7 @@ def test_glb_round_trips_to_the_same_materials(truth: tuple[Path, InferReport], 
 
 
 def test_normals_break_at_creases_only() -> None:
-    """Of a welded mesh without normals a cube gets flat sides, a sphere stays smooth; UVs, faces are kept."""
+    """Without normals, a welded cube gets flat sides and a sphere stays smooth; UVs and faces are kept."""
     import trimesh
 
     from datagen.foundation.meshes.mesh import Mesh
@@ -244,7 +244,7 @@ def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferRepo
 def test_a_shard_finds_its_library(
     rendered: Rendered, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By --library, else by its dataset folder, else in the bundled library if the hashes match."""
+    """The library of --library is used, else that of the dataset folder, else a bundled one of equal hash."""
     from model.reconstruction.captures import rendered as reader
 
     alone = tmp_path / "alone.tar"
@@ -311,7 +311,7 @@ def test_assets_can_be_relit_and_get_inserted_objects(
 
 
 def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed after three views it predicts only the rest, to the same bytes; another task is refused."""
+    """Stopped after three views, inference predicts only the rest, identically; other tasks are refused."""
     options = InferOptions(atlas=128, precision="float32", batch=2, has_exr=False)
     whole = infer(rendered.capture(), rendered.root / "whole", CheckpointMaps(rendered.checkpoint), options)
     assert whole.is_filtered and whole.precision == "float32" and whole.exposure > 0

@@ -135,7 +135,7 @@ def test_a_hidden_lamp_changes_nothing() -> None:
 
 
 def test_contradictory_evidence_changes_nothing() -> None:
-    """Predictions unrelated to the reflectance, within one wall: no gain corrects them."""
+    """No gain corrects predictions that are unrelated to the reflectance within a wall."""
     views = photographed_box()
     random, maps = np.random.default_rng(0), predicted(views)
     for view_maps in maps:
@@ -154,7 +154,7 @@ def test_uncertain_light_does_not_count(part: float, is_applied: bool) -> None:
     brightness = float(np.median(np.concatenate([view.color.mean(axis=2).ravel() for view in views])))
 
     def doubt_at(position_m: NDArray, normal: NDArray) -> NDArray[np.float64]:
-        return np.full(len(position_m), part * brightness / 0.5)  # from radiance = albedo times shading
+        return np.full(len(position_m), part * brightness / 0.5)  # shading is radiance / albedo
 
     regions = smooth_regions(traced.mesh)
     found = find_level(views, predicted(views), traced, regions, doubt_at=doubt_at)

@@ -94,7 +94,7 @@ def pixel_weights(view: MapView, options: MergeOptions) -> np.ndarray:
 
 
 def mean_of_middle(values: np.ndarray, weights: np.ndarray) -> float:
-    """Weighted mean over the middle half of the sorted values, each as long as its weight."""
+    """Mean of the sorted values over the middle half of their cumulative weight, weighted."""
     order = np.argsort(values)
     ends = np.cumsum(weights[order]) / weights.sum()
     inside = np.diff(np.clip(np.concatenate([[0.0], ends]), 0.25, 0.75))
@@ -238,8 +238,8 @@ def test_lists_are_sorted_with_their_weights(num: int) -> None:
 
 
 def test_no_texel_falls_between_triangles() -> None:
-    """A square is divided randomly into 800 triangles: every texel belongs to the same triangle by rectangles
-    and at once, unambiguous except on shared edges. Moving a vertex of one triangle leaves a gap."""
+    """In a square of 800 random triangles every texel belongs to a triangle, to the same one in tiles as in
+    the whole, and to two only on shared edges. Moving a vertex of one triangle leaves a gap."""
     rng = np.random.default_rng(5)
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21)), axis=-1)
     grid[1:-1, 1:-1] += rng.uniform(-0.012, 0.012, (19, 19, 2))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Faulty captures: a result with warnings that name the views, or a clear refusal; no loss, and a second run
-continues."""
+"""Faulty captures cause warnings that name the views or a clear refusal; interrupted runs lose nothing and
+continue."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_few_and_many_views(tmp_path: Path, num: int) -> None:
 
 
 def errors_of_seen(out: Path) -> np.ndarray:
-    """As :func:`errors`, with any number of seen texels."""
+    """Absolute errors like those of :func:`errors`, for any number of seen texels."""
     found = read_image(out / "atlas" / "diffuse_albedo.exr")
     seen = read_image(out / "atlas" / "mask.png")[..., 0] == 255
     center = (np.arange(ATLAS) + 0.5) / ATLAS
@@ -254,7 +254,7 @@ def small_capture() -> Capture:
 
 
 def test_killed_process(tmp_path: Path) -> None:
-    """Killed after two views: they are kept, the next run makes the rest, and the result is the same."""
+    """After a kill at two views, the next run keeps them, makes the rest and yields the same result."""
     torch.manual_seed(3)
     network = NetworkConfig(base_channels=4, global_channels=8)
     card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)

@@ -38,7 +38,7 @@ def test_only_predictions_are_corrected() -> None:
 
 
 def test_a_stage_runs_between_prediction_and_merge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It gets the traced capture and the maps; its result is merged, and its inputs are unchanged."""
+    """A stage gets the traced capture and the maps; its result is merged, and its inputs are unchanged."""
     capture = room_capture(2, (32, 24))
     given: list[Maps] = []
 

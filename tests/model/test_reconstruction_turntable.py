@@ -40,13 +40,13 @@ def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Pat
 
 
 def angles_about(cameras: list[Camera], center: NDArray) -> NDArray:
-    """Unwrapped azimuths of the camera positions, in turns."""
+    """Unwrapped azimuths of the camera positions about ``center``, in turns."""
     away = np.array([c.position_m for c in cameras])[:, :2] - center
     return np.unwrap(np.arctan2(away[:, 1], away[:, 0])) / (2 * np.pi)
 
 
 def test_orbit_is_one_turn_within_the_cameras() -> None:
-    """Uniform steps, one short of a whole turn, facing inwards if the cameras do, else outwards."""
+    """Uniform steps end one short of a whole turn; views face inwards if the cameras do, else outwards."""
     cameras = room_cameras(8)
     made = way_cameras(cameras, TurntableOptions(frames=24))
     eyes = np.array([c.position_m for c in cameras])

@@ -245,7 +245,7 @@ def test_irradiance_against_quadrature(sharpness):
 
 @pytest.mark.parametrize(("alpha", "expected"), [(0.1, 0.010), (0.2, 0.038), (0.3, 0.083)])
 def test_the_gaussian_lobe_departs_from_beckmann_as_documented(alpha, expected):
-    """Cosine-weighted relative L1 between the lobe and its Gaussian (method 5's table)."""
+    """Cosine-weighted relative L1 distance between the Beckmann lobe and its Gaussian."""
     theta = torch.linspace(0, math.pi / 2 - 1e-4, 40_000, dtype=torch.float64)
     a = torch.tensor(alpha, dtype=torch.float64)
     exact = torch.exp(shading.beckmann_log_pdf(torch.tan(theta) ** 2, a))

@@ -52,7 +52,7 @@ def room_sights(num_false: int = 0) -> Sights:
 
 
 def enclosed_m3(mesh: Mesh) -> float:
-    """The volume in front of a closed mesh's triangles."""
+    """Volume (m3) enclosed by a closed mesh whose triangles face inwards."""
     a, b, c = np.moveaxis(mesh.triangles().astype(np.float64) - ROOM / 2, 1, 0)
     return -float((np.cross(a, b) * c).sum() / 6)
 

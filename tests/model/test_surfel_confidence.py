@@ -20,7 +20,7 @@ CELL_M = 0.5
 
 
 def random_surfels(seed: int) -> tuple[SurfelConfidence, np.ndarray, np.ndarray]:
-    """Surfels in a third of all cells and sides, surfel number (-1: none) by cell and side, confidence."""
+    """Confidence of random surfels, surfel number (-1: none) by cell and side, and confidences (N, 3)."""
     random = np.random.default_rng(seed)
     surfel = np.full(int(SHAPE.prod()) * NUM_SIDES, -1, np.int32)
     occupied = np.flatnonzero(random.random(len(surfel)) < 0.3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Visible faces of a mesh."""
+"""Faces of a mesh that rays from inside reach."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def test_faces_outside_of_the_room_are_not_reachable() -> None:
-    """A box with a roof above it."""
+    """From inside a box, its faces are reachable, but not a roof above it."""
     box = box_geometry().mesh
     roof = np.array([[0, 0, 3], [4, 0, 3], [4, 3, 3], [0, 3, 3]], np.float32)
     first = len(box.positions)

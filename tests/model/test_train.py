@@ -81,7 +81,7 @@ def test_smoke_preset_runs_every_phase(dataset, whole):
 
 @pytest.mark.parametrize("limit", [1e-3, None])
 def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, limit):
-    """Gradients passed to the optimiser; the log has their norm before scaling."""
+    """The optimiser gets gradients of at most this norm; the log has their norm before scaling."""
     seen = []
     take = torch.optim.Adam.step
 
@@ -99,7 +99,7 @@ def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, 
 
 
 def test_the_rate_falls_along_half_a_cosine(dataset, tmp_path, monkeypatch):
-    """From the phase's first rate to the run's final one; constant without a final one."""
+    """The rate falls from the phase's first to the run's final rate; without a final one it is constant."""
     seen = []
     take = torch.optim.Adam.step
 

@@ -35,24 +35,24 @@ def room() -> LightMaterials:
 
 
 def test_radiance_follows_from_the_surrounding_surfaces() -> None:
-    """Within 8 %, with a network that predicts the same grey for all surfaces."""
+    """The lamp's radiance is within 8 %, with a network that predicts the same grey for all surfaces."""
     (found,) = room().lit.baker.field.emitters.radiance
     np.testing.assert_allclose(found, LAMP, rtol=0.08)
 
 
 def test_albedo_in_the_light_of_an_unseen_lamp_is_found() -> None:
-    """Within 8 %; with a photographed lamp within 3.5 %."""
+    """D of the walls is within 8 %; with a photographed lamp it is within 3.5 %."""
     assert wall_error(room()) < 0.08
 
 
 def test_network_replaces_materials_where_estimated_light_prevails() -> None:
-    """The lamp gives four tenths of the light, so up to half of D and all of S and R are the network's."""
+    """The lamp emits four tenths of the light; the network provides under half of D and all of S and R."""
     assert 0 < room().solved.replaced.max() < 0.5
     assert room().solved.confidence[:, 1:].max() == 0
 
 
 def test_a_lamp_treated_as_dark_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Injected fault for the two tests above."""
+    """Injected fault for the tests of radiance and albedo."""
 
     def dark(lit: Lit, *_: object) -> UnseenLamps:
         return UnseenLamps(lit.baker.field.emitters)
@@ -74,7 +74,7 @@ def test_order_of_views_changes_nothing() -> None:
 
 
 def boxes(sides: list[float]) -> Mesh:
-    """Cubes of these sides in a row."""
+    """Cubes with the given sides in a row."""
     corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
     quad = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     face = quad[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
@@ -84,7 +84,7 @@ def boxes(sides: list[float]) -> Mesh:
 
 
 def kinds_of(sides: list[float], shown: dict[int, float]) -> tuple[NDArray, NDArray]:
-    """Kind and radiance of each cube; ``shown`` is the radiance of one side of photographed ones."""
+    """Kind and radiance of each cube; ``shown`` is the radiance of one side by photographed cube."""
     mesh = boxes(sides)
     every = np.arange(len(mesh.faces), dtype=np.int32)
     region = smooth_regions(mesh)
@@ -107,7 +107,7 @@ def test_all_sides_of_a_lamp_have_the_same_radiance() -> None:
 
 
 def test_a_lamp_has_the_radiance_of_similar_lamps() -> None:
-    """It gets the mean of both photographed ones; larger lamps are of another kind, of unknown radiance."""
+    """A lamp gets the mean of photographed ones of its size; other kinds have an unknown radiance."""
     kind, radiance = kinds_of([1.0, 2.0, 1.0, 1.0, 2.0, 3.0], {0: 4.0, 2: 6.0})
     np.testing.assert_allclose(radiance, [4, 0, 6, 5, 0, 0])
     np.testing.assert_array_equal(kind, [-1, 0, -1, -1, 0, 1])

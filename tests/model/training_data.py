@@ -20,7 +20,7 @@ from datagen.foundation.exr import encode_view
 from oracles.dataset_index import index_of
 
 Change = Callable[[dict[str, np.ndarray], dict[str, Any]], None]
-"""Spoils a view's buffers and its record (as a dictionary) in place."""
+"""Function that damages a view's buffers and its record (as a dictionary) in place."""
 
 
 def floor_buffers(camera: Camera, seed: int) -> dict[str, np.ndarray]:

@@ -60,7 +60,7 @@ def test_rebuilding_everything_gives_the_same_bytes(tmp_path: Path) -> None:
 @needs_bpy
 @pytest.mark.bpy
 def test_reducing_maps_again_gives_the_same_panoramas(shared_data: Path, tmp_path: Path) -> None:
-    """Equal bytes from Poly Haven's maps; Blender's maps differ between its versions."""
+    """Maps of Poly Haven yield equal bytes; maps that Blender renders differ between its versions."""
     bpy = importlib.util.find_spec("bpy")
     assert bpy is not None and bpy.origin is not None
     (blender,) = Path(bpy.origin).parent.glob("*/datafiles/studiolights/world")

@@ -129,7 +129,7 @@ def test_a_cancelled_plan_resumes(
 ) -> None:
     folder = plan_small(tmp_path / "cancel", library_root, num_units=4)
     _submit(cluster, folder, monkeypatch, throttle=1)
-    # A unit takes a second, so its views may exist only between two polls; its manifest stays.
+    # a unit takes a second, so its views may exist only between two polls; its manifest remains
     cluster.wait_for(
         lambda: [*folder.root.glob("work/*/rendered/*.json"), *folder.units_path.glob("*.json")],
         "a finished view",
@@ -151,7 +151,7 @@ def test_a_requeued_task_is_done_once(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As for an administrator or a preemption, Slurm ends the running task and starts it again."""
+    """Slurm ends and restarts the running task, as after an administrator's requeue or a preemption."""
     folder = plan_small(tmp_path / "requeue", library_root, num_units=4)
     submission = _submit(cluster, folder, monkeypatch, throttle=1)
     cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
@@ -191,7 +191,7 @@ def test_a_killed_controller_loses_no_finished_units(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Killed after the submission it may lose tasks and reuse their ids, on which nothing depends.
+    """A controller killed after the submission may lose tasks and reuse their ids, on which nothing depends.
 
     A task with an id that still runs on its node is held, and the node is drained; the documented repair is
     to cancel and to submit again (docs/farm.md). The test uses a separate cluster because reused ids would
