@@ -13,40 +13,40 @@ from tests.hostile import Case, CaseMaker, set_traps
 
 
 def opens_outside(folder: Path) -> Case:
-    """Reads a file outside of the folder."""
+    """Reader of a file outside of the folder."""
     return Case(lambda rng: Path("/etc/hostname"), lambda path: path.read_bytes())
 
 
 def follows_links(folder: Path) -> Case:
-    """Reads the target of a link in the folder."""
+    """Reader of the target of a link in the folder."""
     set_traps(folder)
     return Case(lambda rng: folder / "link.png", lambda path: path.read_bytes())
 
 
 def unpickles(folder: Path) -> Case:
-    """Loads a pickle."""
+    """Reader that loads a pickle."""
     data = pickle.dumps(Path)
     return Case(lambda rng: folder, lambda path: pickle.loads(data))
 
 
 def aborts(folder: Path) -> Case:
-    """Aborts the process as native code may."""
+    """Reader that aborts the process as native code may."""
     return Case(lambda rng: folder, lambda path: os.abort())
 
 
 def waits(folder: Path) -> Case:
-    """Blocks on a pipe without a writer."""
+    """Reader that blocks on a pipe without a writer."""
     set_traps(folder)
     return Case(lambda rng: folder / "fifo", lambda path: path.read_bytes())
 
 
 def eats(folder: Path) -> Case:
-    """Allocates more than two gigabytes."""
+    """Reader that allocates more than two gigabytes."""
     return Case(lambda rng: folder, lambda path: np.ones(9 << 28, np.uint8).sum())
 
 
 def raises(folder: Path) -> Case:
-    """Raises an error that is not an InputError."""
+    """Reader that raises an error other than InputError."""
     return Case(lambda rng: folder, lambda path: {}["missing"])
 
 

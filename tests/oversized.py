@@ -46,7 +46,7 @@ class Reading:
 
 
 def scene(path: Path, *body: str) -> Path:
-    """A Mitsuba scene file."""
+    """Write a Mitsuba scene with the elements ``body``; returns its path."""
     path.write_text(f"{_HEAD}{''.join(body)}</scene>")
     return path
 
@@ -91,7 +91,7 @@ def _references(folder: Path) -> Path:
 
 
 def _nested(folder: Path) -> Path:
-    """20,000 elements, each inside the one before."""
+    """20,000 elements, each nested in the previous one."""
     chain = '<bsdf type="twosided">' * 20_000 + "</bsdf>" * 20_000
     return scene(folder / "scene.xml", _SHAPE.format(chain))
 

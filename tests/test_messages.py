@@ -56,7 +56,7 @@ READERS: tuple[tuple[str, Callable[[Path], object]], ...] = (
 
 @pytest.mark.parametrize(("name", "read"), READERS, ids=lambda x: x if isinstance(x, str) else "")
 def test_an_empty_file_is_called_empty(tmp_path: Path, name: str, read: Callable[[Path], object]) -> None:
-    """Formerly a .glb gave "Expecting value: line 1 column 1 (char 0)"."""
+    """Regression: the message for a .glb was "Expecting value: line 1 column 1 (char 0)"."""
     (tmp_path / name).touch()
     with pytest.raises(InputError, match=rf"{name}: an empty file; expected .*; \w+") as caught:
         read(tmp_path / name)
@@ -88,7 +88,7 @@ def test_repeated_problems_are_reported_once() -> None:
 
 
 def test_differences_are_reported_per_leaf() -> None:
-    """Formerly whole dictionaries were printed."""
+    """Regression: whole dictionaries were printed."""
     old = {"name": "a", "render": {"path_samples": 4, "quality": None, "error": {"a": 1}}, "sizes": [1, 2]}
     new = {"name": "a", "render": {"path_samples": 8, "quality": "draft", "error": {"a": 1}}, "sizes": [1, 3]}
     assert differences(old, new) == [
@@ -103,7 +103,7 @@ def test_differences_are_reported_per_leaf() -> None:
 
 
 def test_another_run_of_training_names_the_differing_fields(tmp_path: Path) -> None:
-    """Formerly only "config" was named."""
+    """Regression: only "config" was named."""
     data = DataRecord(name="d", index_sha256="a", num_views=1, assets={"mug": "1"})
     record = RunRecord(config=resolve_config("smoke"), folders=("d",), data=(data,), loss="l", num_ranks=1)
     path = tmp_path / "run.json"
@@ -118,7 +118,7 @@ def test_another_run_of_training_names_the_differing_fields(tmp_path: Path) -> N
 
 
 def test_ids_are_not_truncated_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
-    """Formerly ids were truncated at 80 columns."""
+    """Regression: ids were truncated at 80 columns."""
     assert print_library(["bundled"], check=False, as_json=False) == 0
     text = capsys.readouterr().out
     from datagen.foundation.bundled import bundled_library

@@ -81,7 +81,7 @@ def test_the_size_of_a_file_raises_its_limits(tmp_path: Path) -> None:
     path.write_bytes(bytes(800))
     budget = Budget(path, Limits(triangles=10, instances=10))
     for _ in range(2):
-        budget.hold_file(path)  # counts once
+        budget.hold_file(path)  # counts only once
     budget.spend("triangles", 110)
     with pytest.raises(InputError, match=r"triangles = 111 or more; expected at most 110 .*\(10 plus an"):
         budget.spend("triangles")

@@ -20,7 +20,7 @@ from tests.conftest import REPOSITORY
 
 if sys.version_info >= (3, 11):
     import tomllib
-else:  # pytest provides it there
+else:  # pytest installs it there
     import tomli as tomllib
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
@@ -124,12 +124,12 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The doctor reports them, too; formerly it accepted a package without the library."""
+    """The doctor reports them, too. Regression: it accepted a package without the library."""
     from datagen.foundation import bundled
     from datagen.inspection import doctor
 
     folder = tmp_path / "site-packages"
-    (folder / "scenes" / "library").mkdir(parents=True)  # of another project
+    (folder / "scenes" / "library").mkdir(parents=True)  # folders of another project
     monkeypatch.setattr(bundled, "__file__", str(folder / "datagen" / "foundation" / "bundled.py"))
     with pytest.raises(InputError, match="install the project again"):
         bundled_folder()

@@ -130,8 +130,8 @@ def test_a_part_has_the_requested_shards(datasets: tuple[Path, Path], tmp_path: 
 
 
 def test_added_training_data_excludes_validation_assets() -> None:
-    """`checkpoint.yaml` and `pale.yaml` extend `learning.yaml` and exclude every room, object and material of
-    its validation split, the only assets of `pale_validation.yaml`."""
+    """`checkpoint.yaml` and `pale.yaml` extend `learning.yaml` without the rooms, objects and materials of
+    its validation split, the only ones that `pale_validation.yaml` uses."""
     recipes = {
         name: read_yaml(Recipe, REPOSITORY / "scenes" / "recipes" / f"{name}.yaml")
         for name in ("learning", "checkpoint", "pale", "pale_validation")

@@ -38,7 +38,7 @@ def _run(*arguments: object) -> str:
 
 
 def render(assets: Path, out: Path, width: int, samples: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Render two linear images (2, H, W, 3) with either renderer; returns them and the export's remarks."""
+    """Two linear images (2, H, W, 3) by Cycles, two by Mitsuba, and the export's remarks."""
     text = _run("tests.blender_addon.living_room", assets, out, "--width", width, "--samples", samples // 2)
     _run("tests.blender_addon.render_twice", out / "packages" / "living_room", out, samples // 2)
     return np.load(out / "cycles.npy"), np.load(out / "mitsuba.npy"), json.loads(text.splitlines()[-1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exports a floor under each light and cameras of every fit, and renders them with Cycles; prints JSON.
+"""Exports a floor under each light and cameras of every sensor fit, renders with Cycles, prints JSON.
 
 ``python -m tests.blender_addon.lights_and_cameras OUT`` writes ``packages/<name>`` and ``cycles/<name>.npy``.
 """

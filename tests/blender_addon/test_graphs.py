@@ -80,7 +80,7 @@ def test_there_are_forty_graphs() -> None:
 
 
 def test_a_wrong_closed_form_is_detected(graphs_folder: Path) -> None:
-    """Injected fault: 5 % more contrast in the expectation is detected."""
+    """Injected fault: an expectation that is 5 % too large is detected."""
     case = next(c for c in CASES if c.name == "uv_as_colour")
     wrong = Case(
         case.name, case.build, {"diffuse_albedo": lambda p: case.expected["diffuse_albedo"](p) * 1.05}
@@ -91,7 +91,7 @@ def test_a_wrong_closed_form_is_detected(graphs_folder: Path) -> None:
 
 @pytest.mark.parametrize("name", ["generated_coordinates_of_a_box", "object_coordinates_under_modifiers"])
 def test_smooth_values_on_charts_need_few_texels(graphs_folder: Path, name: str) -> None:
-    """Only covered texels count, so gaps between charts cost no resolution."""
+    """Only covered texels count, so gaps between charts need no larger texture."""
     package = open_package(graphs_folder / "packages" / name)
     assert isinstance(package.asset, ObjectAsset)
     (material,) = package.asset.materials.values()

@@ -15,7 +15,7 @@ from tests.blender_addon.compare_living_room import figures, render
 pytestmark = [pytest.mark.bpy, pytest.mark.slow]
 FLOOR_DB = 34.0
 """Least PSNR (dB) of sRGB means over 8 x 8 pixels. Measured: 36.1 at 320 x 200 pixels with 256 samples, as
-lobes differ (Beckmann, GGX) and lamps cast shadows only in Mitsuba; 10 % of brightness alone yields 33."""
+lobes differ (Beckmann, GGX) and lamps cast shadows only in Mitsuba; 10 % more brightness alone yields 33."""
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from typing import Any
 DISPLAY, SIZE = ":97", "1280x1080"
 REPOSITORY = Path(__file__).resolve().parents[2]
 _INSTRUCTION = bytes.fromhex("c683210c000001")  # movb $1, G.background
-_OFFSET, _MAIN_LOOP = 0xD5A637, 0x181B410  # of the instruction, and of WM_main
+_OFFSET, _MAIN_LOOP = 0xD5A637, 0x181B410  # offsets of the instruction and of WM_main
 _PAGE = 4096
 
 
@@ -50,7 +50,7 @@ def main(out: Path, blender: str | None = None) -> int:
 
 
 def import_with_window() -> tuple[Any, int]:
-    """Import bpy as a program with a window; returns it and the library's base address."""
+    """Import bpy such that it can open a window; returns it and the library's base address."""
     spec = importlib.util.find_spec("bpy")
     if spec is None or spec.origin is None:
         raise RuntimeError("bpy is not installed")
@@ -114,7 +114,7 @@ def _view(bpy: Any) -> dict[str, Any]:
 
 
 def _script(bpy: Any, out: Path) -> Any:
-    """Steps in the window; yields the seconds to wait before the next one."""
+    """Run the steps in the window; yields the seconds to wait after each."""
     bpy.context.preferences.view.show_splash = False
     cube = bpy.data.objects.get("Cube")
     glass = bpy.data.materials.new("Glass")
@@ -164,7 +164,7 @@ def _script(bpy: Any, out: Path) -> Any:
 
 
 def _refused(bpy: Any, out: Path) -> Any:
-    """Steps like those of :func:`_script` for an old Blender, whose panel shows the refusal."""
+    """Run the steps in an old Blender, whose panel shows the refusal; yields like :func:`_script`."""
     bpy.context.preferences.view.show_splash = False
     cube = bpy.data.objects["Cube"]
     cube["sm_role"], cube["sm_category"], cube["sm_license"] = "object", "paperweight", "CC0-1.0"

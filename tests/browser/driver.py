@@ -30,7 +30,7 @@ _FLAGS = (
     "--disable-extensions",
 )
 SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""Browser flags for WebGL by software."""
+"""Browser flags for WebGL in software."""
 _ADVICE = ("willReadFrequently", "GPU stall due to ReadPixels")
 WAIT_S = 60.0
 """Longest wait for the page (s); an action of one second may take tens of seconds on a busy machine."""
@@ -114,7 +114,7 @@ class Page:
         return WebDriverWait(self.driver, longest_s, 0.05).until(lambda _: condition(), what)
 
     def keys(self, *keys: str, to: str = "#panels") -> None:
-        """Press keys with an element focused."""
+        """Press keys while the element with the CSS selector ``to`` is focused."""
         from selenium.webdriver.common.by import By
 
         self.driver.find_element(By.CSS_SELECTOR, to).send_keys(*keys)

@@ -206,7 +206,7 @@ def expected_bytes(
 
 @pytest.mark.parametrize("light", [(0.3, 0.5, 1.1), (-0.6, 1.2, 0.5)])
 def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float, float, float]) -> None:
-    """At hundreds of pixels of diffuse and glossy patches, the canvas equals the oracle within 8 bits."""
+    """At hundreds of pixels of diffuse and glossy patches, the canvas equals the oracle up to rounding."""
     pose(page, light, exposure=-1, power=1)
     shown = read(page)
     points, is_seen = points_seen(*shown.shape[:2])
@@ -534,7 +534,7 @@ def test_grazing_light_causes_no_shadow_acne(browser: Page, tmp_path: Path) -> N
 
 
 def test_lights_of_the_asset_are_switched(browser: Page, tmp_path: Path) -> None:
-    """A mesh lamp is a disk of equal area: analytic irradiance, none behind the shelf, none when off."""
+    """A mesh lamp lights the floor like a disk of equal area, except behind the shelf and when off."""
     open_page(browser, make_room(tmp_path))
     assert "1 light," in browser.run("return document.getElementById('sources-note').textContent")
     assert browser.run("return VIEW.state().sources") is False
@@ -617,7 +617,7 @@ def test_many_lights_are_merged_and_keep_their_power(tmp_path: Path) -> None:
 
 
 def test_lights_of_every_kind_become_sources(tmp_path: Path) -> None:
-    """Intensity of point, sphere and disk lights towards w is L (max(V . w, 0) + rest)."""
+    """Intensity of point, sphere and disk lights towards w is radiance (max(vector . w, 0) + rest)."""
     make_room(tmp_path, has_lamp=False)
     with open_package(tmp_path / "asset") as package:
         asset = package.asset
@@ -671,7 +671,7 @@ def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> Non
 
 
 def test_vendored_library_is_the_pinned_one() -> None:
-    """`make three` builds it: lock, script and notice name the same version."""
+    """Lock, script and notice name the same version of three.js, which `make three` builds."""
     pinned = json.loads((REPOSITORY / ".ci" / "three" / "package.json").read_text())
     version = pinned["devDependencies"]["three"]
     locked = json.loads((REPOSITORY / ".ci" / "three" / "package-lock.json").read_text())

@@ -60,7 +60,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def predictions(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Predictions of two methods; the second is worse, lacks a view and has a broken one."""
+    """Predictions of two methods; the second is worse, lacks one view and has a broken file for another."""
     root = tmp_path_factory.mktemp("predictions")
     source = rendered_dataset(tmp_path_factory)
     folders = [predict(source, root / name, seed) for seed, name in enumerate(("ours", "theirs"))]
@@ -362,7 +362,7 @@ def choose(page: Page, box: str, value: str) -> None:
 def test_prediction_is_chosen_and_its_error_is_read(
     page: Page, views: dict[str, View], predictions: list[Path]
 ) -> None:
-    """Values and errors under the cursor, the view's error and the error map's colours equal the EXRs'."""
+    """Values and errors under the cursor, the view's error and the error map's colours match the EXRs."""
     key, slug = "small-00000/view-001", "ours"
     predicted = decode_view(predictions[0] / f"{key}.exr")
     truth = views[key].buffers

@@ -157,13 +157,13 @@ def _oak(out: Path) -> None:
 
 
 def _source(out: Path) -> None:
-    """A copy of the packages, for patches."""
+    """A copy of the project's packages, to which pages apply patches."""
     for name in PACKAGES:
         shutil.copytree(REPOSITORY / name, out / name, ignore=shutil.ignore_patterns("__pycache__"))
 
 
 def _cork(out: Path) -> None:
-    """A texture folder as ambientCG names them."""
+    """A texture folder with the file names of ambientCG."""
     from PIL import Image
 
     out.mkdir()

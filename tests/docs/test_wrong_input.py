@@ -55,7 +55,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def in_desk(desk: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The desk as working directory; fails if a command leaves files."""
+    """``desk`` as working directory; fails if a command leaves files."""
     monkeypatch.chdir(desk)
     before = sorted(desk.rglob("*"))
     yield desk

@@ -197,7 +197,7 @@ def test_renders_like_roughconductor(limit: str) -> None:
 
 
 def test_diffuse_term_renders_like_diffuse() -> None:
-    """The diffuse component alone at S = 0 has Mitsuba's integrand, but other sampling."""
+    """The diffuse component alone at S = 0 has the integrand of Mitsuba's diffuse but other sampling."""
     import mitsuba_plugins.cook_torrance as module
 
     class DiffuseOnly(module.CookTorrance):

@@ -38,7 +38,7 @@ def _capture(files: Callable[[random.Random, int], Files], opened: str = "") -> 
         def write(rng: random.Random) -> Path:
             scale.draw(rng)
             contents = files(rng, scale.size(rng, 100))
-            for path in (root / "images").iterdir():  # of the previous input
+            for path in (root / "images").iterdir():  # images of the previous input
                 if path.name != "a.png" and f"images/{path.name}" not in contents:
                     path.unlink()
             for name, content in contents.items():

@@ -50,7 +50,7 @@ def box_geometry() -> CaptureGeometry:
 
 
 def box_cameras(num: int = 12) -> list[Camera]:
-    """Cameras near the centre, looking all around, up and down."""
+    """Cameras around the centre that look across it, level, up and down."""
     cameras = []
     for index in range(num):
         angle = 2 * np.pi * index / num

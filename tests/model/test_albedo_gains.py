@@ -40,8 +40,7 @@ def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_l
 def fit(
     num: int = NUM, coverage: Any = 1.0, noise: float = 0.0, reflected: float = 0.4, **changes: Any
 ) -> AlbedoLevel:
-    """Fit gains to points with log-normal ``noise`` of reflectance and a known share ``coverage`` of
-    light."""
+    """Fit gains to points with log-normal ``noise`` of reflectance and known share ``coverage`` of light."""
     which = np.arange(num) % 3
     arriving = np.resize(ARRIVING, (num, 3))
     factor = np.exp(noise * np.random.default_rng(4).normal(size=(num, 1)))

@@ -141,7 +141,7 @@ def test_guide_is_scaled_by_its_maximum():
 
 
 def test_scaling_the_target_scales_the_result():
-    """The scale does not matter, even for very small targets."""
+    """The result is proportional to the target, even for very small values."""
     guide, target, confidence = _images(24, 32)
     grid = build_grid(guide)
     whole = bilateral_solve(target, confidence, grid)

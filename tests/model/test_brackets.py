@@ -58,7 +58,7 @@ def test_bracket_is_one_view_of_the_true_radiance(tmp_path: Path) -> None:
     np.testing.assert_allclose(image.color[is_beyond], 8, rtol=0.01)
     is_known = RADIANCE < 7.5
     off = image.color[is_known] / RADIANCE[is_known][:, None] - 1
-    assert np.sqrt((off**2).mean()) < 0.01 and np.abs(off).max() < 0.05  # 8 bits
+    assert np.sqrt((off**2).mean()) < 0.01 and np.abs(off).max() < 0.05  # limited by 8 bits
     assert abs(off.mean()) < 0.003
 
 
@@ -73,7 +73,7 @@ def test_order_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_weights_are_exposures(tmp_path: Path) -> None:
-    """Values of 0.5 in the long and 0.6 in the short exposure give (0.5 + 0.6 / 8) / (1 + 1 / 8)."""
+    """Values of 0.5 in the long and 0.6 in the short exposure yield (0.5 + 0.6 / 8) / (1 + 1 / 8)."""
     write_bracket(tmp_path)
     (view,) = read_capture(tmp_path).views
     sources = []

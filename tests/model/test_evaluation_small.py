@@ -167,8 +167,8 @@ def test_maps_of_another_method_are_evaluated_like_ours(
 
 
 def test_cameras_and_seeds_reach_the_results(small: tuple[Suite, Evaluation], cache: Path) -> None:
-    """Reconstructed texture differs between phone and rendered photographs; the truth is evaluated once, and
-    rendered separately from the photographs; a second seed gives the uncertainty of the figures."""
+    """Reconstructed texture differs between phone and rendered photographs. The truth is evaluated once and
+    rendered separately from the photographs. A second seed yields the uncertainty of the figures."""
     suite, evaluation = small
     methods = tuple(method for method in suite.methods if method.kind == "texture")
     changes = {

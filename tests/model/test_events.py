@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The event hook of training and inference: events of listeners, and failing listeners."""
+"""The event hook of training and inference: events that listeners receive, and failing listeners."""
 
 from __future__ import annotations
 

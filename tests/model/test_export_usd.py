@@ -237,7 +237,7 @@ def test_large_atlases_are_averaged_down(tmp_path: Path, monkeypatch: pytest.Mon
 def test_infer_writes_it_on_demand(
     tmp_path: Path, mitsuba_variant: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without usd-core a message appears before work starts."""
+    """Without usd-core an error is raised before any view is processed."""
     capture = room_capture(3, (48, 32))
     with monkeypatch.context() as patch:
         patch.setitem(__import__("sys").modules, "pxr.Usd", None)

@@ -62,7 +62,7 @@ def test_atlas_has_the_walls_albedos_for_any_prediction(tmp_path: Path) -> None:
     report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: steps.append(progress))
     assert walls_found(found) > 0.7
     finished = {stage for stage, done, total in steps if done == total}
-    assert set(report.seconds) - finished == {"statistics", "write maps"}  # parts of predict
+    assert set(report.seconds) - finished == {"statistics", "write maps"}  # they are parts of predict
     assert {("light", 1, 11), ("lights", 0, 1), ("export", 1, 4), ("trace", 0, 1)} <= set(steps)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95

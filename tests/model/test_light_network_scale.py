@@ -51,7 +51,8 @@ def of_face(view: TracedView, name: str) -> NDArray[np.bool_]:
 
 
 def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
-    """Median D of the south wall, without a hypothesis that explains it, relative to D from light."""
+    """Median D of the south wall, which no hypothesis explains, relative to D from light, if ``trust`` is the
+    trust in light from hidden sources."""
     explained, south = stage.solve_points, of_quad(room(), "south")
 
     def unexplained(lit, points, shading, segmentation, *rest):  # type: ignore[no-untyped-def]

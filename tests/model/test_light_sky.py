@@ -106,7 +106,7 @@ def test_adjacent_windows_are_separate_and_dark_ones_dropped() -> None:
 
 
 def test_rectangles_of_a_mask() -> None:
-    """Equal to an exhaustive search in small random masks."""
+    """Rectangles equal those of an exhaustive search in small random masks."""
     random = np.random.default_rng(2)
     for _ in range(30):
         mask = random.random((7, 9)) < 0.7
@@ -325,7 +325,7 @@ def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
     assert (lamp.slot, lamp.is_named) == ("lamp-0", True)
     area = mesh.areas()
     assert area[2] != pytest.approx(area[4])
-    mean = (area[2] * radiance[0] + area[4] * radiance[3]) / (area[2] + area[4])  # 3 is not photographed
+    mean = (area[2] * radiance[0] + area[4] * radiance[3]) / (area[2] + area[4])  # face 3 is not photographed
     np.testing.assert_allclose(lamp.radiance, mean, rtol=1e-6)
     assert (found.slot, found.side, found.is_named, list(found.faces)) == ("found-0", -1, False, [5])
     assert lamp.area_m2 == pytest.approx(float(mesh.areas()[2:5].sum()))
@@ -404,7 +404,7 @@ def test_khronos_validator_finds_nothing_in_lights(tmp_path: Path) -> None:
 @pytest.mark.bpy
 @needs_bpy
 def test_blender_reads_the_lights(tmp_path: Path) -> None:
-    """Emission is radiance; points have a power in W, pi times area times radiance of a convex lamp."""
+    """Blender reads emission as radiance, and points with a power (W) of pi times area times radiance."""
     glb = small_lights(tmp_path)
     command = [sys.executable, "-m", "tests.model.glb_in_blender", str(glb)]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)

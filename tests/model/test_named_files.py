@@ -81,7 +81,7 @@ def _gltf_image(folder: Path, name: str) -> Path:
 
 
 def _texture_folder(folder: Path, name: str) -> Path:
-    """Maps are found, not named: the name becomes the target of a link in the folder."""
+    """A texture folder whose map is a link to ``name``, as texture folders name no files."""
     (folder / "Oak_Roughness.png").write_bytes(_picture())
     target = folder / name if not name.startswith(("/", "file:")) else Path(name.removeprefix("file://"))
     if target.parent == folder and target.is_symlink():
@@ -96,7 +96,7 @@ def _catalogue(folder: Path, name: str) -> Path:
 
 
 def _catalogue_image(folder: Path, name: str) -> Path:
-    """An MTL in the archive; only the base name counts, and only within the archive."""
+    """A catalogue whose MTL file names an image; only its base name within the archive counts."""
     model = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
     members = {"a/a.obj": model, "a/a.mtl": f"newmtl m\nKd 1 1 1\nmap_Kd {name}\n".encode()}
     return furniture(folder / "a.sh3f", ["a/a.obj"], members)
@@ -218,7 +218,7 @@ def test_no_reader_leaves_its_folder(name: str, way: str, tmp_path: Path, opened
 
 @pytest.mark.parametrize("kind", ["map", "licence", "info", "folder"])
 def test_links_in_a_texture_folder_are_not_followed_out_of_it(kind: str, tmp_path: Path) -> None:
-    """Formerly their targets were copied into the library."""
+    """Regression: the links' targets were copied into the library."""
     outside, textures = tmp_path / "outside", tmp_path / "all" / "oak"
     textures.mkdir(parents=True)
     outside.mkdir()

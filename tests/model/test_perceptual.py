@@ -105,7 +105,7 @@ def test_transforms_are_drawn_in_their_ranges():
 
 @pytest.mark.parametrize("size", [(64, 64), (131, 150), (192, 128)])
 def test_transform_keeps_colour_and_mean(size):
-    """Only flips, shifts and averages: a constant image stays constant, up to its gains and channel order."""
+    """Flips, shifts and averages keep a constant image constant, up to gains and channel order."""
     color = torch.tensor([0.2, 0.5, 0.9]).reshape(1, 3, 1, 1)
     image = color.expand(3, 3, *size)
     for seed in range(6):

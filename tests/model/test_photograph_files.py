@@ -103,7 +103,7 @@ def test_webp_is_read(tmp_path: Path) -> None:
 
 
 def test_heic_without_its_reader_names_the_package_to_install(tmp_path: Path, without_heic: None) -> None:
-    """Formerly the message was "not found" for each photograph."""
+    """Regression: the message was "not found" for each photograph."""
     folder = colmap_of(tmp_path / "room", ".HEIC")
     for k in range(3):
         (folder / "images" / f"img{k}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
@@ -275,7 +275,7 @@ def test_a_raw_beside_its_jpeg_is_ignored(tmp_path: Path) -> None:
 
 
 def test_a_mesh_of_an_unsupported_format_is_named(tmp_path: Path) -> None:
-    """Formerly the message was "no mesh beside the cameras"."""
+    """Regression: the message was "no mesh beside the cameras"."""
     folder = colmap_of(tmp_path / "room", ".webp", 1)
     picture().save(folder / "images" / "img0.webp", lossless=True)
     (folder / "room.ply").rename(folder / "room.fbx")

@@ -122,8 +122,8 @@ def test_blender_opens_the_usdz(
 
 
 def test_the_glb_contains_the_written_maps(asset: Path) -> None:
-    """D, S and R from its textures and factors by glTF 2.0 and KHR_materials_specular equal the EXR files
-    where F0 is dielectric; the packed texture has an occlusion of 1, as engines expect."""
+    """D, S and R of the GLB by glTF 2.0 and KHR_materials_specular equal the EXR files where F0 is
+    dielectric; the packed texture has an occlusion of 1, as engines expect."""
     data = (asset / "room.glb").read_bytes()
     length = int.from_bytes(data[12:16], "little")
     document = json.loads(data[20 : 20 + length])

@@ -144,7 +144,7 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["text", "binary"])
 def test_an_unsupported_lens_is_reported_once(tmp_path: Path, form: str) -> None:
-    """Formerly the message named ``images``, once per photograph."""
+    """Regression: the message named ``images``, once per photograph."""
     write_colmap(tmp_path / "m", make_cameras(5), form, "FOV", [50, 50, 32, 20, 0.5])
     with pytest.raises(InputError) as caught:
         read_colmap(tmp_path / "m", Budget("x"))

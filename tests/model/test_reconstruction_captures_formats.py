@@ -150,7 +150,7 @@ def test_realitycapture_compass_angles(angles: tuple, forward: tuple, top: tuple
 
 @pytest.mark.parametrize("as_attributes", [False, True])
 def test_realitycapture_xmp(tmp_path: Path, as_attributes: bool) -> None:
-    """Written like either version of the software; x = R (X - position), offsets times the longer side."""
+    """Files of both versions of the software; x = R (X - position), offsets in units of the longer side."""
     write_images(tmp_path, [f"a{k}.png" for k in range(3)])
     write_mesh(tmp_path)
     oracles: dict[str, Oracle] = {}
@@ -202,7 +202,7 @@ LOCAL = 'LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["met
 def write_metashape(
     folder: Path, kind: str, lens: str, reference: str = LOCAL
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Write the file; returns chunk_from_camera's rotation and centre per camera."""
+    """Write a Metashape file; returns the rotation and centre of chunk_from_camera per camera."""
     turn = Rotation.from_euler("xyz", [0.3, -0.4, 1.1]).as_matrix()
     cameras, stored = "", []
     for k, (rotation, center) in enumerate(poses()):  # the chunk's frame differs from the world
@@ -322,7 +322,7 @@ def test_openmvg(tmp_path: Path, lens: str) -> None:
 
 
 def test_bundler(tmp_path: Path) -> None:
-    """The manual: P = R X + t, p = -P / P.z, pixel = f r(p) p from the image's centre, y upwards."""
+    """By Bundler's manual, P = R X + t, p = -P / P.z, pixel = f r(p) p from the image's centre, y upwards."""
     text, oracles = "# Bundle file v0.3\n4 0\n", {}
     for k, (rotation, center) in enumerate(poses()):
         up = np.diag([1.0, -1, -1]) @ rotation

@@ -93,8 +93,7 @@ def test_a_camera_moved_along_its_axis_is_named(metres: float, expected: str) ->
     ("offset", "scale"), [((0.02, -0.01, 0.015), 1.02), ((0, 0, 0), 0.98), ((0.02, 0, 0), 1)]
 )
 def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, float], scale: float) -> None:
-    """Exact shifts of a point 3 m in front of each camera determine offset and scale; two views are
-    outliers."""
+    """Exact shifts of points 3 m ahead of the cameras determine offset and scale; two are outliers."""
     rng = np.random.default_rng(0)
     cameras = []
     for _ in range(14):
@@ -215,7 +214,7 @@ def test_a_better_unit_is_found() -> None:
 
 
 def test_shifts_are_measured_exactly() -> None:
-    """For the mesh's edges against a shifted copy the peak is at the shift."""
+    """The best match of the mesh's edges with a shifted copy is at the shift."""
     capture = photographed_room()
     view = capture.views[1]
     geometry = TracedGeometry(capture.geometry).trace_view(view.camera)

@@ -97,9 +97,9 @@ def psnr(a: np.ndarray, b: np.ndarray, exposure: float) -> float:
 
 
 def test_asset_renders_like_the_room(rendered: Rendered, truth: tuple[Path, InferReport]) -> None:
-    """Both are denoised at 64 samples; noise limits them to about 40 dB. Other differences are rounding of
-    texels (8 bits), texture finer than the views' pixels, and mixed pixels at edges: a tenth of the pixels
-    off by 6 % gives 34 dB. Radiance 5 % too bright is detected."""
+    """Both renderings are denoised at 64 samples; noise limits them to about 40 dB. Other differences are
+    rounding of texels (8 bits), texture finer than the views' pixels, and mixed pixels at edges: a tenth of
+    the pixels off by 6 % yields 34 dB. Radiance 5 % too bright is detected."""
     out, _ = truth
     recipe = RenderRecipe(
         variant="llvm_ad_rgb", path_samples=SAMPLES, auxiliary_samples=SAMPLES, denoise=True
@@ -346,8 +346,8 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
 
 
 def test_inference_with_confidence_continues(rendered: Rendered) -> None:
-    """Confidence is stored beside the maps; a view without it is predicted again, to the same maps; given
-    maps have no confidence."""
+    """Confidence is stored with the maps; a view without it is predicted again, to the same maps; given maps
+    have no confidence."""
     out = rendered.root / "weighted"
     options = InferOptions(atlas=128, precision="float32", batch=2, weights="all", has_exr=False)
     infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)

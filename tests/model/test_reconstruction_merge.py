@@ -62,7 +62,7 @@ def surface_under(mesh: Mesh, size: int) -> tuple[np.ndarray, np.ndarray, np.nda
 def fetched(
     view: MapView, u: float, v: float, z: float, region: float, options: MergeOptions, regions: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """A view's seven channels at a projection, or None, and its confidences (3,)."""
+    """A view's seven channels at pixel (u, v), or None if no surface matches, and its confidences (3,)."""
     maps = np.concatenate([view.maps[k] for k in ("diffuse_albedo", "specular_albedo", "roughness")], axis=-1)
     confidence = np.ones((*maps.shape[:2], 3)) if view.confidence is None else view.confidence
     if options.fetch == "nearest":
@@ -94,7 +94,7 @@ def pixel_weights(view: MapView, options: MergeOptions) -> np.ndarray:
 
 
 def mean_of_middle(values: np.ndarray, weights: np.ndarray) -> float:
-    """Mean of the sorted values over the middle half of their cumulative weight, weighted."""
+    """Weighted mean of the sorted values within the middle half of their cumulative weight."""
     order = np.argsort(values)
     ends = np.cumsum(weights[order]) / weights.sum()
     inside = np.diff(np.clip(np.concatenate([[0.0], ends]), 0.25, 0.75))
@@ -121,7 +121,7 @@ def distance_to_border(view: MapView) -> np.ndarray:
 def brute_force(
     mesh: Mesh, views: list[MapView], size: int, options: MergeOptions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Medians (N, N, 7), counts, faces and a mask of ambiguous texels, by loops over float64."""
+    """Medians (N, N, 7), counts and faces (N, N), and mask of ambiguous texels, by loops over float64."""
     face_of, points, normals = surface_under(mesh, size)
     regions = smooth_regions(mesh)
     views = [replace(view, confidence=pixel_weights(view, options)) for view in views]
@@ -290,8 +290,8 @@ def traced_views(mesh: Mesh, num: int = 10, size: tuple[int, int] = (96, 72)) ->
 
 
 def test_no_seam_where_a_view_ends() -> None:
-    """Inconsistent views: with weights that fade at borders the merged D changes gradually where the set of
-    views changes, unlike medians and equal weights. It stays between the views' values."""
+    """For inconsistent views and weights that fade at borders, merged D is between the views' values and
+    changes gradually where the set of views changes, unlike for medians and equal weights."""
     mesh, size = room_mesh(), 128
     views = [
         replace(view, maps={name: np.full_like(m, 0.2 + 0.05 * number) for name, m in view.maps.items()})

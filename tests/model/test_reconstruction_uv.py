@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unwraps: valid ones of a mesh are kept, and the quality of new ones."""
+"""A mesh's valid unwrap is kept; new unwraps are valid and of one density."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def tiled_room() -> Mesh:
-    """A furnished room with repeating UVs, so without an unwrap."""
+    """A furnished room with repeating UVs, which are no unwrap."""
     return with_uv(trimesh.util.concatenate(list(room_shapes(5, 4, 2.7).values())))
 
 

@@ -25,7 +25,7 @@ def _directions(count: int, seed: int, min_cos: float = 0.02) -> np.ndarray:
 
 
 def _random_surface(count: int, dtype: torch.dtype, seed: int = 0) -> list[torch.Tensor]:
-    """D, S, R, n, o, i of ``count`` random points; R from 0 to 1."""
+    """Random D, S, R, normals, view and light directions of ``count`` points; R is from 0 to 1."""
     rng = np.random.default_rng(seed)
     frame = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
     world = [np.einsum("nij,nj->ni", frame, _directions(count, seed + k)) for k in (1, 2)]
@@ -72,7 +72,7 @@ def test_brdf_is_reciprocal_except_for_the_cosine():
 
 
 def _angle_grid(dtype: torch.dtype) -> list[torch.Tensor]:
-    """D, S, R, n, o, i over roughness x two angles up to 89 degrees x azimuth, in the local frame."""
+    """D, S, R, normals, view and light directions on a grid of roughness and angles, in the local frame."""
     angles = np.radians([0.0, 1.0, 10.0, 30.0, 60.0, 80.0, 89.0])
     grids = np.meshgrid([0.0, 0.05, 0.1, 0.3, 0.6, 1.0], angles, angles, [0.0, 2.0, np.pi], indexing="ij")
     roughness, theta_o, theta_i, phi = (g.ravel() for g in grids)
@@ -111,7 +111,7 @@ def test_brdf_agrees_with_the_renderer():
 
 
 def test_float32_is_close_to_float64():
-    """Median within 1e-5 and 99 % within 1e-4 over all roughnesses, on the same rounded inputs."""
+    """The median error is below 1e-6 and the 99th percentile below 1e-4, on the same rounded inputs."""
     single = _random_surface(4000, torch.float32)
     double = [t.double() for t in single]
     approx = shading.brdf_cos(*single).double()
@@ -234,7 +234,7 @@ def test_inner_product_is_stable_in_float32():
 
 @pytest.mark.parametrize("sharpness", [0.5, 2.0, 10.0, 50.0, 200.0])
 def test_irradiance_against_quadrature(sharpness):
-    """Within 1.2 % of the lobe's maximum irradiance; an error of 5 % is detected."""
+    """The error is below 1.2 % of the lobe's maximum irradiance; an error of 5 % is detected."""
     peak = oracle.irradiance(sharpness, 1.0)
     for cos_beta in (-1.0, -0.5, -0.1, 0.0, 0.3, 0.7, 1.0):
         got = float(shading.sg_irradiance(torch.tensor(sharpness), torch.tensor(cos_beta)))

@@ -81,7 +81,7 @@ def test_smoke_preset_runs_every_phase(dataset, whole):
 
 @pytest.mark.parametrize("limit", [1e-3, None])
 def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, limit):
-    """The optimiser gets gradients of at most this norm; the log has their norm before scaling."""
+    """The optimiser gets gradients with a norm of at most ``limit``; the log has the norm before scaling."""
     seen = []
     take = torch.optim.Adam.step
 
@@ -156,7 +156,7 @@ def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop
 
 
 def test_checkpoints_have_averaged_weights(dataset, tmp_path):
-    """They contain exponential averages of the weights; training and resuming are unchanged."""
+    """Checkpoints contain exponential averages of the weights; training and resuming are unchanged."""
     settings = ("phases=[{name: diffuse, steps: 6}]", "learning_rate=0.01", "checkpoint_every_steps=2")
     Trainer(_config(*settings), [dataset], tmp_path / "plain", device=CPU).run()
     expected, steps = [], []

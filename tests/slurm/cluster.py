@@ -249,9 +249,9 @@ def _kill_tree(process: psutil.Process) -> None:
     try:
         family = [*process.children(recursive=True), process]
     except psutil.Error:
-        return  # it has ended
+        return  # the process has ended
     for member in family:
         try:
             member.kill()
         except psutil.Error:
-            continue  # it has ended
+            continue  # the process has ended

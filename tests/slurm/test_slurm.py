@@ -106,7 +106,7 @@ def test_a_killed_node_costs_only_time(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Killing only slurmd leaves its job running beside the requeued one, without duplicate results."""
+    """If only slurmd is killed, its job runs along with the requeued one, without duplicate results."""
     folder = plan_small(tmp_path / "node", library_root, num_units=4)
     _submit(cluster, folder, monkeypatch)
     cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
