@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Hostile input of `datagen`: documents, packages, shards, images and whole dataset folders."""
+"""Hostile input for the readers of `datagen`: documents, packages, shards, images and dataset folders."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _as_data(model: Any) -> Any:
 
 
 def valid_documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
-    """A valid document of every format, with its reader."""
+    """Return a valid document of each format and the reader of that format, by format name."""
     configuration = make_configuration(num_views=2)
     material = {
         "format": "scene-materials/asset", "version": 1, "id": "oak", "title": "Oak", "kind": "material",
@@ -169,7 +169,7 @@ def _package_files() -> dict[str, bytes]:
 
 
 def package_folder(folder: Path) -> Case:
-    """A package folder with one damaged file, or with a description that names forbidden files."""
+    """Return a case of package folders with a damaged file or a mutated description."""
     package = folder / "package"
     package.mkdir()
     set_traps(package)
@@ -200,7 +200,7 @@ def package_folder(folder: Path) -> Case:
 
 
 def package_zip(folder: Path) -> Case:
-    """A package zip with a mutated description, members outside of it, and damaged bytes."""
+    """Return a case of zipped packages with a mutated description, unsafe members or damaged bytes."""
     files = _package_files()
     documents = valid_documents()
 
@@ -230,7 +230,7 @@ def package_zip(folder: Path) -> Case:
 
 
 class _SmallShard:
-    """Members of a shard of one view with few buffers, to be combined in hostile ways."""
+    """A valid shard with one view of five buffers, from which hostile shards are made."""
 
     def __init__(self) -> None:
         self.configuration = make_configuration(num_views=1, width=12, height=8)
@@ -241,7 +241,7 @@ class _SmallShard:
         self.tar = self.build(random.Random(0), is_hostile=False)
 
     def build(self, rng: random.Random, is_hostile: bool = True) -> bytes:
-        """Bytes of a tar; hostile ones have damaged, renamed, duplicate, linked or false members."""
+        """Return the bytes of a tar; if hostile, some members are damaged, renamed, duplicated or linked."""
         members = [
             (CONFIGURATION_MEMBER, self.configuration.model_dump(mode="json")),
             ("small-00000/view-000.exr", self.exr),
@@ -275,7 +275,7 @@ class _SmallShard:
 
 
 def shard(folder: Path) -> Case:
-    """A hostile shard, read view by view and verified."""
+    """Return a case of hostile shards, which are verified and read view by view."""
     parts = _SmallShard()
 
     def read(path: Path) -> None:
@@ -290,7 +290,7 @@ def shard(folder: Path) -> Case:
 
 
 def exr(folder: Path) -> Case:
-    """An EXR image with damaged bytes or a header of false windows, types, channels or compressions."""
+    """Return a case of EXR images with damaged bytes, false windows or false compression types."""
     buffers = make_buffers(6, 9, seed=1)
     chosen = {name: buffers[name] for name in ("beauty", "roughness", "material_id")}
     originals = [encode_view(chosen, kind, 1) for kind in ("none", "rle", "zips", "zip", "piz")]
@@ -312,7 +312,7 @@ def exr(folder: Path) -> Case:
 
 
 def dataset_folder(folder: Path) -> Case:
-    """An untrusted dataset folder: its index, shard, plan, markers and failures."""
+    """Return a case of dataset folders with damaged or linked documents or a hostile shard."""
     root = folder / "set"
     for name in ("shards", "units", "failed", "logs", "configurations"):
         (root / name).mkdir(parents=True)
@@ -370,14 +370,14 @@ def dataset_folder(folder: Path) -> Case:
             status = result if hasattr(result, "failed") else status
         for failure in status.failed if status else ():
             last_lines(path, failure.log)
-        if refusal is not None:  # every step is tried; one refusal counts as refusal of the folder
+        if refusal is not None:  # raised only after all steps have run
             raise refusal
 
     return Case(write, read)
 
 
 def _with_hostile_paths(document: Any, rng: random.Random) -> Any:
-    """The document with names of files and units replaced by paths outside."""
+    """Return the document with some names of files and units replaced by hostile paths."""
     text = json.dumps(document)
     for name in ("shards/small.tar", "small-00000", "logs/small-00000.3.log", '"k"'):
         if rng.random() < 0.3:

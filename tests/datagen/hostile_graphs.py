@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Untrusted graphs and sizes for the importers: references, fan-outs, depths, counts.
+"""Cases of importer input with extreme reference graphs, nesting depths and element counts.
 
-Most inputs are read under limits scaled by 1/200, which small files reach in milliseconds; the others are of
-full size, under the default limits.
+Most inputs are read under the limits ``SMALL``, which small files reach in milliseconds; a few are up to
+``FULL_FACTOR`` times larger and read under the default limits.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ FULL_SHARE, FULL_FACTOR = 0.005, 200
 
 
 def size(rng: random.Random, top: int) -> int:
-    """A log-uniform number from 1 to ``top``."""
+    """Return a log-uniform integer from 1 to ``top``."""
     return int(top ** rng.random())
 
 
 class Scale:
-    """Limits for reading one input, and the maximum sizes of its parts."""
+    """Limits under which one input is read, and the factor applied to its maximum sizes."""
 
     def __init__(self) -> None:
         self.limits, self.factor = SMALL, 1
@@ -72,7 +72,7 @@ def _reader(scale: Scale, folder: Path) -> Callable[[Path], object]:
 
 
 def _bsdfs(rng: random.Random, scale: Scale) -> list[str]:
-    """BSDFs that each refer to up to two of the ``reach`` before them; rarely to themselves or none."""
+    """Return XML elements of BSDFs with up to two references each, mostly to earlier BSDFs."""
     count, reach = scale.size(rng, 75), size(rng, 20)
     lines = ['<bsdf type="diffuse" id="b0"/>']
     for k in range(1, count):
@@ -97,7 +97,7 @@ def _shapes(rng: random.Random, scale: Scale, num_bsdfs: int) -> list[str]:
 
 
 def mitsuba(folder: Path) -> Case:
-    """Mitsuba scenes of BSDF references, groups, instances, includes, defaults and nested elements."""
+    """Return a case of Mitsuba scenes with many or deep references, instances, includes and defaults."""
     scale = Scale()
 
     def write(rng: random.Random) -> Path:
@@ -131,8 +131,7 @@ def mitsuba(folder: Path) -> Case:
 
 
 def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
-    """Top-level entries: a forest of nodes of any depth and fan-out, meshes of any number of primitives,
-    accessors of any count."""
+    """Return a glTF document with random numbers of nodes, mesh primitives and accessor elements."""
     count, reach = scale.size(rng, 100), size(rng, 500)
     parents = [-1] + [max(-1, k - rng.randint(1, reach)) for k in range(1, count)]
     num_meshes = size(rng, 8)
@@ -182,7 +181,7 @@ def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
 
 
 def gltf_graph(folder: Path) -> Case:
-    """glTF documents with node graphs."""
+    """Return a case of glTF files with large or invalid node graphs."""
     scale = Scale()
 
     def write(rng: random.Random) -> Path:
@@ -194,7 +193,7 @@ def gltf_graph(folder: Path) -> Case:
 
 
 def texture_folder(folder: Path) -> Case:
-    """A texture folder of any number and size of maps, some constant and so small on disk."""
+    """Return a case of texture folders with maps of random size, often constant and so small on disk."""
     scale, root = Scale(), folder / "oak"
     root.mkdir()
     roles = ("Color", "Roughness", "Metalness", "NormalGL", "NormalDX", "AO", "Opacity", "Displacement")
@@ -215,7 +214,7 @@ def texture_folder(folder: Path) -> Case:
 
 
 def sweet_home(folder: Path) -> Case:
-    """Furniture catalogues of any number of pieces; many faces at a vertex, polygons of many corners."""
+    """Return a case of furniture libraries with many files, faces per vertex and polygon corners."""
     scale = Scale()
 
     def model(rng: random.Random) -> bytes:
@@ -257,7 +256,7 @@ def sweet_home(folder: Path) -> Case:
 
 
 def package_zip(folder: Path) -> Case:
-    """Zipped packages with members of any number, size and compression ratio."""
+    """Return a case of zipped packages with members of random number, size and compression ratio."""
     scale = Scale()
     document = json.dumps(valid_documents()["material"][0])
     texture = encode_png(np.full((8, 8, 3), 9, np.uint8))

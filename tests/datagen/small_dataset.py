@@ -16,7 +16,7 @@ from datagen.foundation.exr import encode_view
 
 
 def make_buffers(height: int, width: int, seed: int) -> dict[str, np.ndarray]:
-    """Every buffer of a view, filled with seeded values inside its valid range."""
+    """Return every buffer (H, W, C) of a view by name, with random values in its valid range."""
     rng = np.random.default_rng(seed)
     buffers = {}
     for name in VIEW_BUFFERS:
@@ -57,7 +57,7 @@ def make_configuration(num_views: int, width: int = 40, height: int = 24) -> Con
 
 
 def make_view_files(folder: Path, configuration: Configuration) -> list[tuple[str, Path]]:
-    """Write EXR and JSON of every view; returns the members of the shard."""
+    """Write the EXR and JSON file of every view; return the (member name, path) pairs of the shard."""
     members = []
     for index, camera in enumerate(configuration.cameras):
         buffers = make_buffers(camera.height_px, camera.width_px, seed=index)

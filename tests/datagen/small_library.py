@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A small library for tests: a closed room with a window and a table, eight objects, six materials.
+"""A small library for tests: furnished rooms with a window, eight objects and six materials.
 
-Geometry consists of boxes, cylinders and spheres of a few hundred triangles; ``write_small_library`` takes
-less than a second. ``num_rooms`` adds rooms of other sizes.
+All shapes consist of boxes, cylinders and spheres; ``write_small_library`` takes less than a second.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ WALL_M = 0.1
 
 
 def box(minimum: Any, maximum: Any) -> trimesh.Trimesh:
-    """An axis-aligned box with outward triangles."""
+    """An axis-aligned box with outward-facing triangles."""
     low, high = np.asarray(minimum, float), np.asarray(maximum, float)
     mesh = trimesh.creation.box(extents=high - low)
     mesh.apply_translation(0.5 * (low + high))
@@ -45,14 +44,14 @@ def box(minimum: Any, maximum: Any) -> trimesh.Trimesh:
 
 
 def cylinder(radius: float, height: float, sections: int = 24) -> trimesh.Trimesh:
-    """An upright cylinder on z = 0."""
+    """An upright cylinder whose base is at z = 0."""
     mesh = trimesh.creation.cylinder(radius=radius, height=height, sections=sections)
     mesh.apply_translation([0, 0, 0.5 * height])
     return mesh
 
 
 def ball(radius: float) -> trimesh.Trimesh:
-    """A sphere with a small flat face on z = 0; a true sphere would be unstable."""
+    """A sphere with a small flat base at z = 0; a true sphere would be unstable."""
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     vertices = np.array(mesh.vertices)
     vertices[:, 2] = np.maximum(vertices[:, 2], -0.95 * radius)
@@ -61,7 +60,7 @@ def ball(radius: float) -> trimesh.Trimesh:
 
 
 def with_uv(shape: trimesh.Trimesh, *, smooth: bool = False) -> Mesh:
-    """The mesh with normals and box-projected UVs, one unit per metre."""
+    """Return the shape with smooth or flat normals and box-projected UVs of one unit per metre."""
     raw = Mesh(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32))
     mesh = Mesh(raw.positions, raw.faces, vertex_normals(raw)) if smooth else flat_shaded(raw)
     assert mesh.normals is not None
@@ -74,7 +73,7 @@ def with_uv(shape: trimesh.Trimesh, *, smooth: bool = False) -> Mesh:
 def write_material(
     root: Path, name: str, classes: tuple[str, ...], texture: bool = False, **channels: Any
 ) -> None:
-    """Write a material package; with ``texture`` its diffuse albedo is a small noise image."""
+    """Write a material package; if ``texture``, its diffuse albedo is a 16 x 16 noise image."""
     files: dict[str, bytes | Path] = {}
     if texture:
         noise = np.random.default_rng(len(name)).uniform(90, 160, (16, 16, 3)).astype(np.uint8)
@@ -94,7 +93,7 @@ def write_object(
     materials: dict[str, SlotMaterial] | None = None,
     **fields: Any,
 ) -> None:
-    """Write an object package with one part per slot."""
+    """Write an object package with one part and one material slot per shape."""
     materials = materials or {
         slot: SlotMaterial(classes=("plastic",), replaceable_by=("plastic", "wood", "metal"))
         for slot in shapes
@@ -122,7 +121,7 @@ def write_object(
 
 
 def room_shapes(width: float, depth: float, height: float) -> dict[str, trimesh.Trimesh]:
-    """Solids around [0, w] x [0, d] x [0, h]: walls with a window at +Y, a table and a shelf."""
+    """Return the parts of a furnished room over [0, w] x [0, d] x [0, h] with a window in the wall at +Y."""
     t, w, d, h = WALL_M, width, depth, height
     left, right, sill, head = 0.3 * w, 0.7 * w, 0.9, min(2.1, h - 0.2)
     walls = [
@@ -239,7 +238,7 @@ def write_package_of(
     files: dict[str, Path] | None = None,
     **fields: Any,
 ) -> EnvironmentAsset:
-    """Write an environment package of given shapes, one grey part each, with further ``files``."""
+    """Write an environment package with one grey part per shape and the additional ``files``."""
     meshes = {part: with_uv(shape) for part, shape in shapes.items()}
     asset = EnvironmentAsset(
         id=name,
@@ -255,7 +254,7 @@ def write_package_of(
 
 
 def chair() -> trimesh.Trimesh:
-    """Shapes of a chair: seat, back (at +Y) and four legs."""
+    """Return the mesh of a chair with a seat, a back (at +Y) and four legs."""
     legs = [box([x, y, 0], [x + 0.04, y + 0.04, 0.45]) for x in (-0.2, 0.16) for y in (-0.2, 0.16)]
     return trimesh.util.concatenate(
         [*legs, box([-0.2, -0.2, 0.45], [0.2, 0.2, 0.49]), box([-0.2, 0.16, 0.49], [0.2, 0.2, 0.9])]
@@ -295,7 +294,7 @@ def write_objects(root: Path) -> None:
 
 
 def write_small_library(root: Path, num_rooms: int = 1) -> Path:
-    """Write the library below ``root``; returns ``root``."""
+    """Write the library with ``num_rooms`` rooms of different sizes to ``root`` and return ``root``."""
     for k in range(num_rooms):
         write_room(root, f"room-{k}", (5.0 + 0.5 * k, 4.0 + 0.3 * k, 2.7))
     write_objects(root)

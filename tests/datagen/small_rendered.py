@@ -18,7 +18,7 @@ _MADE: list[Path] = []
 
 
 def rendered_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the dataset; tests must not change it."""
+    """Return the folder of the dataset, which tests must not change."""
     if _MADE:
         return _MADE[0]
     root = tmp_path_factory.mktemp("rendered")
@@ -31,7 +31,7 @@ def rendered_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def predict(dataset: Path, out: Path, seed: int) -> Path:
-    """Write maps with a little noise to ``out/<configuration>/<view>.exr``."""
+    """Write ground-truth maps with noise to ``out/<configuration>/<view>.exr`` and return ``out``."""
     rng = np.random.default_rng(seed)
     for view in Dataset(dataset).views():
         maps = {}

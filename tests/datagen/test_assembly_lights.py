@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The light probe against closed forms and Mitsuba; placement of lights; no unlit room."""
+"""The light probe agrees with closed forms and Mitsuba, lights are placed validly, and every room is lit."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def estimate(scene: WorldScene, albedo: float, group: LightGroup, points: Any, c
 @pytest.mark.parametrize("albedo", [0.0, 0.5, 0.8])
 @pytest.mark.parametrize("error", [0.0, 0.05])
 def test_probe_in_an_integrating_sphere(tmp_path: Path, albedo: float, error: float) -> None:
-    """A point light I at the centre of a sphere of radius r: walls receive I/r^2 / (1 - albedo)."""
+    """A point light I at the centre of a sphere of radius r gives the wall irradiance I/r^2 / (1 - albedo)."""
     radius, intensity = 2.0, 3.0
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     scene = scene_of(trimesh.Trimesh(ball.vertices, ball.faces[:, ::-1], process=False), tmp_path)
@@ -87,8 +87,8 @@ def test_probe_in_an_integrating_sphere(tmp_path: Path, albedo: float, error: fl
 
 
 def test_lights_of_equal_power_agree(tmp_path: Path) -> None:
-    """Far from a small light its kind is irrelevant: sphere, disk, rectangle, spot, emitting triangles."""
-    scene = scene_of(box([-9, -9, -9.2], [9, 9, -9]), tmp_path)  # a negligibly far floor; albedo 0
+    """Far from a small sphere, disk, rectangle or spot light, fluence depends only on its intensity."""
+    scene = scene_of(box([-9, -9, -9.2], [9, 9, -9]), tmp_path)  # a distant black floor
     point = np.array([[0.0, 0.0, -1.0]])
     size, radiance = 0.04, 50.0
     side = (0.5 * size, -0.5 * size, 0.0)
@@ -142,7 +142,7 @@ def test_emitting_triangles_are_an_area_light(tmp_path: Path) -> None:
 
 
 def test_sky_through_a_window_is_counted_once(tmp_path: Path) -> None:
-    """The sky gives the same light sampled at the opening or hit by rays that leave the room."""
+    """Sampling the opening and tracing rays that leave the room give the same irradiance from the sky."""
     write_small_library(tmp_path)
     package = Library([tmp_path]).package("room-0")
     scene = WorldScene(load_geometry(package), [])
@@ -155,7 +155,7 @@ def test_sky_through_a_window_is_counted_once(tmp_path: Path) -> None:
 
 
 def test_probe_agrees_with_mitsuba(tmp_path: Path, mitsuba_variant: str) -> None:
-    """Reflected light at the cameras' positions, in the rendered configuration."""
+    """Mean luminance around the camera positions agrees with path tracing of the configuration."""
     import mitsuba as mi
 
     from datagen.rendering.scene_builder import build_scene
@@ -240,7 +240,7 @@ def test_every_room_is_lit(tmp_path: Path) -> None:
 
 
 def test_a_room_that_cannot_be_lit_is_reported(tmp_path: Path) -> None:
-    """An enclosed light reaches no camera, and there is no ceiling for another."""
+    """The only light is enclosed by a case, and the room has no ceiling for another light."""
     shapes = {
         "floor": box([0, 0, -0.1], [5, 5, 0]),
         "case": box([6, 1, 0], [7, 2, 1]),
@@ -288,7 +288,7 @@ def test_lamps_inside_furniture_are_not_used(tmp_path: Path) -> None:
 
 
 def test_a_bulb_in_a_lampshade_does_not_count_as_inside_a_wall(tmp_path: Path) -> None:
-    """From inside a single-sheet shade most rays hit its back, yet light gets out."""
+    """Most rays from a bulb in a single-sheet shade hit back faces, but light leaves its open ends."""
     shade = trimesh.creation.cylinder(radius=0.15, height=0.3, sections=32)
     sides = shade.faces[np.abs(shade.face_normals[:, 2]) < 0.5]  # open at both ends
     sheet = trimesh.Trimesh(np.array(shade.vertices) + np.array([2.5, 2.0, 2.3]), sides, process=False)
@@ -317,7 +317,7 @@ def test_area_lights_stay_in_their_slot(tmp_path: Path) -> None:
 
 
 def test_a_slot_that_a_lamp_occupies_stays_empty(tmp_path: Path) -> None:
-    """Importers make slots of lights that they find; using both would count one lamp twice."""
+    """Importers add a slot for each light of a scene; using both would count one lamp twice."""
     own = AreaLight(
         name="own", origin_m=(2.0, 2.4, 2.69), edge_u_m=(1, 0, 0), edge_v_m=(0, -0.8, 0), radiance=(1, 1, 1)
     )
@@ -463,7 +463,7 @@ def test_table_lookup_is_the_inverse_of_its_directions() -> None:
 
 
 def test_sky_and_sun_match_the_renderer(mitsuba_variant: str) -> None:
-    """Irradiance on a horizontal plane under the whole sky, against Mitsuba's sampling."""
+    """The irradiance of a horizontal plane under an open sky agrees with Mitsuba's emitter sampling."""
     import drjit as dr
     import mitsuba as mi
 
@@ -502,7 +502,7 @@ def test_sky_and_sun_match_the_renderer(mitsuba_variant: str) -> None:
 
 
 def test_environment_images_light_rooms_through_windows(tmp_path: Path, mitsuba_variant: str) -> None:
-    """An asset's image as daylight is recorded with its hash and oriented as the renderer does."""
+    """An environment image used as daylight is oriented as in the renderer; its asset's hash is recorded."""
     import drjit as dr
     import mitsuba as mi
     import OpenEXR
@@ -538,7 +538,7 @@ def test_environment_images_light_rooms_through_windows(tmp_path: Path, mitsuba_
     surface.wi = mi.Vector3f(*(-directions.T).astype(np.float32))
     theirs = np.array(scene.environment().eval(surface)).T
     ours = environment_radiance(light, library)(directions)
-    np.testing.assert_allclose(ours / light.scale, theirs / light.scale, atol=0.08)  # a cell is 5.6 degrees
+    np.testing.assert_allclose(ours / light.scale, theirs / light.scale, atol=0.08)  # table cells of 5.6 degrees
     np.testing.assert_allclose(ours / light.scale, 1.0 + 0.8 * directions @ turn, atol=0.08)
     with pytest.raises(InputError, match=r"lights = no environment light with an image.*environment_images"):
         environment_image(library, "room-0")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Likely rooms: materials by kind of surface, in one style; other configurations are unchanged."""
+"""Likely materials suit the kind of surface and share one style; other configurations are unchanged."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_room_has_one_style() -> None:
 
 
 def test_wood_has_the_tone_of_its_room() -> None:
-    """Pale, grey, red and dark woods occur, each room using one tone."""
+    """All wood of a room has one tone; pale, saturated, dark and bright tones occur."""
     seen = []
     for seed in range(40):
         style, means = RoomStyle.draw(Draws(seed)), assigned("dining_room", seed)
@@ -113,7 +113,7 @@ def test_wood_has_the_tone_of_its_room() -> None:
 
 
 def test_wallpaper_is_printed_in_the_accent() -> None:
-    """Counterpart: paper that is not printed cannot have such a hue."""
+    """Printed wallpaper takes the accent hue of the style; unprinted paper cannot."""
     style = RoomStyle.draw(Draws(1))
     (wallpaper,) = (look for look in LOOKS["wall"] if look.material_class == "paper")
     package = library().package("wallpaper_leaf")
@@ -192,7 +192,7 @@ def test_names_determine_a_surface(name: str, surface: str | None) -> None:
 
 
 def nameless(package: Package) -> EnvironmentAsset:
-    """The room with slots and parts renamed to m0, p0 and so on."""
+    """Return the room with its slots renamed to m0, m1 etc. and its parts to p0, p1 etc."""
     asset = package.asset
     assert isinstance(asset, EnvironmentAsset)
     slots = {slot: f"m{k}" for k, slot in enumerate(asset.materials)}

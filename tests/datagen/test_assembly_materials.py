@@ -58,7 +58,7 @@ def test_slots_get_only_classes_that_fit(library: Library) -> None:
                 seen.setdefault(slot, Counter())[assigned.asset] += 1
     assert set(seen) == {"floor", "walls", "table", "shelf"}  # the ceiling's material is fixed
     assert set(seen["shelf"]) == {"oak", "walnut", "steel"}
-    assert 15 < seen["shelf"]["steel"] < 45  # classes are drawn first: one metal against two woods
+    assert 15 < seen["shelf"]["steel"] < 45  # the class is drawn first, so half are metal
 
 
 def test_probabilities_are_met(library: Library) -> None:
@@ -100,7 +100,7 @@ def test_a_share_of_replacements_may_be_of_any_class(library: Library) -> None:
     )
     seen = drawn_classes(library, recipe)
     assert 25 < seen["floor"]["metal"] < 55
-    assert "ceiling" not in seen  # no class suits it: it keeps its material
+    assert "ceiling" not in seen  # no class fits, so its material is kept
     never = MaterialRecipe(replace_probability=0.0, vary_probability=0.0, any_class_probability=1.0)
     assert drawn_classes(library, never) == {}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Panoramas outside windows: which rooms get one, their brightness, and lamps that are on in the dark."""
+"""Panoramas outside windows: rooms that get one, brightness, and lamps that are on at night."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TIMES: tuple[Daytime, ...] = ("day", "night")
 
 
 def write_panorama(root: Path, name: str, daytime: Daytime, value: float = 1.0) -> None:
-    """A panorama of constant radiance."""
+    """Write a panorama package of the constant radiance ``value``."""
     file = root.parent / f"{name}.exr"
     file.parent.mkdir(parents=True, exist_ok=True)
     pixels = np.full((8, 16, 3), value, np.float32)
@@ -84,7 +84,7 @@ def test_rooms_with_openings_have_a_panorama_outside(library: Library) -> None:
 
 
 def test_by_night_lamps_are_on_and_the_outside_is_dim(library: Library) -> None:
-    """Lamps are on without being requested by the recipe; the outside has its small share of the light."""
+    """At night lamps are on although the recipe requests none, and the outside is dimmer than by day."""
     for index in range(3):
         configuration = assemble(recipe({"night": 1}), index, library)
         assert any(isinstance(light, AreaLight) for light in configuration.lights)
@@ -105,7 +105,7 @@ def test_white_balance_keeps_a_share_of_the_warmth() -> None:
 
 
 def test_lamps_are_balanced_to_the_light_of_the_room(library: Library) -> None:
-    """By night a lamp is nearly white, with daylight warmer, and without a panorama unchanged."""
+    """Balanced lamps are nearly white at night and warmer by day; without a panorama they are unchanged."""
 
     def warmth(**lights: Any) -> float:
         fields = {"area_probability": 1, "color_temperature_k": (2700, 2700), **lights}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Placed objects are at rest, stable, disjoint and within limits, by independent slow checks."""
+"""Independent slow checks confirm that placed objects are at rest, stable, disjoint and within limits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NUM_SEEDS = 6
 
 
 def triangles_cross(one: NDArray, other: NDArray) -> bool:
-    """Whether an edge of ``one`` (M, 3, 3) pierces a triangle of ``other`` (K, 3, 3) or the reverse."""
+    """Return whether an edge of ``one`` (M, 3, 3) pierces a triangle of ``other`` (K, 3, 3) or vice versa."""
     return bool(_pierces(one, other) or _pierces(other, one))
 
 
@@ -43,7 +43,7 @@ def _pierces(edges_of: NDArray, triangles: NDArray) -> bool:
     triangles = triangles[((triangles.max(axis=1) >= low) & (triangles.min(axis=1) <= high)).all(axis=1)]
     starts = corners.reshape(-1, 3)
     spans = np.roll(corners, -1, axis=1).reshape(-1, 3) - starts
-    for a, b, c in triangles:  # Moeller and Trumbore, one triangle against every edge
+    for a, b, c in triangles:  # Moeller-Trumbore test of a triangle against all edges
         e1, e2 = b - a, c - a
         p = np.cross(spans, e2)
         det = p @ e1
@@ -100,7 +100,7 @@ def test_the_slow_check_detects_an_intersection(scenes: list[list[PlacedThing]],
     for one in scenes[0]:
         assert triangles_cross(
             world_triangles(one, -0.002), ground
-        )  # 2 mm into the table: so it does not hover either
+        )  # 2 mm lower it intersects the surface, so it does not hover
     one = scenes[0][0]
     assert triangles_cross(world_triangles(one), world_triangles(one) + [0.01, 0.013, 0.005])  # noqa: RUF005
 
@@ -171,7 +171,7 @@ def test_category_weights_determine_the_shares(library: Library, room: Room) -> 
 def placed_on(
     tmp_path: Path, shapes: dict[str, trimesh.Trimesh], room: Room, **fields: object
 ) -> Counter[str]:
-    """Counts of rejections when placing a single object of these shapes."""
+    """Try to place one object of these shapes; return the counts of rejections and of ``placed``."""
     write_object(tmp_path, "thing", "thing", shapes, **fields)
     thing = things_of(Library([tmp_path]))[0]
     rejections: Counter[str] = Counter()
@@ -292,7 +292,7 @@ def test_an_object_inside_a_closed_box_is_detected(library: Library, tmp_path: P
     can, chair = things_of(library, "can", "chair")
     assert is_enclosed(at(can, 2.0, 0.1), at(crate, 2.0, 0.0))
     assert not is_enclosed(at(can, 3.0, 0.1), at(crate, 2.0, 0.0))
-    assert not is_enclosed(at(can, 2.0, 0.0), at(chair, 2.0, 0.0))  # under the seat does not count as inside
+    assert not is_enclosed(at(can, 2.0, 0.0), at(chair, 2.0, 0.0))  # below the seat is not inside
 
 
 def test_too_many_objects_are_reported_with_counts(library: Library, room: Room) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draws depend only on their key and have the named distributions."""
+"""Draws depend only on their key and follow the distribution that the method names."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_disjoint_splits_share_nothing(library: Library) -> None:
             assert one == other or not seen[one] & seen[other]
     shared = recipe(configurations=12, splits={"train": 0.5, "test": 0.5}, objects={"count": (3, 5)})
     both = [used_assets(assemble(shared, index, library)) for index in range(6)]
-    assert set.union(*both[0::2]) & set.union(*both[1::2])  # without the flag they do share
+    assert set.union(*both[0::2]) & set.union(*both[1::2])  # without ``disjoint`` splits share assets
 
 
 def test_partition_uses_all_assets_and_favours_training(library: Library) -> None:
@@ -150,7 +150,7 @@ def test_all_faults_of_a_recipe_are_reported_at_once(library: Library) -> None:
 
 
 def assign(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
-    """Give a room's slot, or a material package, an image as diffuse albedo."""
+    """Make an image the diffuse albedo of a room's ``slot`` or, if None, of a material package."""
     with open_package(folder) as package:
         files: dict[str, bytes | Path] = {
             n: package.read_bytes(n) for n in package.names() if n != "asset.json"
@@ -167,7 +167,7 @@ def assign(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
 
 
 def test_a_room_never_shows_an_image_of_another_split(tmp_path: Path) -> None:
-    """Two rooms share their floor's image with a material; only one split may show it."""
+    """The floors of two rooms and a material share an image, which only one split may show."""
     root = write_small_library(tmp_path, num_rooms=2)
     for k in range(4):
         write_object(root, f"cube-{k}", "box", {"body": box([-0.05, -0.05, 0], [0.05, 0.05, 0.1 + 0.01 * k])})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cameras are in free space, see content and share it; checked at a higher resolution."""
+"""Cameras are in free space, show objects and overlap, checked at a higher resolution than in planning."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from datagen.foundation.random import Draws
 from datagen.library import Library
 from tests.datagen.small_library import write_objects, write_room, write_small_library
 
-LIGHTS = {"daylight_probability": 0}  # these tests need no sky and so no renderer
+LIGHTS = {"daylight_probability": 0}  # without a sky, the tests need no renderer
 
 
 def recipe(**fields: Any) -> Recipe:
@@ -39,7 +39,7 @@ def recipe(**fields: Any) -> Recipe:
 
 
 def assembled(library: Library, index: int, wanted: Recipe) -> tuple[Configuration, WorldScene]:
-    """A configuration and its scene."""
+    """Assemble the configuration of an index; return it with its ray-tracing scene."""
     kept: list[WorldScene] = []
 
     class Spy(ViewFinder):
@@ -80,8 +80,8 @@ def test_cameras_follow_the_recipe(rooms: list[tuple[Configuration, WorldScene]]
             np.testing.assert_allclose(
                 camera.world_from_camera[:3, :3].T @ camera.world_from_camera[:3, :3], np.eye(3), atol=1e-8
             )
-            assert abs(camera.world_from_camera[2, 0]) < math.sin(math.radians(3.5))  # held level
-            assert camera.world_from_camera[2, 1] < 0  # and upright
+            assert abs(camera.world_from_camera[2, 0]) < math.sin(math.radians(3.5))  # level
+            assert camera.world_from_camera[2, 1] < 0  # upright
 
 
 def seen(camera: Camera, rays: RayScene) -> tuple[NDArray, NDArray]:
@@ -104,7 +104,7 @@ def test_views_show_content_from_a_distance(rooms: list[tuple[Configuration, Wor
 
 
 def exact_overlap(one: Camera, other: Camera, rays: RayScene) -> float:
-    """Share of the points of ``one`` that ``other`` sees, by traced rays."""
+    """Return the share of points visible from ``one`` that are visible from ``other``, by ray tracing."""
     small = one.scaled(40, 24)
     directions = small.ray_directions().reshape(-1, 3)
     hits = rays.cast(one.position_m, directions)
@@ -124,7 +124,7 @@ def test_every_view_shares_enough_with_another(rooms: list[tuple[Configuration, 
         cameras = cameras_of(configuration)
         for k, one in enumerate(cameras):
             best = max(exact_overlap(one, other, scene.rays) for j, other in enumerate(cameras) if j != k)
-            assert best >= 0.3 - 0.03  # decided on fewer points
+            assert best >= 0.3 - 0.03  # the planner uses fewer points
 
 
 def test_overlap_of_few_points_is_close(rooms: list[tuple[Configuration, WorldScene]]) -> None:

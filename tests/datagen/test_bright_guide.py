@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Guiding to a small lamp that the geometry does not name: unbiased light with few rays."""
+"""Guiding rays to a small lamp that is not declared as an emitter gives unbiased light with few rays."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ POINTS = np.array([[0.1, 0.0, 0.02], [-0.4, -0.3, 0.02], [0.3, 0.2, 0.3]])
 
 
 def ceiling_radiance() -> NDArray[np.float64]:
-    """Radiance (50, 50) of a square metre of ceiling, 0.5 m above the origin, with a lamp of 8 x 8 cm."""
+    """Return the radiance (50, 50) of a ceiling of 1 x 1 m with a lamp of 8 x 8 cm."""
     radiance = np.full((CELLS, CELLS), DIM_RADIANCE)
     radiance[LAMP] = LAMP_RADIANCE
     return radiance
 
 
 def square(height_m: float, corners: tuple[int, ...]) -> tuple[NDArray, NDArray]:
-    """Corners (4, 3) of a square metre and its two triangles."""
+    """Return the points (4, 3) of a horizontal unit square and two triangles (2, 3) of its ``corners``."""
     flat = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]])
     order = np.array(corners)
     return np.column_stack([flat, np.full(4, height_m)]), np.stack([order[[0, 1, 2]], order[[0, 2, 3]]])
 
 
 def room(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> tuple[RadianceField, Surfels]:
-    """A ceiling above a floor of radiance 1 under a uniform sky, and their surfels."""
+    """Return the radiance field and surfels of a ceiling above a floor of radiance 1 under a uniform sky."""
     (above, faces_above), (below, faces_below) = square(0.51, (0, 1, 2, 3)), square(0.01, (4, 7, 6, 5))
     faces = np.concatenate([faces_above, faces_below]).astype(np.int32)
     mesh = Mesh(np.concatenate([above, below]).astype(np.float32), faces, None, None)
@@ -96,7 +96,7 @@ def many(points: NDArray, copies: int) -> NDArray:
 
 
 def arriving(point: NDArray) -> tuple[NDArray, NDArray]:
-    """Unit directions (K, 3) to the 8 x 8 parts of every cell, and radiance times solid angle (K,)."""
+    """Return directions (K, 3) to 8 x 8 parts of each ceiling cell and radiance times solid angle (K,)."""
     side = 8 * CELLS
     middle = (np.arange(side) + 0.5) / side - 0.5
     x, y = np.meshgrid(middle, middle, indexing="ij")
@@ -116,7 +116,7 @@ def test_the_lamp_is_the_only_rectangle() -> None:
 
 @pytest.mark.parametrize("bright", [(slice(0, 50), slice(0, 50)), (slice(3, 4), slice(3, 4))])
 def test_large_or_weak_light_has_no_rectangle(bright: tuple[slice, slice]) -> None:
-    """The bright part is the whole ceiling, or one of its cells."""
+    """Neither a bright ceiling nor a single bright cell gets a rectangle that guides rays."""
     radiance = np.ones((CELLS, CELLS))
     radiance[bright] = 15.0
     field, _ = room(radiance)
@@ -129,7 +129,7 @@ def test_named_lamps_have_no_rectangle() -> None:
 
 
 def test_irradiance_is_right_with_few_rays() -> None:
-    """Means of 200 repetitions with 16 rays each are within 1.5 %, at a tenth of the unguided noise."""
+    """The mean of 200 estimates of 16 rays is within 1.5 %, and the noise below a tenth of the unguided."""
     normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
     values = {
         baker: baker.irradiance(many(POINTS, 200), many(normal, 200), 16).diffuse[:, 0].reshape(3, 200)
@@ -142,7 +142,7 @@ def test_irradiance_is_right_with_few_rays() -> None:
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6])
 def test_specular_terms_are_right_with_few_rays(roughness: float) -> None:
-    """The mean of 1000 times 16 rays is within 2 % of the integral."""
+    """The mean of 1000 estimates of 16 rays is within 2 % of the integral."""
     normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
     view = np.array([[0.3, 0.0, 0.9], [-0.6, -0.5, 0.6], [0.0, 0.5, 0.5]])
     view /= np.linalg.norm(view, axis=1, keepdims=True)
@@ -168,7 +168,7 @@ def test_specular_terms_are_right_with_few_rays(roughness: float) -> None:
 
 
 def test_density_of_directions_is_that_of_the_samples() -> None:
-    """From any point the mean of 1 / pdf over samples is the solid angle of the rectangles."""
+    """The mean of 1 / pdf over the samples is the solid angle of the rectangles."""
     import mitsuba as mi
 
     up = np.array([0.0, 0.0, 1.0])
@@ -195,7 +195,7 @@ def test_density_of_directions_is_that_of_the_samples() -> None:
 
 
 def test_points_in_the_plane_of_a_lamp_get_no_light_twice() -> None:
-    """A wall beside the ceiling, level with the lamp's rectangle, receives radiance 1 from sky and floor."""
+    """A vertical surface at the height of the lamp's rectangle receives only radiance 1 of sky and floor."""
     baker = Baker(room(ceiling_radiance(), sky=1.0)[0], 1e-2)
     assert baker.guide is not None
     position = np.tile([[0.9, 0.0, 0.51]], (50, 1))
@@ -204,7 +204,7 @@ def test_points_in_the_plane_of_a_lamp_get_no_light_twice() -> None:
 
 
 def test_metal_mirrors_the_lamp_without_noise() -> None:
-    """Above a metal floor: 200 times 256 guided rays against 200 times 65,536 unguided ones."""
+    """Above a metal floor, 256 guided rays agree with 65,536 unguided ones, at low noise."""
     field, surfels = room(ceiling_radiance())
     num = len(surfels)
     is_floor = np.arange(num) >= num // 2

@@ -30,7 +30,7 @@ ROOT = bundled_library()
 MAX_BYTES = 40_000_000
 ENVIRONMENTS = ("bathroom", "dining_room", "kitchen", "living_room", "study")
 MAX_TRIANGLES = {"environment": 150_000, "object": 15_000}
-OUTSIDE = "outside"  # the part outside of the windows
+OUTSIDE = "outside"  # prefix of the names of parts outside the windows
 
 
 @lru_cache(maxsize=1)
@@ -44,7 +44,7 @@ def geometry(name: str) -> AssetGeometry:
 
 
 def room_rays(name: str) -> RayScene:
-    """Ray-tracing scene of a room, without the parts outside of its windows."""
+    """Return the ray-tracing scene of a room without the parts outside its windows."""
     loaded = geometry(name)
     inside = np.array([not part.name.startswith(OUTSIDE) for part in loaded.asset.parts])
     return RayScene(loaded.vertices, loaded.faces[inside[loaded.part_of_face]])
@@ -57,7 +57,7 @@ def environment(name: str) -> EnvironmentAsset:
 
 
 def triangles_cut_box(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Mask of the triangles (M, 3, 3) that meet the open box, by separating axes (Akenine-Moller)."""
+    """Return the mask (M,) of triangles (M, 3, 3) that intersect the open box, by separating axes."""
     near = ((corners.min(axis=1) < high) & (corners.max(axis=1) > low)).all(axis=1)
     found = np.zeros(len(corners), dtype=bool)
     center, half = (low + high) / 2, (high - low) / 2
@@ -95,7 +95,7 @@ def test_size_and_licence() -> None:
 
 
 def test_panoramas_show_every_time_of_day() -> None:
-    """At least two for each time of day; finite; upright: brighter above the horizon than below."""
+    """Each time of day has at least two panoramas, which are finite and brighter above the horizon."""
     found: dict[str, list[np.ndarray]] = {}
     for package in library().select("panorama"):
         assert isinstance(package.asset, PanoramaAsset)
@@ -199,7 +199,7 @@ def test_room_is_closed_except_for_its_openings(name: str) -> None:
 
 
 def crosses(origins: np.ndarray, directions: np.ndarray, opening: object, slack: float = 0.02) -> np.ndarray:
-    """Whether rays go through the opening's rectangle, widened by ``slack`` metres."""
+    """Return the mask (N,) of rays through the opening's rectangle, widened by ``slack`` metres."""
     origin, u, v = (np.array(getattr(opening, key)) for key in ("origin_m", "edge_u_m", "edge_v_m"))
     normal = np.cross(u, v)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -216,7 +216,7 @@ def test_opening_points_into_the_room(name: str) -> None:
     for opening in environment(name).openings:
         u, v = np.array(opening.edge_u_m), np.array(opening.edge_v_m)
         inward = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
-        # a pane's centre may be behind a bar: nine positions
+        # nine positions, because a bar may cover the centre of a pane
         steps = np.array([0.2, 0.45, 0.8])
         starts = np.array([np.array(opening.origin_m) + a * u + b * v for a in steps for b in steps])
         hits = rays.cast(starts + 0.01 * inward, np.tile(inward, (9, 1)))
@@ -249,7 +249,7 @@ def test_support_surfaces_are_level_and_free(name: str) -> None:
 
 
 def support_fault(rays: RayScene, surface: SupportSurface) -> str:
-    """Fault of a support surface, or ''. Soft seats may bulge by 3 cm."""
+    """Return the fault of a support surface, or ''; soft seats may deviate from it by 3.5 cm."""
     origin, u, v = (np.array(e) for e in (surface.origin_m, surface.edge_u_m, surface.edge_v_m))
     if abs(u[2]) > 1e-6 or abs(v[2]) > 1e-6 or np.cross(u, v)[2] <= 0:
         return "not level"
@@ -272,7 +272,7 @@ def support_fault(rays: RayScene, surface: SupportSurface) -> str:
 
 
 def test_a_leak_is_detected() -> None:
-    """Injected fault: a room without one of its walls lets rays out."""
+    """Injected fault: rays escape from a room without its walls."""
     name = "kitchen"
     loaded, asset = geometry(name), environment(name)
     keep = np.array([not p.name.startswith((OUTSIDE, "walls")) for p in asset.parts])
@@ -290,6 +290,6 @@ def test_a_leak_is_detected() -> None:
 
 
 def test_packages_open_one_by_one() -> None:
-    """Each folder opens on its own, because no package refers to another."""
+    """Each package can be opened alone, because none refers to another."""
     for package in library():
         assert open_package(package.path).asset.id == package.path.name

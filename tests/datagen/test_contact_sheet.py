@@ -34,7 +34,7 @@ SCALES = Scales(exposure=0.5, farthest_m=4.0, max_views=12)
 
 
 def flat_view(**values) -> dict[str, np.ndarray]:
-    """A view of constant buffers, each value given by name."""
+    """Return a view in which the buffers named by ``values`` are constant."""
     view = make_buffers(6, 8, seed=1)
     for name, value in values.items():
         view[name] = np.broadcast_to(np.float32(value), view[name].shape).copy()
@@ -135,7 +135,7 @@ def test_every_view_of_a_sheet_has_a_separate_exposure():
     sheet = np.asarray(make_contact_sheet([dark, bright], ["same", "same"], "title"))
     half = np.asarray(make_contact_sheet([dark, dark], ["same", "same"], "title"))
     assert exposure_of(dark) == pytest.approx(8 * exposure_of(bright))
-    pictures = slice(-10 * 328, None)  # the exposure labels at the left differ in length
+    pictures = slice(-10 * 328, None)  # without the exposure labels, which differ in length
     np.testing.assert_array_equal(sheet[:, pictures], half[:, pictures])
     assert sheet.shape != half.shape or (sheet != half).any()
 
@@ -149,7 +149,7 @@ def test_every_column_and_row_is_drawn(size):
     fewer = [{k: v for k, v in view.items() if k != "color_min"} for view in views]
     narrow = np.asarray(make_contact_sheet(fewer, ["view-0", "view-1", "view-2"], "title"))
     assert (full.shape[1] - narrow.shape[1]) * len(COLUMNS) > 0.9 * (full.shape[1] - 100)
-    # a black buffer changes its column's band of pixels and no other
+    # a black buffer changes only the pixels of its column
     changed = [dict(view, diffuse_albedo=np.zeros_like(view["diffuse_albedo"])) for view in views]
     black = np.asarray(make_contact_sheet(changed, ["view-0", "view-1", "view-2"], "title"))
     columns = np.nonzero((black != full).any(axis=(0, 2)))[0]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Durability: content is synced before its name, and a name before files that refer to it.
+"""Durability: content is synced before it is named, and a name before files that refer to it.
 
-A recorder replaces the system calls and notes the file or folder of each.
+A recorder wraps the system calls and notes the file or folder of each.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Event = tuple[str, str]
 
 
 class Recorder:
-    """Records and performs ``sync``, ``name`` (a rename or a link; the new name) and ``remove``."""
+    """Wrapper of system calls that records the events ``sync``, ``name`` (rename or link) and ``remove``."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch):
         self.events: list[Event] = []
@@ -71,7 +71,7 @@ class Recorder:
         return [path for kind, path in self.events if kind == "name"]
 
     def check(self) -> None:
-        """Assert that content is synced before its name, and the folder before the next name."""
+        """Assert that content is synced before it is named, and its folder before the next naming."""
         assert not self.unsynced_names
         pending: str | None = None
         for kind, path in self.events:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gains of the estimated, unphotographed light."""
+"""Gains that scale the estimates of unphotographed light."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ IS_OUTSIDE = np.array([True, True, False, False])
 
 
 def walls(seed: int = 0) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Logarithm of radiance, known and estimated irradiance, and region of 48 textured walls; each group's
-    light fades along them independently."""
+    """Return log radiance (N,), known irradiance (N,), estimated irradiance of four light groups (N, 4) and
+    region (N,) of 48 textured walls, along which each group's light varies independently."""
     random = np.random.default_rng(seed)
     region = np.repeat(np.arange(48), 400)
     along = np.tile(np.linspace(0, 1, 400), 48)
@@ -48,7 +48,7 @@ def test_gains_do_not_depend_on_the_numbers_of_regions() -> None:
 
 
 def test_small_objects_of_another_colour_change_little() -> None:
-    """A picture covers a tenth of each wall and is four times as dark."""
+    """A picture with a quarter of the wall's albedo covers a tenth of each wall."""
     log_radiance, rest, parts, region = walls()
     is_picture = np.arange(len(region)) % 400 < 40
     darker = log_radiance - np.log(4) * is_picture
@@ -56,7 +56,7 @@ def test_small_objects_of_another_colour_change_little() -> None:
 
 
 def test_uniform_light_keeps_its_estimate() -> None:
-    """A uniform light cannot be separated from albedo, nor can regions of one surfel."""
+    """Neither uniform light nor regions of a single surfel determine gains, which therefore stay near 1."""
     log_radiance, rest, parts, region = walls()
     even = np.ones_like(rest)
     found = solve_gains(np.log(0.5 * even), even, parts * 0 + 0.5, region, IS_OUTSIDE)

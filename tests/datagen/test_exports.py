@@ -62,7 +62,7 @@ def export(layout: str, dataset: Path, out: Path, *options: str) -> Path:
 
 
 def masks_of(view: View) -> dict[str, np.ndarray]:
-    """Mask of the visible pixels of each object, from the ids."""
+    """Return the mask (H, W) of each visible object by name, from the instance ids."""
     ids = view.buffers["instance_id"][..., 0]
     named = {name: ids == int(key) for key, name in view.record.instances.items() if "/" not in name}
     return {name: mask for name, mask in named.items() if mask.any()}
@@ -118,7 +118,7 @@ def test_run_lengths_equal_those_of_pycocotools(seed: int) -> None:
 
 
 def _seen_by(poses: dict[str, Any], camera: dict[str, Any], points_m: np.ndarray) -> np.ndarray:
-    """Pixels (0: centre of the first) of an object's points by BOP's convention."""
+    """Project an object's points to pixels (N, 2) by BOP's convention: pixel centres are integers."""
     rotation, place = np.reshape(poses["cam_R_m2c"], (3, 3)), np.array(poses["cam_t_m2c"])
     local = 1e3 * points_m @ rotation.T + place
     image = local @ np.reshape(camera["cam_K"], (3, 3)).T
@@ -126,8 +126,7 @@ def _seen_by(poses: dict[str, Any], camera: dict[str, Any], points_m: np.ndarray
 
 
 def test_bop_poses_project_models_onto_their_masks(dataset: Path, views: list[View], tmp_path: Path) -> None:
-    """Depth inside a mask, in the object's frame, is within the model's box; the model's projected points
-    bound the mask."""
+    """Points of an object's mask are inside its model's box, and the projected model encloses the mask."""
     import trimesh
 
     out = export("bop", dataset, tmp_path / "bop")
@@ -209,7 +208,7 @@ def test_points_of_the_cloud_are_on_visible_surfaces(
 
 
 def _warped(view: View, flow: np.ndarray, name: str) -> np.ndarray:
-    """The other view's buffer sampled bilinearly along the flow; (H, W, C)."""
+    """Sample a buffer (H, W, C) of the view bilinearly at the ends of the flow (H, W, 2)."""
     height, width = flow.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     source = view.buffers[name].astype(np.float32)
@@ -219,7 +218,7 @@ def _warped(view: View, flow: np.ndarray, name: str) -> np.ndarray:
 
 
 def _flow_faults(out: Path, views: list[View], gain: float = 1.0) -> tuple[float, float, int]:
-    """Median relative error of reprojected depth, mean difference of albedo, number of compared pixels."""
+    """Return median relative depth error, mean albedo error and pixel count of flow scaled by ``gain``."""
     by_name = {view.record.name: view for view in views}
     depths, colors = [], []
     for pair in json.loads((out / "pairs.json").read_text())["pairs"]:
@@ -232,7 +231,7 @@ def _flow_faults(out: Path, views: list[View], gain: float = 1.0) -> tuple[float
         points = camera_a.unproject(np.stack([columns, rows], -1) + 0.5, a.buffers["depth_z_m"][seen][:, 0])
         expected = (points - camera_b.position_m) @ camera_b.forward
         column, row = np.clip(np.floor(ends).astype(int), 0, [63, 47]).T
-        # the other view's depth is its pixel centre's: extrapolate along its plane
+        # depth is stored at pixel centres: extrapolate it along the surface plane
         normal = b.buffers["normal_world"][row, column].astype(float)
         centre = camera_b.unproject(np.stack([column, row], -1) + 0.5, b.buffers["depth_z_m"][row, column, 0])
         rays = camera_b.unproject(ends, np.ones(len(ends))) - camera_b.position_m
@@ -256,7 +255,7 @@ def test_flow_maps_to_the_same_points_and_colours(dataset: Path, views: list[Vie
     assert count > 2000
     assert depth_error < 1e-3
     assert color_error < 0.03
-    # Injected fault: both detect flow that is 5 % too long.
+    # Injected fault: both errors detect flow that is 5 % too long.
     wrong_depth, wrong_color, _ = _flow_faults(out, views, gain=1.05)
     assert wrong_depth > 3 * depth_error
     assert wrong_color > 2 * color_error
@@ -273,7 +272,7 @@ def test_flow_of_a_view_to_itself_is_zero_and_everything_is_seen(views: list[Vie
 
 
 def test_hypersim_folders_follow_the_convention(dataset: Path, views: list[View], tmp_path: Path) -> None:
-    """Positions projected by Hypersim's matrices return to their pixels; depth is a distance."""
+    """Hypersim's matrices project positions to their pixels, and depth is the distance to the camera."""
     import h5py
 
     def read(path: Path) -> np.ndarray:

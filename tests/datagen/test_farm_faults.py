@@ -94,12 +94,12 @@ def _workers(process: subprocess.Popen) -> list[psutil.Process]:
         children = psutil.Process(process.pid).children()
         return [c for c in children if "spawn_main" in " ".join(c.cmdline())]
     except psutil.Error:
-        return []  # it has ended
+        return []  # the run has ended
 
 
 def _end(process: subprocess.Popen) -> None:
-    """Kill the remaining processes of a run, as a power cut does."""
-    with suppress(ProcessLookupError):  # nothing may remain
+    """Kill the remaining processes of a run, as a power cut would."""
+    with suppress(ProcessLookupError):  # no process is left
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert process.stderr is not None
@@ -107,7 +107,7 @@ def _end(process: subprocess.Popen) -> None:
 
 
 MOMENTS = {"any": "", "view": "work/*/*/.*.partial", "tar": "shards/.*.partial", "commit": "units/.*.partial"}
-"""When to kill: at a random moment, or as soon as a file that is about to be renamed is seen."""
+"""Patterns of temporary files whose appearance triggers a kill, by moment; '' for a random time."""
 
 
 def _is_seen(folder: DatasetFolder, pattern: str) -> bool:
@@ -117,7 +117,7 @@ def _is_seen(folder: DatasetFolder, pattern: str) -> bool:
 
 
 def _comes(folder: DatasetFolder, process: subprocess.Popen, moment: str, rng: random.Random) -> bool:
-    """Wait for a moment; False where the run ended first."""
+    """Wait for a key of ``MOMENTS``; return False if the run ends first."""
     if moment == "any":
         try:
             process.wait(timeout=rng.uniform(0.2, 1.5))
@@ -134,7 +134,7 @@ def _comes(folder: DatasetFolder, process: subprocess.Popen, moment: str, rng: r
 def _kill_at_random(
     folder: DatasetFolder, script: Path, kills: int, seed: int, moments: tuple[str, ...] = ("any",)
 ) -> Counter[str]:
-    """Kill a worker, or the parent with all workers; returns the number of kills by moment and victim."""
+    """Kill a worker, or the parent with all workers, ``kills`` times; return counts by moment and victim."""
     rng = random.Random(seed)
     hits: Counter[str] = Counter()
     while hits.total() < kills:
@@ -150,7 +150,7 @@ def _kill_at_random(
                 if rng.random() < 0.3:
                     hits[f"{moment}/parent"] += 1
                     break
-                with suppress(psutil.Error):  # it may have ended
+                with suppress(psutil.Error):  # the worker may have ended
                     rng.choice(workers).kill()
                     hits[f"{moment}/worker"] += 1
         finally:
@@ -181,8 +181,8 @@ def test_ten_random_kills(expected: dict[str, str], tmp_path: Path, library_root
 
 @pytest.mark.slow
 def test_fifty_kills_on_each_of_two_datasets(tmp_path: Path, library_root: Path) -> None:
-    """Kills of workers and of the parent at random moments and while a view is written or renamed, or a tar
-    or a marker is written. ``-s`` prints the counts."""
+    """Kill workers and parents at random moments and while a view, a tar or a marker is written.
+    With ``-s``, pytest shows the counts."""
     undisturbed = plan_small(tmp_path / "undisturbed", library_root, num_units=60)
     run_local(undisturbed.root, LocalOptions(workers=2))
     expected = _hashes(undisturbed)
@@ -211,7 +211,7 @@ def test_fifty_kills_on_each_of_two_datasets(tmp_path: Path, library_root: Path)
 def test_kill_at_a_chosen_moment(
     moment: str, expected: dict[str, str], tmp_path: Path, library_root: Path
 ) -> None:
-    """Kills while a view is written, between stages, while the tar is written, and after the first commit."""
+    """Kill the run while a view is written, between stages, while the tar is written, or after a commit."""
     folder = plan_small(tmp_path / "chosen", library_root)
     process = _start(folder, tmp_path / "run.py")
     try:
@@ -246,7 +246,7 @@ def test_after_a_full_disk_no_unit_has_failed_and_a_rerun_completes(
 ) -> None:
     with small_disk(tmp_path / "disk", 16) as disk:
         folder = plan_small(disk.root / "set", library_root)
-        disk.fill(leave=400_000)  # a view or two
+        disk.fill(leave=400_000)  # enough for a view or two
         summary = run_local(folder.root, LocalOptions(workers=1))
         assert not summary.done and not summary.failures and not summary.interrupted
         assert "no space left" in summary.disk_full
@@ -297,7 +297,7 @@ def test_two_whole_runs_at_once(expected: dict[str, str], tmp_path: Path, librar
 def test_damaged_markers_are_found_and_repaired(
     expected: dict[str, str], tmp_path: Path, undisturbed: DatasetFolder
 ) -> None:
-    """A truncated marker is ignored; one with a wrong hash of its shard is found by hashing."""
+    """A truncated or linked marker is ignored; one with a wrong shard hash is found by hashing the shard."""
     folder = _copy(undisturbed, tmp_path / "markers")
     cut, lying, linked = (folder.manifest_path(unit) for unit in folder.read_plan().units)
     cut.write_bytes(cut.read_bytes()[:50])
@@ -315,7 +315,7 @@ def test_damaged_markers_are_found_and_repaired(
 
 
 def test_changed_configurations_are_refused(tmp_path: Path, undisturbed: DatasetFolder) -> None:
-    """A flipped digit would give other pixels than planned."""
+    """A changed digit in a configuration would give other pixels than planned."""
     folder = _copy(undisturbed, tmp_path / "flipped", without=(1,))
     path = folder.configuration_path("small-00001")
     path.write_text(path.read_text().replace('"seed": 11', '"seed": 10'))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Leftovers of killed and duplicate attempts and of full disks are found, reported and removed, and nothing
-else."""
+"""Only leftovers of killed or duplicate attempts and of full disks are found, reported and removed."""
 
 from __future__ import annotations
 
@@ -39,7 +38,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def half_done(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
-    """Two units: the first is done, the second is rendered and has its statistics."""
+    """A dataset of two units: the first is done, the second is rendered and has statistics but no shard."""
     folder = plan_small(tmp_path_factory.mktemp("half") / "dataset", library_root, num_units=2)
     run_local(folder.root, LocalOptions(only=(0,)))
     run_local(folder.root, LocalOptions(stages=("render", "stats"), only=(1,)))
@@ -167,10 +166,10 @@ def _logs(folder: DatasetFolder) -> list[str]:
 
 
 def test_a_full_disk_stops_the_run_at_the_first_error(tmp_path: Path, library_root: Path) -> None:
-    """Only one attempt at one unit is made; none is recorded as failed; the same command resumes."""
+    """The run makes one attempt at one unit and records no failure; a second run completes the dataset."""
     with small_disk(tmp_path / "disk", 16) as disk:
         folder = plan_small(disk.root / "set", library_root)
-        disk.fill(leave=400_000)  # a view or two
+        disk.fill(leave=400_000)  # enough for a view or two
         command = [sys.executable, "-m", "datagen", "run", str(folder.root), "--only", "render"]
         command.append("--no-space-check")
         result = subprocess.run(command, capture_output=True, text=True)
@@ -203,7 +202,7 @@ def test_a_disk_too_small_for_the_estimate_is_reported_before_work(
 def test_jobs_are_not_submitted_to_a_disk_too_small(
     tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a throttle that number of units counts as concurrent; without one, a single unit."""
+    """The estimate assumes as many concurrent units as the throttle permits, without a throttle only one."""
     root = plan_small(tmp_path / "set", library_root, num_units=3).root
     usage, three = shutil.disk_usage(root), needed_space(DatasetFolder(root), workers=3).total_bytes
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(three) - 1))

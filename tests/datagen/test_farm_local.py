@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The local engine loses nothing, repeats nothing, and gives the same bytes after any course of events."""
+"""The local engine neither loses nor repeats finished work, and kills or restarts do not change the bytes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
-    """A dataset made by one worker without disturbance."""
+    """A dataset made by one worker without interruption."""
     folder = plan_small(tmp_path_factory.mktemp("one") / "dataset", library_root)
     summary = run_local(folder.root, LocalOptions(workers=1))
     assert len(summary.done) == 3 and not summary.set_aside
@@ -90,7 +90,7 @@ def test_a_killed_worker_loses_its_unit_only_and_no_finished_views(
             kills.append(unit)
             kept.update({p: p.stat().st_mtime_ns for p in folder.root.glob(f"work/{unit}-*/rendered/*.exr")})
             for child in psutil.Process().children():
-                with suppress(psutil.Error):  # of another test that is ending
+                with suppress(psutil.Error):  # a child of another test may just end
                     if "spawn_main" in " ".join(child.cmdline()):
                         child.kill()
         if kind == "progress" and stage == "stats" and done == 0:

@@ -101,7 +101,7 @@ def test_members_run_the_unfinished_units(desk: Desk, monkeypatch: pytest.Monkey
 
 
 def test_a_single_unit_needs_no_array(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """PBS refuses arrays of one."""
+    """PBS refuses arrays of a single member."""
     _pretend_done(desk, monkeypatch, 0, 1)
     submit(desk.folder.root, SlurmOptions(), "pbs")
     assert "-J" not in (desk.folder.root / "jobs" / "units-0.pbs").read_text().replace("'^#PBS -J'", "")
@@ -115,7 +115,7 @@ def test_long_plans_become_several_arrays(desk: Desk) -> None:
 
 
 def test_interrupted_jobs_resubmit_themselves(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two seconds before its limit of four seconds the slow unit gets a signal and ends as interrupted."""
+    """The slow unit gets a signal two seconds before its limit of four, stops, and is submitted again."""
     monkeypatch.setenv("SLOW_UNIT", "1")
     root = desk.folder.root
     submit(root, SlurmOptions(time_limit="0:04", notice_s=2), "pbs")

@@ -50,12 +50,12 @@ _WORDS = {
     "set", "folder", "unit", "task", "code", "worker", "datagen", "trap", "wait", "kill", "exit", "[",
     "source_me",
 }  # fmt: skip
-"""First words of everything that the scripts may execute."""
+"""Commands that the scripts may execute and variables that they may assign."""
 
 
 @dataclass
 class Desk:
-    """A planned folder, and a folder of recording commands as the only PATH."""
+    """A planned folder and the records of substitute commands, which are the only ones on PATH."""
 
     folder: DatasetFolder
     notes: Path
@@ -63,7 +63,7 @@ class Desk:
     here: Path
 
     def commands(self) -> list[list[str]]:
-        """Arguments of the recorded commands, in order; trace and records are cleared."""
+        """Return the recorded commands with their arguments, in order, and clear the record."""
         words = self.notes.read_text().split("\0")[:-1] if self.notes.exists() else []
         self.notes.write_text("")
         found = []
@@ -74,10 +74,10 @@ class Desk:
         return found
 
     def executed(self) -> set[str]:
-        """First words of the commands that bash executed, and names that it assigned."""
+        """Return the commands that bash executed and the variables that it assigned, and clear the trace."""
         text = self.trace.read_text() if self.trace.exists() else ""
         self.trace.write_text("")
-        # a command of a script has one plus, one in a substitution has more
+        # bash marks a script's commands with one plus, those in substitutions with more
         commands = re.findall(r"^(\++) (?:'?)([^\s=']*)", text, re.M)
         return {word if len(depth) == 1 else f"nested {word}" for depth, word in commands}
 
@@ -106,7 +106,7 @@ def desk(planned: DatasetFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def _expected(root: str) -> list[list[str]]:
-    """Commands expected of two units and their collection, without sbatch and squeue."""
+    """Return the commands expected for two units and their collection, except sbatch and squeue."""
     units = [["datagen", "run", root, "--unit", str(index), "--attempts", "3"] for index in (0, 1)]
     workers = ["--workers", "1"]
     return [
@@ -129,7 +129,7 @@ def _check_nothing_else_ran(desk: Desk, root: str) -> None:
 
 @pytest.mark.parametrize("name", HOSTILE, ids=[ascii(name) for name in HOSTILE])
 def test_a_hostile_folder_name_executes_nothing(name: str, desk: Desk, tmp_path: Path) -> None:
-    """Each part of a path with slashes is hostile; it is run or refused but never interpreted."""
+    """Submission either works or is refused, but the shell never interprets the name."""
     root = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + os.fsencode(name)))
     root.parent.mkdir(parents=True, exist_ok=True)
     desk.folder.root.rename(root)
@@ -217,7 +217,7 @@ def test_a_relative_folder_that_looks_like_an_option_is_accepted(
 
 
 def _directives(script: Path) -> dict[str, str | None]:
-    """Directives as Slurm reads them: up to the first command, values unquoted."""
+    """Parse the #SBATCH directives as Slurm does, up to the first command and with values unquoted."""
     found: dict[str, str | None] = {}
     for line in script.read_text().splitlines():
         if not line.startswith("#"):
@@ -293,7 +293,7 @@ def test_all_options_that_the_scripts_set_are_refused_at_once() -> None:
 
 @pytest.mark.parametrize(("failing", "code"), [("none", 0), ("status", 1), ("verify", 2), ("report", 3)])
 def test_the_collecting_job_returns_its_result(desk: Desk, failing: str, code: int, tmp_path: Path) -> None:
-    """Every step runs even if another fails."""
+    """Every step runs even if an earlier one fails."""
     program = tmp_path / "programs" / "datagen"
     program.write_text(
         f'#!/bin/bash\necho "$*" >> {tmp_path}/steps\ncase "$*" in *{failing}*) exit {code};; esac\n'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A unit of work and a plan's status, in process: stages, their files, races and counts."""
+"""Units of work and plan status, tested in process: stages, files, races and counts."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Made:
         return UnitRun(folder, plan.units[0], recipe, self.library, plan.versions, plan.variant, **more)
 
     def copy(self, stage: str, root: Path) -> DatasetFolder:
-        """A copy of the folder after a stage."""
+        """Copy the folder as it was after a stage to ``root``."""
         shutil.copytree(self.after[stage].root, root)
         return DatasetFolder(root)
 
@@ -114,7 +114,7 @@ def test_the_manifest_describes_the_shard(made: Made) -> None:
 
 
 def test_memory_is_reported_in_megabytes(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The system's unit is 1024 bytes."""
+    """The operating system counts memory in units of 1024 bytes."""
     folder = made.copy("stats", tmp_path / "a")
     usage = SimpleNamespace(ru_maxrss=3000 * 1024)
     monkeypatch.setattr(resource, "getrusage", lambda who: usage)
@@ -143,7 +143,7 @@ def test_finished_views_are_kept_and_damaged_ones_are_not(made: Made, tmp_path: 
     assert run.read_record(run.rendered_path, VIEWS[1]) is None
     with pytest.raises(Interrupted):
         run_unit(made.attempt(folder, should_stop=lambda: True), ["render"])
-    assert second.read_bytes() == whole[:-1]  # requested before its start
+    assert second.read_bytes() == whole[:-1]  # the stop was requested before the view began
     stopping = iter([False, True])
     events: list[Event] = []
     again = made.attempt(folder, should_stop=lambda: next(stopping), report=lambda *e: events.append(e))
@@ -154,7 +154,7 @@ def test_finished_views_are_kept_and_damaged_ones_are_not(made: Made, tmp_path: 
     assert not run.heartbeat_path.exists()
     events.clear()
     last = made.attempt(folder, should_stop=lambda: True, report=lambda *e: events.append(e))
-    assert run_unit(last, ["render"]) and events == [("render", 2, 2)]  # nothing remains to stop
+    assert run_unit(last, ["render"]) and events == [("render", 2, 2)]  # no view is left to render
 
 
 def test_lost_timings_fail_no_unit(made: Made, tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def of_another_hash(folder: DatasetFolder, manifest: UnitManifest) -> UnitManife
 def test_the_first_marker_wins_unless_it_is_invalid(
     made: Made, tmp_path: Path, there: Change | None, wins: bool
 ) -> None:
-    """A second attempt ends after another has written its marker."""
+    """An attempt that ends after another keeps the other's marker if valid and replaces it otherwise."""
     folder = made.copy("pack", tmp_path / "a")
     manifest = manifest_of(folder)
     path = folder.manifest_path(folder.read_plan().units[0])
@@ -216,7 +216,7 @@ def test_the_first_marker_wins_unless_it_is_invalid(
     path.write_bytes(b"{" if before is None else canonical_json(before))
     work_unit.commit_manifest(made.attempt(folder), manifest)
     assert manifest_of(folder) == (manifest if wins else before)
-    assert (folder.root / manifest.shard).exists() == wins  # the second one's shard is unreferenced
+    assert (folder.root / manifest.shard).exists() == wins  # an unreferenced shard is removed
     assert names(folder.units_path) == [path.name]
     assert folder.is_done(folder.read_plan().units[0])
 
@@ -285,7 +285,7 @@ def test_the_index_lists_done_and_missing_units(made: Made, tmp_path: Path) -> N
 
 
 def finish(folder: DatasetFolder, index: int, ago_s: float, now: float, *seconds: float) -> None:
-    """Write a unit's marker and shard, dated ``ago_s`` before ``now``."""
+    """Write a unit's shard and a marker of the stage times ``seconds``, dated ``ago_s`` before ``now``."""
     unit = folder.read_plan().units[index]
     shard = folder.shards_path / f"{unit.id}.tar"
     for path in (folder.shards_path, folder.units_path):
@@ -332,7 +332,7 @@ def seven(tmp_path: Path) -> DatasetFolder:
         log="logs/unit.log",
         command="datagen run x --unit 5 --attempts 0",
     )
-    for unit in (units[5], units[0]):  # a failure record of a unit done since then is ignored
+    for unit in (units[5], units[0]):  # the failure record of a done unit is ignored
         path = folder.failed_path / f"{unit.id}.json"
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(canonical_json(failure.model_copy(update={"id": unit.id})))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Worker processes are replaced by count and by memory growth; a dead worker loses its unit only."""
+"""Workers are replaced after a number of units or memory growth, and a dead worker loses only its unit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from datagen.farm.local import LocalOptions, run_local
 from tests.conftest import REPOSITORY
 from tests.datagen.small_plan import plan_small
 
-# Workers import this file as their main module, so they have its replacement of `run_unit`.
+# Workers import this file as their main module and so use its replacement of `run_unit`.
 SCRIPT = """
 import json, os, signal, sys
 from pathlib import Path
@@ -55,7 +55,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _run(folder: DatasetFolder, fault: str, **options: Any) -> tuple[dict, list[tuple[str, int]]]:
-    """Result of a run, and (unit, process) of every attempt in order."""
+    """Run a folder with a fault; return the summary and the (unit, process id) of each attempt in order."""
     script = folder.root.parent / "run.py"
     script.write_text(SCRIPT)
     result = subprocess.run(
@@ -80,7 +80,7 @@ def test_workers_are_replaced_after_a_number_of_units(tmp_path: Path, library_ro
 
 
 def test_workers_are_replaced_when_their_memory_has_grown(tmp_path: Path, library_root: Path) -> None:
-    """At 60 MB per unit the worker has grown by 120 MB after its third unit."""
+    """At 60 MB per unit a worker exceeds the limit of 100 MB growth after its third unit."""
     folder = plan_small(tmp_path / "set", library_root, num_units=5, num_views=1)
     summary, attempts = _run(folder, "grow", max_growth_mb=100, stages=[])
     assert len(summary["done"]) == 5 and _units_a_process(attempts) == [3, 2]

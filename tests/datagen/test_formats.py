@@ -211,7 +211,7 @@ def test_failed_atomic_write_leaves_no_files(tmp_path: Path) -> None:
 
 
 def test_each_buffer_has_a_stage() -> None:
-    """Order determines the bytes of a view's EXR; optional buffers are in no list."""
+    """The order of buffers determines the bytes of an EXR file; no stage lists optional buffers."""
     truth = ("normal_world", "depth_z_m", "surface_mask", "instance_id", "material_id")
     assert ("beauty", *MATERIAL_MAPS, *truth) == RENDERED_BUFFERS
     assert VIEW_BUFFERS[len(RENDERED_BUFFERS) :] == (

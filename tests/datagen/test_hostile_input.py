@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Untrusted files: every reader gives a valid object or an InputError.
+"""Every reader of untrusted files returns a valid object or raises InputError.
 
 ``HOSTILE_EXAMPLES=20000 pytest tests/datagen/test_hostile_input.py tests/model/test_hostile_input.py -s`` is
-the full run. The cases are in ``hostile_cases``, the attack in ``tests.hostile``.
+the full run. The cases are in ``hostile_cases``, the code that runs them in ``tests.hostile``.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def memory_stays_low():
 def test_exr_header_that_claims_too_many_pixels_is_refused(
     window: tuple[int, ...], tmp_path: Path, memory_stays_low: None
 ) -> None:
-    """Files of a few kilobytes claim 2.7e8, 1e9 and 1e9 pixels, as a view and as a texture."""
+    """Files of a few kilobytes claim 2.7e8 to 1e9 pixels and are read as a view and as a texture."""
     data = bytearray(encode_view(make_buffers(8, 8, seed=0)))
     for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
         start = data.index(name) + len(name) + 4
@@ -97,7 +97,7 @@ def test_png_that_claims_too_many_pixels_is_refused(
 
 
 def test_png_chunk_of_four_gigabytes_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
-    """OpenCV allocates a chunk's claimed length: 4 GB and ten seconds for these 292 bytes."""
+    """OpenCV would allocate the claimed chunk length: 4 GB in ten seconds for a file of 292 bytes."""
     data = bytearray(encode_png(np.zeros((5, 6, 3), np.uint8)))
     at = data.index(b"IDAT") - 4
     data[at : at + 4] = b"\xff\xff\xff\x7f"
@@ -108,7 +108,7 @@ def test_png_chunk_of_four_gigabytes_is_refused(tmp_path: Path, memory_stays_low
 
 
 def test_another_format_with_a_known_suffix_is_refused(tmp_path: Path) -> None:
-    """The decoder could read them, but only the formats of packages are allowed."""
+    """OpenCV can decode these formats, but packages must not contain them."""
     import cv2
 
     for suffix in (".bmp", ".tiff", ".webp", ".jp2"):
@@ -136,7 +136,7 @@ def test_ply_that_is_shorter_than_its_header_is_refused(tmp_path: Path, memory_s
 
 
 def test_zip_bomb_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
-    """80 megabytes of zeros in 80 kilobytes, and a member larger than its directory entry."""
+    """The zips have 80 MB of zeros in 80 kB, and a member larger than its directory entry states."""
     document = json.dumps(valid_documents()["material"][0])
     path = tmp_path / "bomb.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -223,7 +223,7 @@ def test_sparse_tar_member_is_refused(tmp_path: Path, memory_stays_low: None) ->
 
 
 def test_pipes_and_devices_are_not_read(tmp_path: Path) -> None:
-    """Reading them would never end."""
+    """Reading a pipe or device would never end."""
     fifo = tmp_path / "fifo.tar"
     os.mkfifo(fifo)
     for path in (fifo, Path("/dev/zero"), tmp_path):

@@ -26,11 +26,11 @@ from datagen.importers.gltf import import_gltf
 
 LICENSED = ImportOptions(license="CC0-1.0", overwrite=True)
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]], np.float32)  # in x-y, facing +z, 2 m tall
-QUAD_UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)  # glTF: v runs down
+QUAD_UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)  # glTF: v points down
 
 
 class Builder:
-    """A small glTF document with one buffer."""
+    """Builder of a small glTF document with one buffer."""
 
     def __init__(self) -> None:
         self.data = b""
@@ -124,8 +124,8 @@ def test_axes_resting_plane_and_uvs(tmp_path: Path, suffix: str) -> None:
     mesh = decode_ply(package.read_bytes("meshes/panel.ply"), "panel")
     assert mesh.normals is not None
     assert mesh.uv is not None
-    np.testing.assert_allclose(mesh.normals, [[0, -1, 0]] * len(mesh.normals), atol=1e-6)  # front along -Y
-    np.testing.assert_allclose(mesh.uv[:, 1], mesh.positions[:, 2] / 2, atol=1e-6)  # v upwards
+    np.testing.assert_allclose(mesh.normals, [[0, -1, 0]] * len(mesh.normals), atol=1e-6)  # faces -Y
+    np.testing.assert_allclose(mesh.uv[:, 1], mesh.positions[:, 2] / 2, atol=1e-6)  # v points up
     cross = np.cross(*(mesh.triangles()[0, k] - mesh.triangles()[0, 0] for k in (1, 2)))
     assert cross[1] < 0
     assert asset.parts[0].uv_per_m == pytest.approx(np.sqrt(0.5), rel=1e-5)
@@ -178,7 +178,7 @@ def test_plain_channels_are_not_resampled(tmp_path: Path) -> None:
     builder = Builder().quad()
     noise(tmp_path / "source" / "color.png")
     packed = noise(tmp_path / "source" / "arm.png", seed=1)
-    packed[..., 2] = 1  # metalness is only compression noise
+    packed[..., 2] = 1  # metalness 1/255 is compression noise
     (tmp_path / "source" / "arm.png").write_bytes(encode_png(packed))
     builder.material(
         pbrMetallicRoughness={

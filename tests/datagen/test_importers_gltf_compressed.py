@@ -27,8 +27,8 @@ INDICES = np.array([0, 1, 2, 0, 2, 3], np.uint16)
 
 
 def compressed(path: Path, filters: bool = False, **changes: Any) -> Path:
-    """The panel of the uncompressed tests with every buffer view compressed; the fallback buffer is absent,
-    as gltfpack writes it."""
+    """Write the quad of the uncompressed tests with all buffer views compressed by meshopt; return ``path``.
+    Like gltfpack, omit the fallback buffer."""
     builder = Builder().quad().material()
     data, views = b"", []
     contents = [(QUAD, "ATTRIBUTES"), (QUAD_UV, "ATTRIBUTES"), (INDICES, "TRIANGLES")]
@@ -91,7 +91,7 @@ def test_damaged_meshopt_is_refused_by_name(tmp_path: Path, changes: dict, messa
 
 
 def picture(alpha: bool = False) -> np.ndarray:
-    """A picture of sixteen patches, which 4 x 4 block compression hardly changes."""
+    """Return an image (64, 64, 3 or 4) of 4 x 4 uniform patches, which block compression hardly changes."""
     colors = np.random.default_rng(3).integers(40, 220, (4, 4, 4 if alpha else 3)).astype(np.uint8)
     return colors.repeat(16, axis=0).repeat(16, axis=1)
 

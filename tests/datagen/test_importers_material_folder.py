@@ -44,7 +44,7 @@ def test_names_determine_the_channel_of_an_image(name: str, role: str) -> None:
 
 
 def bumps(side: int = 64, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A tiling height field and its OpenGL normal map, 8 bits."""
+    """Return a tiling height map (side, side, 1) and its OpenGL normal map (side, side, 3) as uint8."""
     rng = np.random.default_rng(seed)
     spectrum = rng.normal(size=(side, side)) + 1j * rng.normal(size=(side, side))
     k = np.fft.fftfreq(side) * side

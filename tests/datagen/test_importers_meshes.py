@@ -46,7 +46,7 @@ def size_of(record: ImportedAsset) -> np.ndarray:
 
 
 def write_obj(folder: Path, texture: str = "") -> Path:
-    """Write a box, Y up, one half of textured wood, the other of steel."""
+    """Write an OBJ box with Y up, half oak with a ``texture``, if given, half steel; return its path."""
     mesh = box()
     points = np.asarray(mesh.vertices)[:, [0, 2, 1]] * [1, 1, -1]  # (x, z, -y)
     lines = ["mtllib sofa.mtl", *(f"v {x} {y} {z}" for x, y, z in points)]
@@ -73,14 +73,14 @@ def test_obj_keeps_size_materials_and_triangles(tmp_path: Path) -> None:
     with open_package(record.path) as package:
         meshes = [decode_ply(package.read_bytes(part.mesh), part.mesh) for part in asset.parts]
     assert sum(len(mesh.faces) for mesh in meshes) == 12
-    for mesh in meshes:  # windings survive the change of axes: normals point outwards
+    for mesh in meshes:  # winding survives the change of axes, so normals point outwards
         corners = mesh.triangles()
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert ((corners.mean(1) - [0, 0, SIZE[2] / 2]) * normal).sum(1).min() > 0
 
 
 def test_corners_of_different_kinds_are_distinguished() -> None:
-    """One corner has no uv and one has a normal, while the totals equal those of a uniform file."""
+    """One corner has no UV and one has a normal, but the total number of indices suits uniform corners."""
     corners = [b"%d/%d" % (k + 1, 300 - k) for k in range(300)]
     corners[1], corners[2] = b"2", b"3/298/7"
     found = corner_indices(corners, (300, 300, 9))
@@ -146,7 +146,7 @@ def test_stl_as_text_and_round_shapes_are_imported(tmp_path: Path) -> None:
         mesh = decode_ply(package.read_bytes(asset_of(record).parts[0].mesh), "ball")
     radial = (mesh.positions - [0, 0, 0.1]) / 0.1
     assert mesh.normals is not None
-    assert (radial * mesh.normals).sum(1).min() > 0.99  # smooth, not facets
+    assert (radial * mesh.normals).sum(1).min() > 0.99  # smooth, not faceted
     assert len(mesh.positions) == len(ball.vertices)
 
 
@@ -171,7 +171,7 @@ def test_damaged_files_are_refused(tmp_path: Path, name: str, data: bytes, messa
 
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
 def test_readers_spend_the_budget(tmp_path: Path, suffix: str) -> None:
-    """Vertex pairs of a fan of 4,000 triangles around one vertex grow quadratically."""
+    """The vertex pairs of a fan of 4,000 triangles exceed the limit, since their number is quadratic."""
     ring = [(np.cos(a), np.sin(a), 0.1 * (k % 2)) for k, a in enumerate(np.linspace(0, 6.28, 4000))]
     faces = [(0, k, k + 1) for k in range(1, len(ring))]
     fan = trimesh.Trimesh([(0, 0, 0), *ring], faces, process=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba scenes as packages: parsing, materials against Mitsuba, policies, lights, markers."""
+"""Mitsuba scenes as packages: parsing, materials compared with Mitsuba, policies, lights, markers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def write_scene(folder: Path, body: str, name: str = "scene.xml", version: str =
 
 
 def colorful(path: Path, side: int = 32) -> Path:
-    """An asymmetric image, which reveals rotated or mirrored textures."""
+    """Write an asymmetric image, which reveals rotated or mirrored textures; return ``path``."""
     v, u = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side), indexing="ij")
     pixels = np.stack([u, v, (u * v > 0.3) * 0.8 + 0.1], axis=-1)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -190,11 +190,11 @@ def test_conductor_f0_agrees_with_mitsuba(tmp_path: Path, mitsuba_variant: str) 
         '<rgb name="eta" value="1.65746, 0.880369, 0.521229"/>'
         '<rgb name="k" value="9.22387, 6.26952, 4.837"/></bsdf>',
     )
-    np.testing.assert_allclose(draft.specular, expected, atol=0.03)  # equal means, not equal peaks
+    np.testing.assert_allclose(draft.specular, expected, atol=0.03)  # means agree, F0 only roughly
     mean = fresnel.conductor_mean(np.array(eta), np.array(k))
     np.testing.assert_allclose(np.array(draft.specular) * 20 / 21 + 1 / 21, mean, atol=1e-6)
     assert draft.diffuse == (0.0, 0.0, 0.0)
-    assert draft.roughness == pytest.approx(0.3)  # Beckmann: width unchanged
+    assert draft.roughness == pytest.approx(0.3)  # Beckmann width is unchanged
     gold = fresnel.conductor_preset_mean("Au")
     np.testing.assert_allclose(
         gold,
@@ -227,7 +227,7 @@ def test_sheen_of_diffuse_surfaces_is_removed(mitsuba_variant: str) -> None:
 
 
 def mitsuba_diffuse_albedo(plugin: dict, num_samples: int = 1 << 18) -> np.ndarray:
-    """Hemispherical albedo of a BSDF's diffuse lobe under uniform light, by Monte Carlo."""
+    """Estimate the albedo (3,) of a BSDF's diffuse lobe under uniform light by Monte Carlo integration."""
     import drjit as dr
     import mitsuba as mi
 
@@ -339,7 +339,7 @@ def test_checkerboard_and_uv_transforms_agree_with_mitsuba(mitsuba_variant: str)
 def test_bump_maps_tilt_normals_in_the_right_direction() -> None:
     v, u = np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(64) + 0.5) / 64, indexing="ij")
     height = (0.01 * np.sin(2 * np.pi * u) + 0.02 * np.sin(2 * np.pi * (1 - v))).astype(np.float32)
-    normal = normal_from_height(height, uv_per_m=0.5)  # one period in two metres
+    normal = normal_from_height(height, uv_per_m=0.5)  # the period is two metres
     slope_u = 0.01 * 2 * np.pi * np.cos(2 * np.pi * u) * 0.5
     slope_v = 0.02 * 2 * np.pi * np.cos(2 * np.pi * (1 - v)) * 0.5
     np.testing.assert_allclose(-normal[..., 0] / normal[..., 2], slope_u, atol=2e-4)
@@ -429,7 +429,7 @@ def test_daylight_keeps_its_scales(
 
 @pytest.mark.parametrize("name", ["measured", "convert", "nested", "lobe_width"])
 def test_unknown_bsdfs_are_refused_by_name(tmp_path: Path, name: str) -> None:
-    """Names of the importer's functions are no exception."""
+    """Names of the importer's functions are refused like any unknown type."""
     scene = f'<shape type="cube"><bsdf type="{name}"/></shape>'
     with pytest.raises(InputError, match=f"type '{name}'.*a supported BSDF: diffuse, plastic"):
         imported(tmp_path, scene)
@@ -470,7 +470,7 @@ def test_glass_is_refused_or_replaced_by_name(tmp_path: Path) -> None:
     assert "material 'Pane'" in str(caught.value)
     assert not (tmp_path / "library").exists() or not any((tmp_path / "library").rglob("asset.json"))
     record, asset = imported(tmp_path / "b", GLASS, ImportOptions(license="CC0-1.0", dielectric="replace"))
-    assert len(asset.parts) == 2  # the cube and the ball; panes transmit light
+    assert len(asset.parts) == 2  # the cube and the ball; panes are left out
     assert asset.materials["Clear"].classes == ("glass",)
     text = "\n".join(record.approximations)
     assert "Clear: transparent, left out" in text
@@ -582,7 +582,7 @@ SHAPES = """
 
 
 def test_every_shape_looks_as_in_mitsuba(tmp_path: Path, mitsuba_variant: str) -> None:
-    """Images of geometry, UVs, textures, camera, environment map and axes agree pixel by pixel."""
+    """Renderings of the original and the imported scene agree in shapes, textures, camera and sky."""
     import OpenEXR
 
     from datagen.importers.reference import render_converted, render_original
@@ -619,7 +619,7 @@ def test_every_shape_looks_as_in_mitsuba(tmp_path: Path, mitsuba_variant: str) -
     with Library([record.path]) as library:
         ours = render_converted(library, record.asset_id, 64, 256, 3)
     difference = np.abs(ours - theirs)
-    # noise and edges; a rotated texture or sky would give 0.2 or more
+    # noise and edges differ; a rotated texture or sky would give 0.2 or more
     assert difference.mean() < 0.06 * theirs.mean()
     assert agreement(ours, theirs).correlation > 0.998
     flipped = np.flip(theirs, axis=1)

@@ -73,7 +73,7 @@ map_Kd leaf.png
 
 
 def box_obj(size: tuple[float, float, float], material: str, *, offset: int = 0, uv: bool = True) -> str:
-    """OBJ statements of an outward box from the origin to ``size`` (x, y up, z to the front)."""
+    """Return OBJ text of a box from the origin to ``size``, with y up, the front at +z and outward faces."""
     x, y, z = size
     corners = [(0, 0, z), (x, 0, z), (x, y, z), (0, y, z), (0, 0, 0), (x, 0, 0), (x, y, 0), (0, y, 0)]
     lines = [f"v {a} {b} {c}" for a, b, c in corners]
@@ -87,7 +87,7 @@ def box_obj(size: tuple[float, float, float], material: str, *, offset: int = 0,
 
 
 class Sh3f:
-    """A furniture library under construction."""
+    """Builder of a Sweet Home 3D furniture library."""
 
     def __init__(
         self, license_: str = "Creative Commons Attribution 3.0 Unported license © Ann Maker"
@@ -125,7 +125,7 @@ class Sh3f:
 
 
 def planks(seed: int = 3, channels: int = 3) -> bytes:
-    """A small PNG; with four channels half of it is transparent."""
+    """Return a PNG file of 8 x 8 pixels; with four channels its upper half is transparent."""
     import cv2
 
     pixels = np.random.default_rng(seed).integers(40, 200, (8, 8, channels), dtype=np.uint8)
@@ -186,7 +186,7 @@ def test_a_piece_without_any_licence_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_piece_has_the_catalogue_size_upright_and_with_its_front_to_minus_y(tmp_path: Path) -> None:
-    # 2 x 1 x 3 units in the model: sides are scaled separately; a second part marks the front (+z)
+    # The model has 2 x 1 x 3 units, its axes are scaled separately, and a second part marks the front (+z).
     mark = "v 0 0 3\nv 2 0 3\nv 2 1 3\nusemtl matt\nf 9 10 11\n"
     sh3f = Sh3f().piece("crate", box_obj((2, 1, 3), "oak") + mark)
     sh3f.files["m/crate/planks.png"] = planks()
@@ -261,7 +261,7 @@ def test_duplicate_faces_and_lines_are_skipped() -> None:
 def test_phong_is_converted_to_d_s_and_r() -> None:
     table = read_mtl(MTL.encode(), "x.mtl")
     plastic = phong_channels(PhongMaterial((0.5, 0.5, 0.5), (0.5, 0.5, 0.5), exponent=98), is_metal=False)
-    assert np.allclose(plastic.diffuse, 0.2140, atol=1e-3)  # 0.5 of sRGB
+    assert np.allclose(plastic.diffuse, 0.2140, atol=1e-3)  # 0.5 in sRGB
     assert np.allclose(plastic.specular, 0.04)
     assert np.isclose(plastic.roughness, 0.02**0.25, atol=1e-4)
     chrome = phong_channels(table["chrome_leg"], is_metal=True)
@@ -269,10 +269,10 @@ def test_phong_is_converted_to_d_s_and_r() -> None:
     matt = phong_channels(table["matt"], is_metal=False)
     assert matt.roughness == 1 and matt.diffuse == (0.9,) * 3 and matt.specular == (0.02,) * 3
     dark = phong_channels(PhongMaterial((0.1,) * 3, (0.3,) * 3, exponent=50), is_metal=True)
-    assert max(dark.diffuse) > 0 and max(dark.specular) < 0.05  # painted
+    assert max(dark.diffuse) > 0 and max(dark.specular) < 0.05  # painted, not bare metal
     assert phong_channels(table["matt"], is_metal=True, is_mirror=True).roughness == 0
     theta = (np.arange(200_000) + 0.5) / 200_000 * (np.pi / 2)
-    for n in (0.0, 10.0, 1000.0):  # normalised densities of half vectors: equal peaks
+    for n in (0.0, 10.0, 1000.0):  # normalised half-vector densities have equal peaks
         peak = 1 / (2 * np.pi * (np.cos(theta) ** (n + 1) * np.sin(theta)).mean() * (np.pi / 2))
         assert np.isclose(peak, 1 / (np.pi * phong_roughness(n) ** 4), rtol=1e-4)
 
@@ -315,7 +315,7 @@ def test_see_through_materials_follow_the_policy(tmp_path: Path) -> None:
     bowl_asset = open_package(bowl_record.path).asset
     assert isinstance(bowl_asset, ObjectAsset)
     diffuse = bowl_asset.materials["clear"].diffuse_albedo
-    assert isinstance(diffuse, tuple) and 0.65 < diffuse[0] < 0.75  # opal
+    assert isinstance(diffuse, tuple) and 0.65 < diffuse[0] < 0.75  # opal glass
     assert any("opal" in line for line in bowl_asset.materials["clear"].approximations)
 
 
@@ -324,7 +324,7 @@ def test_a_glass_table_keeps_its_top(tmp_path: Path) -> None:
     ghost = "v -9 0 0\nv -9 1 0\nv -9 0 1\nusemtl ghost\nf 13 14 15\n"
     model = box_obj((4, 2, 3), "chrome_leg", uv=False) + top + ghost
     asset, _ = import_one(tmp_path, Sh3f().piece("glass_table", model, width=140, depth=50))
-    assert list(asset.materials) == ["chrome_leg", "clear"]  # no ghost
+    assert list(asset.materials) == ["chrome_leg", "clear"]  # the transparent ghost is omitted
     assert np.isclose(asset.maximum_m[1] - asset.minimum_m[1], 0.5, atol=1e-6)
 
 
@@ -347,7 +347,7 @@ def test_floor_standing_furniture_is_never_put_on_a_table(tmp_path: Path) -> Non
     supports = {a.title: a.supports for a in assets if isinstance(a, ObjectAsset)}
     assert supports["Stool"] == supports["Zydeco"] == supports["Small chair with cushion"] == ("floor",)
     assert supports["Vase"] == ("floor", "table", "counter") and "table" in supports["Mug"]
-    assert supports["Cupboard"] == supports["Pane"] == ()  # hanging: never placed
+    assert supports["Cupboard"] == supports["Pane"] == ()  # hung on a wall, so never placed
     assert {a.title: a.category for a in assets if isinstance(a, ObjectAsset)}["Stool"] == "seat"
 
 
