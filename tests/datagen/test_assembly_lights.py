@@ -73,7 +73,7 @@ def estimate(scene: WorldScene, albedo: float, group: LightGroup, points: Any, c
 @pytest.mark.parametrize("albedo", [0.0, 0.5, 0.8])
 @pytest.mark.parametrize("error", [0.0, 0.05])
 def test_probe_in_an_integrating_sphere(tmp_path: Path, albedo: float, error: float) -> None:
-    """A point light I at the centre of a sphere of radius r gives the wall irradiance I/r^2 / (1 - albedo)."""
+    """A point light I at the centre of a sphere of radius r gives it the irradiance I/r^2 / (1 - albedo)."""
     radius, intensity = 2.0, 3.0
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     scene = scene_of(trimesh.Trimesh(ball.vertices, ball.faces[:, ::-1], process=False), tmp_path)
@@ -538,7 +538,7 @@ def test_environment_images_light_rooms_through_windows(tmp_path: Path, mitsuba_
     surface.wi = mi.Vector3f(*(-directions.T).astype(np.float32))
     theirs = np.array(scene.environment().eval(surface)).T
     ours = environment_radiance(light, library)(directions)
-    np.testing.assert_allclose(ours / light.scale, theirs / light.scale, atol=0.08)  # table cells of 5.6 degrees
+    np.testing.assert_allclose(ours / light.scale, theirs / light.scale, atol=0.08)  # a cell is 5.6 degrees
     np.testing.assert_allclose(ours / light.scale, 1.0 + 0.8 * directions @ turn, atol=0.08)
     with pytest.raises(InputError, match=r"lights = no environment light with an image.*environment_images"):
         environment_image(library, "room-0")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects thinner than a pixel: slats of a blind before a bright sky."""
+"""Surfels of objects thinner than a pixel: slats of a blind in front of a bright sky."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ NUM_WALL_FACES = 10
 
 
 def _geometry() -> CaptureGeometry:
-    """A room of 4 x 4.5 x 2.5 m, open at y = 2 m, with slats along x there, 2 cm high and 11 cm apart, so
-    adjacent pixels show the same slat or none."""
+    """Return a room of 4 x 4.5 x 2.5 m whose open side at y = 2 m has slats of 2 cm at intervals of 11 cm.
+    Adjacent pixels show the same slat or none."""
     x, y, low, z = 2, 2, -2.5, 2.5
     corners = [
         [(-x, low, 0), (x, low, 0), (x, y, 0), (-x, y, 0)],
@@ -48,7 +48,7 @@ def _geometry() -> CaptureGeometry:
 
 
 def _photographed(traced: TracedGeometry, sky: float = SKY) -> tuple[TracedView, ...]:
-    """Photographs whose pixels average all visible surfaces; the first three show the slats."""
+    """Return six photographs whose pixels average 16 x 16 rays; the first three show the slats."""
     views = []
     toward_slats = [((x, -1.5, 0.5), (0.0, 2.0, 0.9)) for x in (-0.6, 0.0, 0.6)]
     into_room = [((0.0, 1.8, 1.5), (x, y, 1.0)) for x, y in ((0.0, -2.0), (-2.0, 0.0), (2.0, 0.0))]
@@ -76,7 +76,7 @@ def views(traced: TracedGeometry) -> tuple[TracedView, ...]:
 
 
 def _lit(views: tuple[TracedView, ...], traced: TracedGeometry, is_bounded: bool = True) -> Surfels:
-    """Surfels of the views, with gathered light."""
+    """Return surfels of the views with gathered light; ``is_bounded`` bounds the radiance of mixed ones."""
     nothing_emits = np.zeros(NUM_WALL_FACES + 2 * NUM_SLATS, bool)
     regions = np.zeros(len(nothing_emits), np.int32)
     options = GatherOptions(irradiance_rays=8, estimates_unseen=False, bounds_mixed=is_bounded)
@@ -84,7 +84,7 @@ def _lit(views: tuple[TracedView, ...], traced: TracedGeometry, is_bounded: bool
 
 
 def _of_slats(surfels: Surfels) -> NDArray[np.float32]:
-    """Radiance (N, 3) of the slats' surfels."""
+    """Return the radiance (N, 3) of the slats' surfels."""
     return surfels.radiance[surfels.face >= NUM_WALL_FACES]
 
 
@@ -99,7 +99,7 @@ def test_slats_are_mixed_and_walls_are_not(views: tuple[TracedView, ...]) -> Non
 def test_slats_do_not_get_the_radiance_of_the_sky_behind_them(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
-    """Their pixels show mostly sky, but the light that reaches them from the room bounds their radiance."""
+    """Pixels of slats show mostly sky, but the light incident on the slats bounds their radiance."""
     seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
     assert np.median(_of_slats(seen)) > 50 * SLAT
     assert np.quantile(_of_slats(found), 0.9) < 1.1 * WALL
@@ -109,13 +109,13 @@ def test_slats_do_not_get_the_radiance_of_the_sky_behind_them(
 def test_mixed_surfels_in_unknown_light_keep_their_radiance(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
-    """With photographs of only the slats little of their incident light is known."""
+    """If photographs show only the slats, little of the light incident on them is known."""
     seen, found = _lit(views[:3], traced, is_bounded=False), _lit(views[:3], traced)
     assert np.median(_of_slats(found) / _of_slats(seen)) > 0.5
 
 
 def test_mixed_surfels_of_plausible_radiance_keep_it(traced: TracedGeometry) -> None:
-    """The sky behind them is dark."""
+    """In front of a dark sky the radiance of slats is plausible and stays unchanged."""
     views = _photographed(traced, sky=SLAT / 2)
     seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
     np.testing.assert_array_equal(_of_slats(found), _of_slats(seen))
@@ -128,7 +128,7 @@ def _unmixed(views: tuple[TracedView, ...], traced: TracedGeometry) -> list[Trac
 
 
 def _radiance(views: Sequence[TracedView], is_slat: bool) -> NDArray[np.float32]:
-    """Radiance (K,) of the pixels that show slats or walls."""
+    """Return the radiance (K,) of the pixels that show slats (``is_slat``) or walls."""
     of_views = []
     for view in views:
         face = view.geometry.face.ravel()
@@ -143,7 +143,7 @@ def test_pixels_of_slats_get_the_radiance_of_slats_alone(
     found = _unmixed(views, traced)
     slats, walls = _radiance(found, True), _radiance(found, False)
     assert np.median(_radiance(views, True)) > 50 * SLAT
-    assert abs(np.median(slats) - SLAT) < 0.01 * SKY  # the coverage by 16 rays is off by a few percent
+    assert abs(np.median(slats) - SLAT) < 0.01 * SKY  # coverage from 16 rays errs by a few percent
     assert np.quantile(slats, 0.9) < 0.04 * SKY
     assert slats.mean() < 0.02 * SKY  # uncertain pixels have the radiance of their block
     assert np.quantile(np.abs(walls - WALL), 0.95) < 0.05 * WALL
@@ -161,7 +161,7 @@ def test_pixels_without_other_surfaces_keep_their_values(
 
 @pytest.mark.parametrize(("part", "expected"), [(1.0, 1.0), (0.45, 0.5), (0.0, 0.0)])
 def test_slope_is_the_observed_part_of_the_predicted_mixture(part: float, expected: float) -> None:
-    """A slope of 0.9 counts as 1."""
+    """Slopes are divided by 0.9, the value that exact data give."""
     rng = np.random.default_rng(3)
     share = rng.uniform(0.2, 0.8, 200_000)
     known, beyond = rng.uniform(0.1, 1, (2, len(share), 1)) * np.ones(3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Statistics against the float64 oracle and their defining properties."""
+"""Statistics agree with the float64 oracle and have their defining properties."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def compute(views, options=None):
 
 
 def disagreement(result, expected, options) -> tuple[int, float]:
-    """Number of unambiguous pixels that differ from the oracle, and the share of unambiguous pixels."""
+    """Return the number of unambiguous pixels that differ from the oracle, and the unambiguous share."""
     *colors, count, margin = expected
     is_sure = margin > DECISION_MARGIN
     is_wrong = result["observation_count"][..., 0] != count
@@ -110,7 +110,7 @@ def test_equals_oracle(name):
     ],
 )
 def test_a_wrong_oracle_is_detected(wrong):
-    """Injected fault: a parameter 5 % off, or another rule, is detected."""
+    """Injected fault: an oracle with parameters 5 % off or with other options is detected."""
     options = StatisticsOptions()
     views = make_views(((90, 60),))
     wrongs = 0
@@ -157,7 +157,7 @@ def test_single_view_returns_the_colours_of_the_view_exactly():
 
 
 def test_even_count_takes_the_mean_of_the_middle_two():
-    """Four cameras at one position with constant colours 0, 0.1, 0.4, 1: the median is 0.25."""
+    """The median of four identical cameras with the constant colours 0, 0.1, 0.4 and 1 is 0.25."""
     base = make_views(num_views=1)[0]
     mask = np.ones_like(base.surface_mask)
     views = [
@@ -183,7 +183,7 @@ def test_equal_costs_keep_the_first_view():
 
 
 def test_ranking_prefers_views_along_the_normal():
-    """A floor seen from straight above and by grazing cameras: a wrong sign would select the latter."""
+    """Cameras nearly above a floor are preferred to grazing ones; a wrong sign would select the latter."""
     from datagen.foundation.cameras import look_at
 
     views = []

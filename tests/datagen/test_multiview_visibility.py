@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Projection and visibility of free points, by depth buffers and by shadow rays."""
+"""Projection and visibility of arbitrary points, by depth buffers and by shadow rays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def surface_points(seed: int = 3, count: int = 3000):
-    """Points on the floor and on the top and front of a box, with their normals."""
+    """Return points (N, 3) on the floor and on the front of a box, and their normals (N, 3)."""
     rng = np.random.default_rng(seed)
     u, v = rng.random((2, count))
     floor = np.stack([-2 + 4 * u, -2.5 + 4 * v, np.zeros(count)], axis=-1)
@@ -57,10 +57,10 @@ def test_traced_visibility_is_exact_and_depth_is_within_a_pixel_of_silhouettes()
         by_depth = observe_points(packed, points, normals, VisibilityOptions("depth"))
         mismatch.append((by_depth.visible_mask != expected).mean())
     assert 0.1 < expected.mean() < 0.9
-    # differences are along silhouettes, so they halve with the pixel size, down to the tolerance's share
+    # errors occur along silhouettes and so halve with the pixel size, down to those within the tolerance
     assert mismatch[1] < 0.6 * mismatch[0] and mismatch[2] < 0.7 * mismatch[1] and mismatch[2] < 0.01
     traced = observe_points(packed, points, normals, VisibilityOptions("trace"), mitsuba_scene())
-    assert (traced.visible_mask != expected).mean() < 2e-4  # within the tolerance of the edge of a shadow
+    assert (traced.visible_mask != expected).mean() < 2e-4  # within the tolerance of a shadow edge
 
 
 def test_pixels_distance_and_cosine_equal_the_camera_model():
@@ -110,8 +110,8 @@ def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
 
 @pytest.mark.parametrize("cosine", [0.9, 0.3, 0.1, 0.055])
 def test_a_point_below_its_surface_is_visible_unless_occluded(cosine):
-    """Reconstructed points are off the mesh by their error. Less than part of the tolerance below it they are
-    visible from above and at grazing angles, unless an occluder is just in front of them."""
+    """A point 0.7 tolerances below its surface is visible at any angle; at 1.5 tolerances it is hidden.
+    An occluder just in front of a point on the surface hides it."""
     import mitsuba as mi
 
     distance, tolerance = 4.0, 1e-3
@@ -134,7 +134,7 @@ def test_a_point_below_its_surface_is_visible_unless_occluded(cosine):
 
 
 def test_an_occluder_is_not_overlooked_at_the_most_grazing_angles():
-    """The shadow ray ends before the point, but by at most a few per cent of its length."""
+    """The shadow ray ends at most a few per cent of its length before the point."""
     import mitsuba as mi
 
     eye = np.array([0.0, -4.0, 4.0 * 1e-3])
@@ -159,8 +159,7 @@ def test_points_behind_outside_and_facing_away_are_not_seen():
 
 
 def test_the_image_ends_at_the_outer_edge_of_its_last_pixel():
-    """Points that project exactly onto the four borders; the last depth row of one view precedes the first
-    row of the next in memory."""
+    """Points exactly on the left or top border of an image are visible, on the right or bottom not."""
     camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
     packed = PackedViews([camera, camera], [np.full((10, 10), 2.0)] * 2)
     points = np.array([(-1, 2, 0), (1, 2, 0), (0, 2, 1), (0, 2, -1)])
@@ -172,7 +171,7 @@ def test_the_image_ends_at_the_outer_edge_of_its_last_pixel():
 
 @pytest.mark.parametrize("farthest", [0, 1, 2])
 def test_the_farthest_camera_is_found_at_any_index(farthest):
-    """Far from the origin, so memory behind the list of cameras would look like a nearer camera."""
+    """Zeros read beyond the list of cameras would give a camera at the origin, which is farther than all."""
     import mitsuba as mi
 
     centres = np.array([[40.0, 41.0, 40.0], [40.0, 40.0, 42.0], [41.0, 41.0, 40.0]])

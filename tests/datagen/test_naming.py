@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names in other languages as ids: readable, distinct, and equal in the Blender add-on."""
+"""Names in other languages become readable, distinct ids, which are the same in the Blender add-on."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Named(StrictModel):
     ],
 )
 def test_names_are_transliterated(name: str, expected: str) -> None:
-    """Formerly umlauts became hyphens, and names in other alphabets "unnamed"."""
+    """Umlauts, accents and other alphabets are transliterated in composed and decomposed Unicode form."""
     for form in ("NFC", "NFD"):
         assert slug(unicodedata.normalize(form, name)) == expected
 
@@ -65,7 +65,7 @@ def test_ascii_is_unchanged(name: str) -> None:
 
 
 def test_the_add_on_transliterates_identically() -> None:
-    """It imports no other package of the project, so it has a copy of the file."""
+    """The add-on has a copy of the module, because it imports no other package of the project."""
     paths = ("datagen/foundation/transliteration.py", "blender_addon/gather/transliteration.py")
     here, there = ((REPOSITORY / path).read_text() for path in paths)
     assert here == there

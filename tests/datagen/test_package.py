@@ -378,7 +378,7 @@ def test_ply_round_trip_and_foreign_layouts() -> None:
 
 
 def test_normals_that_cancel_or_are_missing_follow_a_surface() -> None:
-    """Two triangles back to back, one smaller: an arbitrary normal could be in their plane."""
+    """Normals of opposite triangles cancel; an arbitrary replacement could be in their plane."""
     positions = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]], np.float32)
     mesh = Mesh(positions, np.array([[0, 1, 2], [2, 1, 0]], np.int32))
     normals = vertex_normals(mesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Generated rooms: every kind is valid over many seeds, reproducible, fast, and each room different."""
+"""Generated rooms of every kind are valid, reproducible and made quickly, and differ between seeds."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_rooms_are_sound_and_packages_valid(kind: str) -> None:
 
 
 def test_a_room_takes_less_than_two_seconds() -> None:
-    """Processor time of room and package; measured: 0.3 s in the median, 0.9 s at most."""
+    """The processor time of a room and its package was measured: median 0.3 s, maximum 0.9 s."""
     slowest = {}
     for kind in sorted(KINDS):
         start = time.process_time()
@@ -95,7 +95,7 @@ def test_bytes_depend_on_kind_and_seed_alone() -> None:
 
 
 def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
-    """Slots drawn as metal cannot be replaced; their share is that of the table."""
+    """Slots drawn as metal are replaceable only by metal, and their share agrees with ``METAL_SHARE``."""
     found: dict[str, list[bool]] = {}
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -135,7 +135,7 @@ def test_three_quarters_of_the_shades_are_luminous() -> None:
 
 
 def test_doors_have_switches_and_walls_sockets() -> None:
-    """Nearly all doors have switches, except where a corner or a cupboard is in the way."""
+    """Most doors have switches, unless a corner or cupboard is in the way, and most rooms have sockets."""
     doors = switches = sockets = 0
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -153,7 +153,7 @@ def test_doors_have_switches_and_walls_sockets() -> None:
 
 
 def test_windows_have_curtains_blinds_or_neither() -> None:
-    """Windows also have radiators below, some behind curtains."""
+    """No window has both curtains and a blind; some curtains hang in front of a radiator."""
     windows, found, both = 0, dict.fromkeys(("curtains", "blind", "radiator"), 0), 0
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -261,7 +261,7 @@ def test_a_blocked_door_is_detected() -> None:
 
 
 def test_a_door_that_just_clears_is_not_blocked() -> None:
-    """Counterpart: a post in the sector's square but outside of its quarter disc is not in the way."""
+    """A post in the bounding square of a door's swing but outside its quarter disc does not block it."""
     room = _room("study", "1")
     shell = room.furnished.shell
     door = shell.doors[0]
@@ -304,7 +304,7 @@ def test_a_room_without_a_free_path_is_detected() -> None:
 
 @pytest.mark.parametrize("kind", ["cafe", "living_room", "bathroom", "workshop"])
 def test_no_triangles_cross(kind: str) -> None:
-    """The box check against FCL, triangle by triangle; resting objects are lifted by 1 mm."""
+    """FCL finds no intersecting triangles of objects; those that stand on others are lifted by 1 mm."""
     room = _room(kind, "3")
     items = room.furnished.items
     bounds = [hull_of(p.boxes()) for p in items]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Generated rooms in datasets: planned, stored in the folder, rendered; old recipes keep their meaning."""
+"""Generated rooms are planned, stored in the dataset folder and rendered; old recipes are unaffected."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_a_folder_of_an_older_plan_revision_is_refused(
 
 
 def test_plain_slots_get_materials(planned: DatasetFolder, library: Library) -> None:
-    """Every slot of constant colour for which the library has materials is assigned one."""
+    """Every slot of constant colour is assigned a material if the library has a suitable one."""
     recipe = _recipe()
     for unit in planned.read_plan().units:
         configuration = planned.read_configuration(unit)
@@ -185,7 +185,7 @@ def test_rooms_of_a_dataset_are_a_library_for_others(planned: DatasetFolder, lib
 
 def test_suites_refuse_recipes_of_generated_rooms(library: Library, tmp_path: Path) -> None:
     source = tmp_path / "recipe.yaml"
-    source.write_bytes(canonical_json(_recipe()))  # JSON is YAML
+    source.write_bytes(canonical_json(_recipe()))  # JSON is valid YAML
     with pytest.raises(InputError, match=r"environments\.parametric"):
         draw_room(source, 0, library, CameraRecipe(), (48, 32), 1, 1)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The page of a run: last views, rate, time left, failures, also after packing."""
+"""The preview page of a run shows last views, rate, time left and failures, also after packing."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def test_the_page_shows_pictures_rate_and_time_left(tmp_path: Path, clock: list[
     clock[0] = 60.0
     page.update(40)
     text = page.path.read_text()
-    assert "40 of 100 views, 1,800 an hour, 2 min left" in text  # 30 in a minute, 60 to go
+    assert "40 of 100 views, 1,800 an hour, 2 min left" in text  # 30 views in a minute, 60 left
     assert 'http-equiv="refresh"' in text
     shown = _pictures(text)
     assert list(shown) == [f"small-00000 / view-00{k}" for k in (2, 1, 0)]
     assert all(picture.shape == (24, 40, 3) and picture.std() > 5 for picture in shown.values())
-    shutil.rmtree(folder.parent)  # packed
+    shutil.rmtree(folder.parent)  # as packing does
     clock[0] = 120.0
     page.update(100, is_over=True)
     text = page.path.read_text()
@@ -96,7 +96,7 @@ def test_failures_are_shown_as_text(tmp_path: Path, clock: list[float]) -> None:
 
 
 def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stub farm that renders immediately and fails once."""
+    """A stub replaces the local engine; it renders immediately and reports one failure."""
     folder = plan_small(tmp_path / "set", tmp_path / "library", 1, 3)
 
     def run_local(out: Path, options: LocalOptions, on_event) -> RunSummary:

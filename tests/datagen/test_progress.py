@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Progress: bars on a terminal; elsewhere lines for later stages, after long pauses and at the end."""
+"""Progress is shown as bars on a terminal, otherwise as lines at intervals and at later stages."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Printed messages without the time of day."""
+    """Return the printed lines without their time of day."""
     return [line.split(" ", 1)[1] for line in capsys.readouterr().err.splitlines()]
 
 
 def test_a_long_stage_prints_its_progress(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
     with Bars("views") as bars:
-        for done in range(10):  # a view in 12 seconds
+        for done in range(10):  # 12 seconds per view
             bars.tell("room: render", done, 90)
             clock[0] += 12.0
         bars.tell("room: unwrap", 0, 1)
@@ -51,7 +51,7 @@ def test_an_error_ends_it_without_a_line(clock: list[float], capsys: pytest.Capt
 
 
 def test_a_terminal_shows_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Concurrent stages; a transient stage disappears when the next begins, an unfinished one at an error."""
+    """Every stage has a bar; with ``is_transient``, an error removes the bar of the unfinished stage."""
     monkeypatch.setattr(
         "rich.console.Console", lambda **_: Console(force_terminal=True, stderr=True, width=99)
     )

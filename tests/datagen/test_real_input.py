@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Real input end to end: an imported scene, scanned furniture and photographed materials, recombined with the
-recipe ``real`` at small size."""
+"""An imported scene, scanned furniture and photographed materials, recombined by the recipe ``real``."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views rendered again by plain paths: injected errors and biases are found, and no others."""
+"""Rechecks of views by plain path tracing find injected errors and biases and no others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def record(dataset: Path) -> ViewRecord:
 
 
 def against(record: ViewRecord, image: NDArray, noise: float = 0.1) -> Rechecked:
-    """Comparison of an image with four noisy uniform images of 1 (relative noise ``noise``)."""
+    """Compare an image with four images of constant radiance 1 and relative noise ``noise``."""
     return compared(View(record, {"beauty": image}), noisy_parts(np.random.default_rng(4), noise))
 
 
@@ -70,7 +70,7 @@ def test_stated_standard_errors_match_repetitions(record: ViewRecord) -> None:
     [
         (0.05, 1.0, []),
         (0.1, 1.0, []),  # 2.5 times the recorded error
-        (0.16, 1.0, ["relMSE"]),  # six times
+        (0.16, 1.0, ["relMSE"]),  # 6 times the recorded error
         (0.05, 0.96, []),
         (0.05, 1.07, ["% of the light"]),
     ],
@@ -90,7 +90,7 @@ def test_views_of_a_dataset_agree_with_plain_paths(dataset: Path, capsys: pytest
     views = {(v["configuration"], v["view"]) for v in report["rechecked"]}
     assert len(views) == 3
     for view in report["rechecked"]:
-        # paths of 8 segments lose 3 % of the light of this bright, closed room
+        # paths of 8 segments lose 3 % of the light in this bright, closed room
         assert -0.05 < view["bias"] < -0.01 and 0.0 < view["bias_error"] < 0.003
         assert 0.5 * view["recorded"] < view["rel_mse"] < 4 * view["recorded"]
     assert verify_command(dataset, recheck=1, recheck_samples=8) == 0

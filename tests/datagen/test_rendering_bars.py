@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bright panes and dark bars of a pixel's width: the bars keep their values, and the record contains the true
-error."""
+"""Window bars one pixel wide keep their values between bright panes, and the recorded error is true."""
 
 from __future__ import annotations
 
@@ -23,22 +22,22 @@ from datagen.rendering.view_job import RenderedView
 from oracles.rendering_scenes import SmallScene, quad, renderer
 
 WIDTH, HEIGHT = 96, 64
-WALL_M = 3.0  # of the window, before the camera
+WALL_M = 3.0  # distance of the window from the camera
 PIXEL_M = WALL_M / WIDTH
-COLUMNS, ROWS = (38, 57), (20, 33)  # of the window, in pixels: first and one beyond the last
+COLUMNS, ROWS = (38, 57), (20, 33)  # half-open pixel ranges of the window
 BAR_COLUMNS, BAR_ROWS = (42, 46, 52), (24, 29)
 
 
 @dataclass
 class Window:
-    """A view through a window with bars, and its reference."""
+    """A view through a window with bars, its noisy image and two independent references."""
 
     view: RenderedView
     noisy: NDArray[np.float32]
     truth: tuple[NDArray[np.float32], NDArray[np.float32]]
 
     def of_bars(self, image: NDArray) -> NDArray[np.float64]:
-        """Exposed luminance of the bars' pixels without their ends, which are half pane."""
+        """Return the exposed luminance (N,) of the bars' pixels without the ends of the bars."""
         scale = exposure_for(0.5 * (self.truth[0] + self.truth[1]))
         window = np.zeros(image.shape[:2], bool)
         for column in BAR_COLUMNS:
@@ -49,8 +48,8 @@ class Window:
 
 
 def behind_bars() -> SmallScene:
-    """A room, its front wall with a window, and a board behind it, all of one material: neither albedo nor
-    normal separates a bar from the board."""
+    """Return a wall with a barred window and a board behind it, all of one material.
+    Neither albedo nor normal separates a bar from the board."""
 
     def x(column: float) -> float:
         return (column - WIDTH / 2) * PIXEL_M
@@ -99,7 +98,7 @@ def window(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Wi
 
 
 def test_bars_keep_their_values(window: Window) -> None:
-    """Panes are tens of times as bright as white: only denoised, the bars are twice too bright."""
+    """Panes are over 20 times as bright as white; denoising alone would make the bars twice too bright."""
     truth = 0.5 * (window.truth[0] + window.truth[1])
     assert exposure_for(truth) * truth.max() > 20
     ratios = window.of_bars(window.view.buffers["beauty"]) / window.of_bars(truth)
@@ -108,7 +107,7 @@ def test_bars_keep_their_values(window: Window) -> None:
 
 
 def test_recorded_error_of_bars_is_the_true_error(window: Window) -> None:
-    """Correct within a factor of 2. Without noisy pixels the record has less than half of it."""
+    """The recorded error is within a factor of 2; without its part from noisy pixels it would be too low."""
     recorded = window.view.render.estimated_rel_mse
     true = relative_mse(window.view.buffers["beauty"], *window.truth, exposed=True)
     assert recorded is not None and 0.5 * true < recorded < 2.0 * true

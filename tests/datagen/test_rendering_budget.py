@@ -88,21 +88,21 @@ NUM_TRIALS = 12
 
 
 def blur(image: Image, width: int) -> Image:
-    """A denoiser with known bias: the mean over width x width neighbours, mirrored at the border."""
+    """Denoise with known bias by the mean over ``width`` x ``width`` pixels, mirrored at the border."""
     from scipy.ndimage import uniform_filter
 
     return uniform_filter(image, (width, width, 0), mode="mirror").astype(np.float32)
 
 
 def truth() -> Image:
-    """Coloured stripes, which blurring degrades; brighter at the top."""
+    """Return an image of coloured stripes, which blurring degrades, with brightness increasing downwards."""
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     stripes = 1.0 + 0.3 * np.sin(columns[..., None] * np.array([0.15, 0.2, 0.3]))
     return (stripes * (0.2 + rows[..., None] / SIZE[0])).astype(np.float32)
 
 
 def noisy_pair(rng: np.random.Generator, sigma: float, shared: float = 0.0) -> tuple[Image, Image]:
-    """Two halves with relative noise ``sigma``; ``shared`` of its variance is the same in both."""
+    """Return two images of relative noise ``sigma``, a share ``shared`` of whose variance is common."""
     noise = rng.normal(0.0, sigma, (3, *SIZE, 3))
     own, common = math.sqrt(1 - shared), math.sqrt(shared)
     a, b = (truth() * (1 + own * n + common * noise[2]) for n in noise[:2])
@@ -110,7 +110,7 @@ def noisy_pair(rng: np.random.Generator, sigma: float, shared: float = 0.0) -> t
 
 
 def estimated_and_true(width: int, sigma: float, shared: float = 0.0) -> NDArray[np.float64]:
-    """(trials, 2): estimated error and true error of the mean of the denoised halves."""
+    """Return the estimated and the true relMSE (trials, 2) of the mean of two denoised images."""
     rng = np.random.default_rng(5)
     black = np.zeros((*SIZE, 3), np.float32)
     pairs = []
@@ -156,14 +156,14 @@ def test_black_image_has_no_error_and_missing_light_counts() -> None:
     nothing = (black[..., 0], black[..., 0])
     assert estimate_error((black, black), (black.copy(), black.copy()), black, nothing).rel_mse == 0.0
     white = np.ones_like(black)
-    lost = np.full((4, 4), 1.0 / 9.0)  # a tenth of the pixels
+    lost = np.full((4, 4), 1.0 / 9.0)  # a tenth of the light
     for removed, expected in (((lost, lost), 0.01), ((lost, 0 * lost), 0.0)):
         estimate = estimate_error((white, white), (white.copy(), white.copy()), black, removed)
         assert estimate.rel_mse == pytest.approx(expected * 0.81 / 0.82)
 
 
 def test_heavy_tailed_noise_does_not_meet_the_target() -> None:
-    """With few bright samples, as behind a door ajar, the target must be met by a margin."""
+    """With rare bright samples, as behind a door ajar, no target counts as met although it is missed."""
     rng = np.random.default_rng(3)
     black = np.zeros((*SIZE, 3), np.float32)
     budget, met, fell_short = SampleBudget(0.05, 8), 0, 0
@@ -198,15 +198,15 @@ def test_passes_triple_until_target_or_ceiling() -> None:
 
 
 def test_samples_are_spent_where_the_halves_differ() -> None:
-    """Errors fall as 1 / samples, so their sum is least for counts proportional to their square roots."""
+    """Squared errors fall as 1 / samples, so their sum is least for counts proportional to their roots."""
     bright = (np.arange(SIZE[1]) // TILE_PX == 3) & (np.arange(SIZE[0])[:, None] // TILE_PX == 2)
     counts = np.full(SIZE, 64, np.int64)
     added = SampleBudget(0.001, 4096).next_counts(counts, estimate_of(0.01, np.where(bright, 16.0, 1.0)))
-    assert np.unique(added[bright]) == 3 * 64  # the maximum of a pass
+    assert np.unique(added[bright]) == 3 * 64  # the maximum per pass
     far = ~ndimage.binary_dilation(bright, iterations=TILE_PX, structure=np.ones((3, 3)))
     assert 64 < np.unique(added[far]).item() < 128 and added.mean() <= 128
     assert (added[~far] >= added[far].max()).all() and added[~far].mean() > added[far].max()
-    missed = np.where(bright, 1.0, 0.0)  # elsewhere no sample found light: few samples, but some
+    missed = np.where(bright, 1.0, 0.0)  # other pixels found no light but get some samples
     counts[bright] = 512
     assert (SampleBudget(0.001, 4096).next_counts(counts, estimate_of(0.01, missed))[~bright] > 0).all()
 
@@ -269,7 +269,7 @@ def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
 
 
 def test_record_is_compared_with_the_target(budgeted: SceneRenderer) -> None:
-    """The record adds the standard error, since views stop when the estimate is low, often by chance."""
+    """The recorded error includes the standard error, since low estimates, often by chance, stop a view."""
     for passes in (1, 3):
         job = budgeted.view_job(1)
         for _ in range(passes):
@@ -296,7 +296,7 @@ def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRen
 
 
 def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> None:
-    """It stops after the first pass, far above its target; only the estimate uses the fast denoiser."""
+    """A view stops after one pass, far above its target; the fast denoiser is used only by the estimate."""
     asked: list[tuple[int, tuple[int, ...], float]] = []
 
     def is_enough(index: int, image: NDArray, estimate: ErrorEstimate) -> bool:
@@ -337,8 +337,8 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
     lit = (converged[0] > 0).all(axis=-1)  # some of 1,536 pixels show no surface
 
     def correlation(*halves: PathSums) -> float:
-        """Rank correlation of two images' noise, each against a separate reference; its deviation is 1 /
-        sqrt(pixels) if independent."""
+        """Return the rank correlation of two images' noise, each relative to a separate reference.
+        For independent noise its standard deviation is 1 / sqrt(pixels)."""
         noise = [
             luminance(half.mean() - image)[lit] / luminance(image)[lit]
             for half, image in zip(halves, converged, strict=True)
@@ -379,7 +379,7 @@ def test_recorded_kernels_serve_every_call(budgeted: SceneRenderer) -> None:
 
 
 def test_concurrently_open_scenes_are_independent(budgeted: SceneRenderer, tmp_path: Path) -> None:
-    """Kernels of one scene neither block those of another nor use its lights; a scene may have none."""
+    """Kernels of one scene neither block those of another nor use its lights; one scene has no lights."""
     recipe = render(path_samples=2, auxiliary_samples=4, denoise=False)
     sky = EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0))
     dark = renderer(tmp_path / "dark", box_room(), CAMERAS, recipe, objects=OBJECTS, lights=())
@@ -407,7 +407,7 @@ def test_clamp_removes_the_recorded_light(budgeted: SceneRenderer) -> None:
 
 
 def test_clamp_keeps_direct_light(budgeted: SceneRenderer) -> None:
-    """With a clamp near zero only paths of one reflection remain."""
+    """With a clamp near zero only light after a single reflection remains."""
     sensor = budgeted.sensor(CAMERAS[1])
     clamped = budgeted.tracer.accumulate(sensor, 32, 9, limit=1e-9)
     short = PathTracer(budgeted.built, 2, 5).accumulate(sensor, 32, 9)
@@ -436,7 +436,7 @@ def test_reference_quality_clamps_nothing(tmp_path: Path) -> None:
 
 
 def ajar(shared_data: Path, root: Path, recipe: RenderRecipe, size: tuple[int, int]) -> SceneRenderer:
-    """Veach's door: all light enters through a gap from the room behind."""
+    """Return a renderer of Veach's scene with a door ajar, through which all light enters."""
     from datagen.formats.asset import EnvironmentAsset
     from datagen.importers.common import ImportOptions
     from datagen.importers.mitsuba_xml import import_mitsuba_scene

@@ -19,7 +19,7 @@ CAMERA = Camera(24, 16, 20, 20, 12, 8, look_at([0.5, -1.0, 1.2], [0.0, 1.0, 0.8]
 
 
 def closed_room(emission: tuple[float, float, float] | None) -> SmallScene:
-    """Six walls of reflectance 0.5; with ``emission`` a furnace."""
+    """Return a closed room of reflectance 0.5, which is a furnace if its walls have ``emission``."""
     wall = GREY.model_copy(update={"emission": emission})
     parts = {
         "floor": quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]),
@@ -67,7 +67,7 @@ def test_depth_follows_from_the_room_and_is_recorded(tmp_path: Path, mitsuba_var
 
 
 def test_truncation_in_a_furnace_matches_the_formula(tmp_path: Path, mitsuba_variant: str) -> None:
-    """In a furnace each bounce adds half the radiance of the one before, everywhere."""
+    """In a furnace of reflectance 0.5 each bounce adds half the radiance of the previous one."""
     room = renderer(tmp_path, closed_room((1.0, 1.0, 1.0)), [CAMERA])
     sensor = room.sensor(CAMERA)
     whole = PathTracer(room.built, 40, 40).accumulate(sensor, 256, 1).radiance.sum()

@@ -99,7 +99,7 @@ def test_means_are_shrunk_towards_their_surroundings() -> None:
 
 
 def irradiance(room: SceneRenderer) -> NDArray[np.float32]:
-    """Irradiance (N, 3) of all known cells."""
+    """Return the irradiance (N, 3) of all known cells."""
     cache = room.tracer.irradiance
     assert cache is not None
     table = np.array(cache.means).reshape(-1, 4)
@@ -111,7 +111,7 @@ def irradiance(room: SceneRenderer) -> NDArray[np.float32]:
     ("reflectance", "intensity"), [(0.0, 1.0), (0.5, 1.0), (0.8, 1.0), (0.5, 1e-6), (0.5, 1e6)]
 )
 def test_irradiance_of_a_closed_room_is_exact(tmp_path: Path, reflectance: float, intensity: float) -> None:
-    """A bulb's light is all absorbed: mean irradiance x area x (1 - rho) is 4 pi x intensity."""
+    """All light of a bulb is absorbed, so mean irradiance x area x (1 - reflectance) is 4 pi x intensity."""
     room = closed_room(None)
     room.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (reflectance,) * 3})}
     bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(intensity, 2 * intensity, 0.0))
@@ -122,7 +122,7 @@ def test_irradiance_of_a_closed_room_is_exact(tmp_path: Path, reflectance: float
 
 
 def wall_areas(room: SceneRenderer) -> NDArray[np.float64]:
-    """Area (N,) of a closed room's walls within each known cell."""
+    """Return the area (N,) of a closed room's walls within each known cell."""
     cache = room.tracer.irradiance
     assert cache is not None
     cells = cache.cells
@@ -155,7 +155,7 @@ def test_reflectance_of_the_specular_lobe_equals_that_of_the_bsdf() -> None:
 
 
 def test_irradiance_does_not_pass_a_wall(tmp_path: Path) -> None:
-    """A lamp on one side of a thin wall, a camera on each side: the unlit side stays dark."""
+    """The side of a thin wall without a lamp stays dark."""
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
         "wall": (quad([0, -2, 0], [0, 4, 0], [0, 0, 2]), "grey"),
@@ -172,7 +172,7 @@ def test_irradiance_does_not_pass_a_wall(tmp_path: Path) -> None:
     room = renderer(tmp_path, SmallScene(parts), cameras, CACHED, lights=(bulb,))
     lit, dark = (room.render_view(k).buffers["beauty"] for k in (0, 1))
     assert lit.mean() > 0.1
-    # cells of the floor extend to both sides of an infinitely thin wall
+    # some light leaks, because floor cells extend to both sides of the infinitely thin wall
     assert dark.mean() < 0.01 * lit.mean()
 
 
@@ -205,7 +205,7 @@ def test_bytes_do_not_depend_on_order_and_the_record_has_the_cell_size(tmp_path:
 
 
 def test_light_passes_half_transparent_surfaces(tmp_path: Path) -> None:
-    """With a curtain of opacity 0.4 in the window, cached paths and full paths agree."""
+    """With a curtain of opacity 0.4 in front of the window, cached and full paths give equal means."""
     means = []
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
         scene = walled_room(curtain=True)
@@ -217,7 +217,7 @@ def test_light_passes_half_transparent_surfaces(tmp_path: Path) -> None:
 def means_of_views(
     tmp_path: Path, scene: SmallScene, cameras: list[Camera], light: Any
 ) -> dict[str, NDArray]:
-    """Means (V,) of views by full paths, and with a cache that was built from another view."""
+    """Return means (V,) of views by full paths (``plain``) and with a cache built from another view."""
     found = {}
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
         room = renderer(tmp_path / name, scene, CAMERAS[:1], recipe, lights=(light,))
@@ -227,8 +227,8 @@ def means_of_views(
 
 
 def test_light_does_not_leak_under_objects_smaller_than_a_cell(tmp_path: Path) -> None:
-    """A board on the wall, 6 cm above the floor, divides a cell whose mean mixes the dark wall below and the
-    bright one above. Such near surfaces are not looked up, or the floor would be twice as bright."""
+    """A board 6 cm above the floor divides a wall cell, whose mean mixes dark and bright irradiance.
+    The floor would be twice as bright if the cache were used for surfaces as near as this."""
     scene = walled_room(window=False)
     scene.parts |= {
         "board_below": (quad([-1.2, 1.85, 0.06], [0, 0.15, 0], [2.4, 0, 0]), "grey"),
@@ -242,7 +242,7 @@ def test_light_does_not_leak_under_objects_smaller_than_a_cell(tmp_path: Path) -
 
 
 def two_rooms() -> SmallScene:
-    """A closed room divided at y = 0 by a wall with a gap of 1 m; bright, so light has many bounces."""
+    """Return a closed room divided at y = 0 by a wall with a gap of 1 m; bright walls cause many bounces."""
     scene = closed_room(None)
     scene.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (0.8,) * 3})}
     scene.parts["divider"] = (quad([-2, 0, 0], [3, 0, 0], [0, 0, 2]), "wall")
@@ -250,8 +250,8 @@ def two_rooms() -> SmallScene:
 
 
 def test_unseen_rooms_are_not_dark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The light is around the corner: full paths and cached ones agree, also those of four segments where
-    only the last vertex uses cached irradiance."""
+    """Light around a corner agrees with full paths for cached paths and for cached paths of four segments
+    that use cached irradiance only at the last vertex."""
     from datagen.rendering.transport import irradiance_cache
 
     bulb = PointLight(name="bulb", position_m=(-1.5, 1.8, 1.8), intensity=(5.0, 5.0, 5.0))
@@ -285,8 +285,8 @@ def test_cache_does_not_depend_on_the_size_of_images(tmp_path: Path) -> None:
 def test_a_beam_is_reflected_in_its_direction(
     tmp_path: Path, roughness: float, contrast: float, tolerance: float
 ) -> None:
-    """A glossy wall reflects a lamp onto one part of the floor. The floor beside it stays dark, since the
-    wall's irradiance is not reflected diffusely."""
+    """A glossy wall reflects a lamp onto a part of the floor. The rest of the floor stays dark, since the
+    wall does not reflect its irradiance diffusely."""
     glossy = SlotMaterial(diffuse_albedo=(0, 0, 0), specular_albedo=(0.9, 0.9, 0.9), roughness=roughness)
     scene = closed_room(None)
     scene.parts["left"] = (quad([-2, -2, 0], [0, 2, 0], [0, 0, 2]), "glossy")
@@ -312,13 +312,13 @@ def test_without_surface_or_light_there_is_no_cache(tmp_path: Path) -> None:
 
 
 def test_radiance_between_white_walls_is_bounded(tmp_path: Path) -> None:
-    """In a scene that absorbs nothing, each bounce adds a bounded amount."""
+    """In a scene without absorption, each bounce adds a bounded amount of irradiance."""
     white = SlotMaterial(diffuse_albedo=(1, 1, 1), specular_albedo=(1, 1, 1), roughness=0.3)
     room = closed_room(None)
     room.slots = {"wall": white}
     bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 1.0, 1.0))
     found = irradiance(renderer(tmp_path, room, [INDOORS], CACHED, lights=(bulb,)))
-    assert found.mean() < (64 + 12) * 4 * np.pi / 32  # bounces x the bulb's power on 32 square metres
+    assert found.mean() < (64 + 12) * 4 * np.pi / 32  # bounces x bulb power / area, times 2
 
 
 RECORDS_IN_GARBAGE = """
@@ -350,7 +350,7 @@ room.tracer.accumulate(room.sensor(CAMERAS[0]), 1, 0)
 
 
 def test_garbage_collection_waits_until_kernels_are_recorded(tmp_path: Path) -> None:
-    """Collecting an array of NumPy memory in a reference cycle while recording would end the process."""
+    """Collecting a reference cycle with an array of NumPy memory during recording would abort the process."""
     command = [sys.executable, "-c", RECORDS_IN_GARBAGE, str(tmp_path / "room")]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -22,11 +22,11 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 RECIPE = RenderRecipe(path_samples=4, auxiliary_samples=4, denoise=False, max_depth=8, irradiance_cache=True)
 SIDES = (-1.0, 1.0)
 DIM = LAMP.model_copy(update={"radiance": (0.3, 0.3, 0.3)})
-"""Beside it the sky has a quarter of the light, and a guide."""
+"""A lamp so dim that the sky gives a quarter of the light and therefore has a guide."""
 
 
 def two_chambers(tmp_path: Path) -> SceneRenderer:
-    """A wall between a bright lamp and a dim one, a camera on each side."""
+    """Return a renderer of a chamber with a bright lamp and one with a dim lamp, each with a camera."""
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
         "ceiling": (quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]), "grey"),
@@ -48,7 +48,7 @@ def two_chambers(tmp_path: Path) -> SceneRenderer:
 def spread(
     room: SceneRenderer, view: int, count: int = 8, samples: int = 64, limit: float = np.inf
 ) -> NDArray[np.float64]:
-    """Independent images of one view, (count, H, W, 3); ``limit`` clamps reflected light."""
+    """Return independent images (count, H, W, 3) of one view; ``limit`` clamps reflected light."""
     sensor = room.sensor(room.configuration.cameras[view].camera())
     images = [room.tracer.accumulate(sensor, samples, 50 + k, limit=limit).mean() for k in range(count)]
     return np.stack(images).astype(np.float64)
@@ -96,7 +96,7 @@ def test_a_number_is_warped_into_a_technique_and_a_number(tmp_path: Path) -> Non
 
 
 def test_cells_choose_visible_lights(tmp_path: Path) -> None:
-    """The lamp of the other chamber is a hundred times as bright, but hidden."""
+    """Each cell chooses the lamp of its chamber, although the hidden one may be 100 times as bright."""
     import mitsuba as mi
 
     room = two_chambers(tmp_path)
@@ -112,7 +112,7 @@ def test_cells_choose_visible_lights(tmp_path: Path) -> None:
 
 def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
     room = two_chambers(tmp_path)
-    # One sample each: more are stratified over lights too evenly for a difference
+    # One sample per image: more are stratified over the lights and show no difference.
     learned = spread(room, 1, 64, 1, limit=1e-20)
     with_uniform_choice(room)
     uniform = spread(room, 1, 64, 1, limit=1e-20)
@@ -122,7 +122,7 @@ def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
 
 
 def test_light_is_attributed_to_its_technique(tmp_path: Path) -> None:
-    """Light of a lamp counts for the lamp, light of the sky for the guide unless as bright as the sun."""
+    """Lamp light is attributed to the lamp, and sky light to the guide unless it is as bright as the sun."""
     import drjit as dr
     import mitsuba as mi
 
@@ -179,7 +179,7 @@ def test_a_guide_keeps_its_share_of_a_uniform_choice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lights", [(LAMP, DAYLIGHT), (DAYLIGHT,)], ids=["lamp and daylight", "daylight"])
 def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
-    """Compared with a uniform choice with equal cache: area light, sun, sky, and the window's guide."""
+    """Per-cell and uniform choice give the same mean for area light, sun, sky and the guide to the window."""
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=lights)
     assert room.tracer.sky_guide is not None or len(lights) == 2
     learned = spread(room, 0, 16, 128)
@@ -188,11 +188,11 @@ def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
     means = [sample.mean(axis=(1, 2, 3)) for sample in (learned, uniform)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
     assert abs(means[0].mean() - means[1].mean()) < 4 * error
-    assert error < 0.01 * means[1].mean()  # the comparison is significant
+    assert error < 0.01 * means[1].mean()  # the comparison is precise
 
 
 def test_many_lights_are_chosen_uniformly(tmp_path: Path) -> None:
-    """There are too many lights for per-cell probabilities; the guide to the window keeps its share."""
+    """Lights are too many for per-cell probabilities, but the guide to the window keeps its share."""
     from datagen.rendering.transport.light_sampler import MAX_LEARNED
 
     bulbs = tuple(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every kind of light against its analytic irradiance on a plane, within 1 %.
+"""Every kind of light gives its analytic irradiance on a plane within 1 %.
 
 The plane has D = 0.5, S = 0, R = 1 and is viewed from straight above: radiance = D / pi * irradiance, up to
 the Schlick term of S = 0, which is below 0.1 % there.
@@ -40,13 +40,13 @@ RECIPE = RenderRecipe(path_samples=2048, auxiliary_samples=1, max_depth=2, denoi
 
 
 def irradiance(tmp_path: Path, *lights: Any, scene: SmallScene | None = None, at: Any = (0.0, 0.0)) -> Any:
-    """Irradiance (3,) around a point of the plane z = 0, from the rendered image."""
+    """Return the irradiance (3,) around the point ``at`` of the plane z = 0 from a rendered image."""
     view = renderer(tmp_path, scene, [down_camera(at=at)], RECIPE, lights=lights).render_view(0)
     return view.buffers["beauty"].astype(np.float64).mean(axis=(0, 1)) * math.pi / ALBEDO
 
 
 def rectangle_irradiance(side: float, height: float, radiance: float) -> float:
-    """Irradiance E under a centred, parallel square light: L * the sum over cells of cos^2 / d^2 dA."""
+    """Return the irradiance under a centred, parallel square light: L times the sum of cos^2 / d^2 dA."""
     x = (np.arange(2000) + 0.5) / 2000 * side - side / 2
     square = x[:, None] ** 2 + x[None, :] ** 2 + height**2
     return radiance * float((height**2 / square**2).sum()) * (side / 2000) ** 2
@@ -129,12 +129,12 @@ def test_soft_sun_has_half_its_irradiance_where_an_edge_hides_its_centre(tmp_pat
     profile = view.buffers["beauty"][..., 0].astype(np.float64).mean(axis=0) * math.pi / ALBEDO
     x = camera.unproject(camera.pixel_centers(), np.full((4, 64), 0.4))[0, :, 0]
     edge = np.clip(x / half_width, -1, 1)
-    seen = 0.5 + (edge * np.sqrt(1 - edge**2) + np.arcsin(edge)) / math.pi  # disc share cut by a chord
+    seen = 0.5 + (edge * np.sqrt(1 - edge**2) + np.arcsin(edge)) / math.pi  # visible share of the disc
     assert np.abs(profile - seen).max() < 0.03
 
 
 def test_hidden_light_is_invisible_to_the_camera_only(tmp_path: Path) -> None:
-    # The camera looks down through the light (z = 0.5) at the floor, which a mirror-like wall reflects.
+    # The camera looks down through the light (z = 0.5) at the floor.
     light = AreaLight(
         name="l",
         radiance=RADIANCE,
@@ -180,7 +180,7 @@ def test_emissive_part_emits_light_and_is_masked(tmp_path: Path) -> None:
 
 
 def environment_package(root: Path, pixels: np.ndarray) -> str:
-    """Write a material package with an environment image, as any package may have; returns its id."""
+    """Write a material package that contains an environment image; return its id."""
     from datagen.formats.asset import Material, MaterialAsset
     from datagen.formats.package import write_package
     from oracles.rendering_scenes import CC0
@@ -201,9 +201,9 @@ def test_environment_image_follows_its_convention(tmp_path: Path) -> None:
     pixels = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
     asset = environment_package(tmp_path, pixels)
     light = EnvironmentLight(name="l", asset=asset, image="sky.exr", scale=2.0)
-    # along +Y: the image's centre; right of the view: right of the image; up: towards row 0
+    # A camera along +Y looks at the image's centre, with the same right and up directions.
     camera = Camera(9, 9, 30, 30, 4.5, 4.5, look_at([0, 0, 1], [0, 1, 1]))
-    recipe = RECIPE.model_copy(update={"auxiliary_samples": 64})  # visible emission is that of the lights
+    recipe = RECIPE.model_copy(update={"auxiliary_samples": 64})  # for visible emission
     view = renderer(tmp_path, None, [camera], recipe, lights=(light,)).render_view(0)
     directions = camera.ray_directions()
     azimuth = np.arctan2(directions[..., 0], directions[..., 1])  # from +Y towards +X

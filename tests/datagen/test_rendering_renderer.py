@@ -70,7 +70,7 @@ def room(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Scen
 
 
 def digest(view: RenderedView) -> str:
-    """Hash of a view's stored form."""
+    """Return the SHA-256 hash of a view's buffers as stored."""
     parts = [name.encode() + to_storage(BUFFERS[name], view.buffers[name]).tobytes() for name in view.buffers]
     return hashlib.sha256(b"".join(parts)).hexdigest()
 
@@ -146,7 +146,7 @@ def test_another_process_with_one_thread_makes_the_same_bytes(tmp_path: Path, bu
 
 @pytest.fixture(scope="module")
 def both_estimators(room: SceneRenderer) -> tuple[np.ndarray, np.ndarray]:
-    """Image means (N, 3) of independent renders by the project's path tracer and by Mitsuba's ``path``."""
+    """Return means (N, 3) of independent images by the project's path tracer and by Mitsuba's ``path``."""
     import mitsuba as mi
 
     sensor = room.sensor(CAMERAS[1])
@@ -163,7 +163,7 @@ def both_estimators(room: SceneRenderer) -> tuple[np.ndarray, np.ndarray]:
 
 
 def z_scores(own: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Difference of the means over its standard error, per channel."""
+    """Return the difference of the means, divided by its standard error, per channel."""
     variance = own.var(axis=0, ddof=1) / len(own) + other.var(axis=0, ddof=1) / len(other)
     return (own.mean(axis=0) - other.mean(axis=0)) / np.sqrt(variance)
 
@@ -234,7 +234,7 @@ def test_emitter_does_not_bleed_into_dark_surroundings(tmp_path: Path) -> None:
     camera = Camera(96, 96, 96, 96, 48, 48, look_at([0, -1, 0], [0, 1, 0]))
     recipe = RenderRecipe(path_samples=8, auxiliary_samples=64)
     beauty = renderer(tmp_path, scene, [camera], recipe, lights=(lamp, dim)).render_view(0).buffers["beauty"]
-    x = np.abs(camera.pixel_centers() - 48).max(axis=-1) * (2 / 96)  # metres on the wall, square rings
+    x = np.abs(camera.pixel_centers() - 48).max(axis=-1) * (2 / 96)  # maximum norm in metres
     pixel = 2 / 96
     assert beauty[x < 0.25 - 2 * pixel] == pytest.approx(500, rel=0.01)
     assert beauty[x > 0.25 + 3 * pixel].max() < 0.5  # a thousandth of the lamp
@@ -249,7 +249,7 @@ def test_auxiliary_albedo_is_zero_where_nothing_reflects() -> None:
 def test_optix_denoises_where_its_weights_are_installed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without them, OptiX would abort the process."""
+    """OptiX is not used without its weights, because it would abort the process."""
     weights = tmp_path / "nvoptix.bin"
     monkeypatch.setattr(denoiser, "OPTIX_WEIGHTS", weights)
     monkeypatch.setattr(sys, "platform", "linux")
@@ -265,7 +265,7 @@ def test_denoiser_accepts_images_of_several_sizes() -> None:
         flat = np.full((*size, 3), 2.0, np.float32)
         result = denoiser.denoise(flat, np.full_like(flat, 0.5), np.zeros_like(flat))
         assert result.mean() == pytest.approx(2.0, rel=0.01)
-        assert result[12:-12, 12:-12] == pytest.approx(2.0, rel=0.01)  # its borders are off by up to 8 %
+        assert result[12:-12, 12:-12] == pytest.approx(2.0, rel=0.01)  # borders err by up to 8 %
     denoiser.close()
 
 

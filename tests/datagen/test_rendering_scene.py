@@ -34,13 +34,13 @@ UNIT_FLOOR = {"floor": (quad([-0.5, -0.5, 0], [1, 0, 0], [0, 1, 0]), "grey")}
 
 
 def look_down(scene: SmallScene, tmp_path: Path, size: int = 32, **fields: Any) -> RenderedView:
-    """Buffers of the unit square around the origin from above: column = x, row 0 at +y."""
+    """Render the unit square around the origin from above, with columns along +x and row 0 at +y."""
     camera = down_camera(size, size, 1.0)
     return renderer(tmp_path, scene, [camera], RECIPE, **{"lights": LAMP, **fields}).render_view(0)
 
 
 def quadrants(image: np.ndarray) -> list[np.ndarray]:
-    """Means of the centre of each quadrant: top left, top right, bottom left, bottom right."""
+    """Return the means of the quadrants' centres: top left, top right, bottom left, bottom right."""
     n = len(image) // 2
     inner = slice(n // 4, 3 * n // 4)
     halves = [image[:n], image[n:]]
@@ -48,7 +48,7 @@ def quadrants(image: np.ndarray) -> list[np.ndarray]:
 
 
 def blocks(size: int = 32) -> np.ndarray:
-    """A texture of four blocks of colour, top left, top right, bottom left, bottom right."""
+    """Return a texture (size, size, 3) of four colour blocks."""
     colors = np.array([[200, 40, 40], [30, 180, 60], [20, 60, 220], [128, 128, 128]], np.uint8)
     pixels = np.zeros((size, size, 3), np.uint8)
     h = size // 2
@@ -108,14 +108,14 @@ def test_assigned_material_covers_its_tile_size(tmp_path: Path) -> None:
             world_from_asset=placed(0, 0, scale=scale),
         )
         view = look_down(scene, root, 64, environment=room)
-        return view.buffers["diffuse_albedo"][36, :, 0].astype(float)  # low in a tile's row: blue and grey
+        return view.buffers["diffuse_albedo"][36, :, 0].astype(float)  # crosses blue and grey blocks
 
     def period(row: np.ndarray) -> float:
         spectrum = np.abs(np.fft.rfft(row - row.mean()))
         return len(row) / int(spectrum.argmax()) / len(row)
 
     assert period(columns(tmp_path / "a", MaterialAssignment(asset="tiles"))) == pytest.approx(0.25)
-    # the floor twice as large: the tiles keep their size
+    # tiles keep their size on a floor twice as large
     assert period(columns(tmp_path / "b", MaterialAssignment(asset="tiles"), 2.0)) == pytest.approx(0.25)
     fixed = MaterialAssignment(asset="tiles", uv_scale=8.0)
     assert period(columns(tmp_path / "c", fixed)) == pytest.approx(0.125)
@@ -162,7 +162,7 @@ def test_normal_map_tilts_the_normal_also_on_mirrored_uvs(tmp_path: Path) -> Non
     view = look_down(scene, tmp_path)
     normal = view.buffers["normal_world"]
     assert normal[16, 4] == pytest.approx(tilted, abs=2e-3)
-    # u runs towards -x there: the tangent flips, the bitangent (v, upwards) does not
+    # u increases towards -x there, so the tangent is flipped but the bitangent (v) is not
     assert normal[16, 28] == pytest.approx(tilted * [-1, 1, 1], abs=2e-3)
 
 
@@ -184,7 +184,7 @@ OFF_CENTRE = Camera(
 
 
 def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> None:
-    """Oblong pixels, an off-centre principal point, a rolled camera: pixels' points are on their boxes."""
+    """Unprojected pixels are on their boxes despite oblong pixels, off-centre principal point and roll."""
     rendered = two_boxes(tmp_path, OFF_CENTRE)
     view = rendered.render_view(0)
     assert view.instances == {"1": "room/floor", "2": "box-1", "3": "box-2", "4": "box-3"}
@@ -205,7 +205,7 @@ def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> N
 
 
 def test_camera_shows_only_between_its_clip_depths(tmp_path: Path) -> None:
-    """Nearer surfaces reveal those behind them, farther ones the background; the others are unchanged."""
+    """Clipped near surfaces reveal those behind them, clipped far ones the background."""
     near, far = 2.6, 3.4
     clipped = replace(OFF_CENTRE, clip_m=(near, far))
     full = two_boxes(tmp_path / "full", OFF_CENTRE).render_view(0).buffers["depth_z_m"][..., 0]
@@ -233,7 +233,7 @@ def test_corner_of_a_box_hits_the_expected_pixel(tmp_path: Path) -> None:
 
 
 def test_beauty_and_buffers_have_the_same_camera(tmp_path: Path) -> None:
-    """The luminous panel's centroid in the beauty image is where its centre projects."""
+    """The luminous panel's centroid in the beauty image is at the projection of its centre."""
     scene = SmallScene()
     scene.slots["glow"] = SlotMaterial(emission=(50.0, 50.0, 50.0))
     scene.parts["panel"] = (quad([0.3, 0.2, 0.5], [0.2, 0, 0], [0, 0, 0.2]), "glow")  # faces -y
@@ -326,7 +326,7 @@ def test_meshes_and_textures_are_cached_across_configurations(tmp_path: Path) ->
 
 
 def test_cut_out_shows_surfaces_behind_it(tmp_path: Path) -> None:
-    """An opacity texture: left half a hole, right half solid."""
+    """The left half of the opacity texture is a hole, the right half is opaque."""
     alpha = np.zeros((32, 32, 1), np.uint8)
     alpha[:, 16:] = 255
     scene = SmallScene(files={"a.png": encode_png(alpha)})

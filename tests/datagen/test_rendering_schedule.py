@@ -37,7 +37,7 @@ def test_results_come_in_order_and_few_views_are_in_flight(waits: list[int]) -> 
 
 
 def test_a_view_is_traced_while_another_waits() -> None:
-    """The first view waits until the second has begun, which deadlocks a schedule of one view at a time."""
+    """The first view waits for the second to begin, which times out if views run one at a time."""
     has_begun = threading.Event()
 
     def first(pool: ThreadPoolExecutor) -> Steps[str]:

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 RECIPE = RenderRecipe(path_samples=4, auxiliary_samples=4, denoise=False)
 CAMERAS = [Camera(24, 16, 16, 16, 12, 8, look_at([x, -1.8, 1.2], [0.3, 1.0, 0.6])) for x in (-1.0, 1.0)]
 SKY = EnvironmentLight(name="sky", radiance=(3.0, 3.2, 3.6))
-# the sun is behind the house: only sky light enters
+# the sun is behind the house, so only sky light enters
 DAYLIGHT = SkyLight(
     name="daylight", sun_direction=(0.2, -0.7, 0.5), turbidity=3.0, sky_scale=20, sun_scale=10
 )
@@ -58,7 +58,7 @@ def rendered(folder: Path, scene: SmallScene, *lights: Any, recipe: RenderRecipe
 
 
 def images(room: SceneRenderer, samples: int, count: int, *, guided: bool) -> NDArray[np.float64]:
-    """Independent images (count, H, W, 3) of the first view, with or without the guide."""
+    """Return independent images (count, H, W, 3) of the first view, with or without the guide."""
     tracer, guide = room.tracer, room.tracer.sky_guide
     assert guide is not None
     tracer.use_sky_guide(guide if guided else None)
@@ -77,7 +77,7 @@ def test_the_guide_reduces_noise_without_bias(tmp_path: Path, case: str) -> None
     means = [sample.mean(axis=(1, 2, 3)) for sample in (guided, plain)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
     assert abs(means[0].mean() - means[1].mean()) < 4 * error
-    assert error < 0.02 * means[1].mean()  # the comparison is significant
+    assert error < 0.02 * means[1].mean()  # the comparison is precise
     variance = [np.median(sample.var(axis=0, ddof=1).mean(axis=-1)) for sample in (guided, plain)]
     assert variance[0] < 0.35 * variance[1]
 
@@ -160,8 +160,8 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
 
 
 def observed(count: int = 4096, **more: Any) -> Any:
-    """Observations of a room of 4 x 2 x 1 m: points everywhere, and from the middle of the room every fourth
-    ray leaves through one point of its upper face."""
+    """Return observations of a room of 4 x 2 x 1 m with ``count`` points and a quarter as many rays.
+    The rays start in the middle of the room and leave through one point of the upper face."""
     from datagen.rendering.transport.sky_observation import SkyObservations
 
     points = np.random.default_rng(1).random((count, 3)) * [4, 2, 1]
@@ -185,12 +185,12 @@ def open_sky() -> Any:
 
 
 def test_the_share_of_the_sky_is_relative_to_all_direct_light() -> None:
-    """A quarter of cosine-distributed rays hit radiance 1, so irradiance is pi / 4."""
+    """A quarter of the cosine-distributed rays hit sky of radiance 1, which gives an irradiance of pi / 4."""
     quarter = np.pi / 4
     assert observed().sky_share() == 1.0
     assert observed(others=quarter).sky_share() == pytest.approx(0.5)
     assert observed(environment=quarter / 2, others=quarter).sky_share() == pytest.approx(0.5)
-    # emitter sampling includes the sun: that part counts for it
+    # emitter sampling includes the sun, which is direct light but not sky
     assert observed(environment=3 * quarter, others=quarter).sky_share() == pytest.approx(0.25)
     assert observed(radiance=np.zeros(1024)).sky_share() == 0.0
     assert observed(radiance=np.zeros(0), others=1.0).sky_share() == 0.0
@@ -201,7 +201,7 @@ def test_rays_that_met_the_sun_count_as_sky() -> None:
     radiance[::300] = 1e6
     calm = observed(radiance=radiance, others=np.pi / 4)
     assert calm.clamped_radiance().max() == pytest.approx(1.0) and calm.sky_share() == pytest.approx(0.5)
-    radiance[::100] = 1e6  # one in a hundred is not rare
+    radiance[::100] = 1e6  # too frequent for the sun
     assert observed(radiance=radiance).clamped_radiance().max() > 1e5
 
 
@@ -213,13 +213,13 @@ def test_a_guide_covers_the_opening_and_a_margin() -> None:
     found = fit_sky_guide(open_sky(), observed(others=3 * np.pi / 4))
     assert found is not None and found.share == pytest.approx(0.25)
     low, high = np.percentile(observed().points_m, [2, 98], axis=0)
-    margin = BOX_MARGIN * (high - low)[0]  # of its longest side
+    margin = BOX_MARGIN * (high - low)[0]  # relative to the longest side
     np.testing.assert_allclose(found.box_m, [low - margin, high + margin], rtol=1e-6)
     side = found.box_m[1] - found.box_m[0]
     areas = np.repeat([side[1] * side[2], side[0] * side[2], side[0] * side[1]], 2) / CELLS**2
     chance = np.array(found.density).reshape(6, CELLS, CELLS) * areas[:, None, None]
     assert chance.sum() == pytest.approx(1.0, abs=1e-3)
-    # rays end just below the box's upper face and so spread over few cells
+    # the rays meet just below the box's upper face and so spread over few of its cells
     column, row = (int(c) for c in (np.array([3.1, 0.4]) - found.box_m[0, :2]) / side[:2] * CELLS)
     assert chance[5, column - 3 : column + 4, row - 3 : row + 4].sum() == pytest.approx(1.0, abs=1e-3)
     centre = mi.Point3f(*(float(c) for c in found.box_m.mean(axis=0)))
@@ -279,7 +279,7 @@ def test_rays_leave_the_box_at_the_exact_positions() -> None:
 
 
 def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
-    """Points on the box's faces count as inside; their position there is exactly 0 or 1."""
+    """Points on the box's faces count as inside, although their normalised position is exactly 0 or 1."""
     import mitsuba as mi
 
     from datagen.rendering.transport.sky_guide import CELLS, exit_cell
@@ -294,7 +294,7 @@ def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
 
 
 def test_lanes_without_a_vertex_stay_inside_the_table() -> None:
-    """Missed rays give NaN and infinity, but their cells are still looked up."""
+    """Missed rays have NaN or infinite positions, but their cells are still looked up."""
     import mitsuba as mi
 
     from datagen.rendering.transport.sky_guide import CELLS, exit_cell

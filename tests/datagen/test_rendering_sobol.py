@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def points(key: Any, count: int, *, first: int = 0, pairs: int = 3) -> NDArray[np.float64]:
-    """Pairs of dimensions (pairs, count, 2) of one pixel's samples, beginning with sample ``first``."""
+    """Return the first pairs of dimensions (pairs, count, 2) of one pixel's samples from ``first`` on."""
     import drjit as dr
     import mitsuba as mi
 
@@ -62,14 +62,14 @@ def test_pixels_and_dimensions_are_independent() -> None:
     assert np.abs(off_diagonal).max() < 5 * noise
     beside = [np.corrcoef(row[:-1], row[1:])[0, 1] for row in drawn]
     assert np.abs(beside).max() < 5 * noise
-    for row in drawn:  # uniform: 64 bins, chi-square of 63 degrees of freedom
+    for row in drawn:  # chi-square test of uniformity with 64 bins
         expected = count / 64
         statistic = ((np.histogram(row, 64, (0, 1))[0] - expected) ** 2 / expected).sum()
         assert statistic < 63 + 5 * np.sqrt(2 * 63)
 
 
 def test_estimates_converge_faster_than_with_independent_samples() -> None:
-    """Root mean square error over 64 pixels for a smooth function with 256 points per pixel."""
+    """For a smooth function and 256 samples, the RMS error is below 5 % of that of independent samples."""
 
     def error(samples: list[NDArray[np.float64]]) -> float:
         values = [np.exp(-3 * s[:, 0]) * np.sin(np.pi * s[:, 1]) for s in samples]

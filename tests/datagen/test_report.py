@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The report's figures against independent counts, its pixels against the shards', and its refusals."""
+"""Figures of a report agree with independent counts and pixels with the shards; bad input is refused."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def report(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report with all pixels."""
+    """Write a report that contains the pixels of all views; return its folder."""
     out = tmp_path_factory.mktemp("report") / "page"
     with Library([dataset.parent / "library"]) as library:
         result = write_report(dataset, out, ReportOptions(price_per_hour=2.0), library)
@@ -73,7 +73,7 @@ def read_script(path: Path, name: str) -> dict:
 def test_tiles_keep_every_bit(dtype: type, word: str, shape: tuple[int, int, int], tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    array = np.frombuffer(rng.bytes(size), dtype).reshape(shape)  # NaN, Inf and denormals among them
+    array = np.frombuffer(rng.bytes(size), dtype).reshape(shape)  # includes NaN, Inf and denormals
     height, width, channels = shape
     assert decode_tile(encode_tile(array), word, width, height, channels).tobytes() == array.tobytes()
     write_tile(tmp_path / "tile.html", "a/b/c", array)
@@ -324,7 +324,7 @@ def test_tiles_equal_the_shards(report: Path, dataset: Path) -> None:
 
 
 def test_source_views_match_the_statistics(report: Path, dataset: Path) -> None:
-    """At every pixel as many views as the statistics counted, including the view."""
+    """Each pixel has as many source views as the statistics counted, including the view itself."""
     for view in Dataset(dataset).views():
         folder = report / "tiles" / view.record.configuration / view.record.name
         chosen = read_tile(folder / "sources.html")
@@ -336,7 +336,7 @@ def test_source_views_match_the_statistics(report: Path, dataset: Path) -> None:
 
 
 def test_source_views_follow_the_options(dataset: Path) -> None:
-    """Injected fault: other options give other counts, so the test above can fail."""
+    """Injected fault: with other options the numbers of source views differ from the statistics."""
     views = list(ShardReader(dataset / Dataset(dataset).index.shards[0].file))
     inputs = [StatisticsView.from_buffers(v.record.camera.camera(), v.buffers) for v in views]
     record = views[0].record.statistics
@@ -406,7 +406,7 @@ def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.Ca
 
 @pytest.fixture(scope="module")
 def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
-    """A report with two methods; the second lacks one view and has four broken ones."""
+    """Write a report on two methods, the second with one missing and four invalid views; return folders."""
     root = tmp_path_factory.mktemp("predictions")
     good, bad = (predict(dataset, root / name, seed) for seed, name in enumerate(("good", "B & W")))
     places = {f"{v.record.configuration}/{v.record.name}": v for v in Dataset(dataset).views()}
@@ -420,7 +420,7 @@ def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     maps = {name: places["small-00000/view-004"].buffers[name].copy() for name in MATERIAL_MAPS}
     maps["specular_albedo"][20, 20] = np.nan
     (bad / "small-00000" / "view-004.exr").write_bytes(encode_view(maps))
-    # as `materials infer` writes: a folder views/ for each configuration
+    # `materials infer` writes a folder views/ for each configuration
     (good / "small-00001" / "views").mkdir()
     for path in (good / "small-00001").glob("*.exr"):
         path.rename(path.parent / "views" / path.name)

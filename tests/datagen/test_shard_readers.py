@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Shards in third-party loaders (WebDataset, Hugging Face's `datasets`), and older shards in ours."""
+"""WebDataset and Hugging Face's `datasets` read shards, and `ShardReader` reads older ones."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from datagen.foundation.exr import decode_view
 from datagen.inspection.shard_check import ShardJob, verify_shard
 from tests.datagen.small_dataset import make_configuration, make_view_files
 
-NUM_VIEWS = 7  # types are inferred from the first five records
+NUM_VIEWS = 7  # `datasets` infers types from the first five records
 
 
 def _changed(record: dict[str, Any], shard: int, view: int) -> dict[str, Any]:
-    """The record with ids that differ by view and shard, and a figure only in later views."""
+    """Return the record with instances that differ by view and shard and optional fields in the last view."""
     names = [{"id": k + 1, "name": f"object-{shard}-{k}"} for k in range(1 + view % 3)]
     record = {**record, "instances": names, "name": f"view-{view:03d}"}
     if view == NUM_VIEWS - 1:
@@ -36,7 +36,7 @@ def _changed(record: dict[str, Any], shard: int, view: int) -> dict[str, Any]:
 
 
 def make_shards(folder: Path, num_shards: int = 2) -> list[Path]:
-    """Write shards whose views have different ids."""
+    """Write shards whose views have different instances; return their paths."""
     paths = []
     for shard in range(num_shards):
         work = folder / f"work-{shard}"
@@ -52,7 +52,7 @@ def make_shards(folder: Path, num_shards: int = 2) -> list[Path]:
 
 
 def as_older(path: Path, out: Path) -> Path:
-    """Convert a shard to result revision 7: the member's old name, ids as keys, None written."""
+    """Convert a shard to result revision 7 with old member name, ids as keys and nulls; return ``out``."""
     with tarfile.open(path) as source, tarfile.open(out, "w", format=tarfile.USTAR_FORMAT) as target:
         for info in source:
             file = source.extractfile(info)
@@ -85,7 +85,7 @@ for loaded in (list(whole), list(stream)):
 
 
 def _hugging_face(paths: list[Path], cache: Path) -> subprocess.CompletedProcess[str]:
-    """Records read by `datasets` in a separate process, because it keeps threads and a cache."""
+    """Run a process that prints records read by `datasets`, which keeps threads and a cache."""
     command = [sys.executable, "-c", _LOAD, str(cache), *map(str, paths)]
     environment = {"HF_HOME": str(cache), "HF_HUB_OFFLINE": "1", "HF_DATASETS_DISABLE_PROGRESS_BARS": "1"}
     return subprocess.run(command, capture_output=True, text=True, env=environment)
@@ -106,7 +106,7 @@ def test_hugging_face_reads_shards(tmp_path: Path) -> None:
 
 
 def test_hugging_face_could_not_read_older_shards(tmp_path: Path) -> None:
-    """Counterpart: the old form cannot be read."""
+    """`datasets` refuses shards of the old format."""
     older = [as_older(path, tmp_path / f"older-{k}.tar") for k, path in enumerate(make_shards(tmp_path))]
     done = _hugging_face(older, tmp_path / "cache")
     assert done.returncode != 0 and "don't share the same prefix" in done.stderr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Normals of observations: views from two sides of a thin column have different normals for one surfel."""
+"""Observations of one surfel from two sides of a thin column have different normals."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The sweep of error against time: its front and choice, and one real sweep of three settings."""
+"""Sweeps of error against time: Pareto front, recommendation, and a real sweep of three settings."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def point(cpu_s: float, rel_mse: float, **changes: object) -> Point:
 costs = st.integers(0, 8).map(float)
 
 
-@settings(deadline=None)  # a busy machine is no fault
+@settings(deadline=None)  # a busy machine must not fail the test
 @given(st.lists(st.tuples(costs, costs), max_size=30))
 def test_front_contains_the_undominated_points(pairs: list[tuple[float, float]]) -> None:
     front = pareto_front([c for c, _ in pairs], [e for _, e in pairs])
@@ -72,7 +72,7 @@ def test_front_contains_the_undominated_points(pairs: list[tuple[float, float]])
     assert [pairs[k] for k in front] == sorted(unbeaten)
 
 
-@settings(deadline=None)  # a busy machine is no fault
+@settings(deadline=None)  # a busy machine must not fail the test
 @given(st.lists(st.tuples(st.floats(0.01, 10), st.floats(1e-4, 1)), min_size=1), st.floats(1e-4, 1))
 def test_recommendation_meets_the_error_at_the_least_cost(
     pairs: list[tuple[float, float]], limit: float
@@ -158,7 +158,7 @@ def test_averaged_textures_keep_their_mean() -> None:
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Planned folder and finished sweep, interrupted after its first trial and continued."""
+    """Return the folders of a plan and of its sweep, which was interrupted after one trial and resumed."""
     root = tmp_path_factory.mktemp("tradeoff")
     folder = plan_small(root / "plan", root / "library", num_units=1, num_views=3).root
     sweep = Sweep(folder, root / "out", OPTIONS)

@@ -75,7 +75,7 @@ def sound_views(mitsuba_variant) -> list[tuple[ViewCamera, View]]:
 
 
 class Dataset:
-    """A dataset folder of one shard, whose views (before) and files (after writing) tests modify."""
+    """A dataset folder of one shard; tests modify its views before writing it or its files afterwards."""
 
     def __init__(self, folder: Path, views: list[tuple[ViewCamera, View]]):
         self.folder = folder
@@ -129,7 +129,7 @@ class Dataset:
         return self.change_record(record)
 
     def write(self) -> Path:
-        """Write shard and index; the index has the hash of the written shard."""
+        """Write the shard and an index with its hash; return the folder."""
         self.shard.parent.mkdir(parents=True, exist_ok=True)
         source = self.folder / "source"
         source.mkdir(exist_ok=True)
@@ -181,13 +181,13 @@ def dataset(tmp_path, sound_views) -> Dataset:
 
 
 def found(folder: Path, library=None) -> dict[str, list]:
-    """Faults of a dataset by check."""
+    """Return the faults of a dataset by check, for checks that found any."""
     report = verify_dataset(folder, library)
     return {check: mine for check in CHECKS if (mine := [f for f in report.faults if f.check == check])}
 
 
 def expect_only(folder: Path, check: str, text: str = "", where: str = "") -> None:
-    """Assert that only this check finds faults, at that place, and that the exit code is 1."""
+    """Assert that only ``check`` finds faults, one with ``text`` at ``where``, and the exit code is 1."""
     faults = found(folder)
     assert list(faults) == [check], faults
     assert any(text in fault.got and where in fault.where for fault in faults[check]), faults
@@ -507,7 +507,7 @@ def test_slightly_moved_camera(dataset):
 
 @pytest.fixture(scope="module")
 def rough_library(tmp_path_factory):
-    """Library of a room of constant materials and a wood with a roughness texture, and their packages."""
+    """Yield a library, its room of constant materials, and the id of a wood with a roughness texture."""
     from datagen.formats.asset import Material, MaterialAsset, Texture
     from datagen.formats.package import write_package
     from datagen.foundation.images import encode_png

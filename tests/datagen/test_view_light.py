@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recorded light of views: in a closed box of known walls, in a dataset's shards, and as network input for a
-capture."""
+"""Recorded light of views in a closed box of known walls, in dataset shards, and as network input."""
 
 from __future__ import annotations
 
@@ -29,12 +28,12 @@ from tests.model.lit_box import ALBEDOS, box_geometry, photographed_box
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 TOLERANCE = 0.04
-"""Of a wall's reflectance: 64 rays a surfel and the photographs' own noise."""
+"""Relative tolerance of a wall's reflectance, for the noise of 64 rays per surfel and of photographs."""
 
 
 @lru_cache(maxsize=1)
 def _medians() -> list[NDArray[np.float32]]:
-    """Median colours (H, W, 3) of the box's views."""
+    """Return the median colours (H, W, 3) of each view of the box."""
     return [s["color_median"] for s in compute_statistics([v.statistics for v in photographed_box()])]
 
 
@@ -49,7 +48,7 @@ def box_light(mitsuba_variant: str) -> ViewLight:
 
 
 def _by_wall(light: ViewLight, name: str, gain: float = 1.0) -> NDArray[np.float64]:
-    """Medians (6, C) of a buffer over the pixels of each wall without its edges."""
+    """Return medians (6, C) of a buffer over the inner pixels of each wall; ``gain`` scales the colours."""
     found: list[list[NDArray]] = [[] for _ in range(6)]
     for index, view in enumerate(photographed_box()):
         values = light.buffers(index, gain * _medians()[index])[name]
@@ -69,7 +68,7 @@ def test_reflectance_is_the_albedo_of_diffuse_walls(box_light: ViewLight) -> Non
 
 
 def test_five_percent_too_bright_is_detected(box_light: ViewLight) -> None:
-    """Injected fault: light 5 % too bright is detected."""
+    """Injected fault: colours 5 % too bright are detected."""
     error = np.abs(_by_wall(box_light, "reflectance", gain=1.05) / ALBEDOS - 1)
     assert error.max() > TOLERANCE
 
@@ -80,7 +79,7 @@ def test_all_light_of_a_closed_box_is_known(box_light: ViewLight) -> None:
 
 
 def test_mirror_images_show_the_mirrored_wall(box_light: ViewLight) -> None:
-    """A sharp mirror image has the radiance of the wall hit by the mirrored ray, far from other walls."""
+    """A sharp mirror image has the radiance of the wall that the mirrored ray hits."""
     import mitsuba as mi
 
     from datagen.multiview.visibility import vectors_from_rows
@@ -107,7 +106,7 @@ def test_mirror_images_show_the_mirrored_wall(box_light: ViewLight) -> None:
 
 @lru_cache(maxsize=1)
 def _wall_radiance() -> NDArray[np.float64]:
-    """Median radiance (6, 3) of the walls."""
+    """Return the median radiance (6, 3) of the walls."""
     walls = [view.geometry.face.ravel() // 2 for view in photographed_box()]
     colors = [view.color.reshape(-1, 3) for view in photographed_box()]
     wall, color = np.concatenate(walls), np.concatenate(colors)
@@ -136,7 +135,7 @@ def test_without_light_reflectance_is_zero() -> None:
 
 @pytest.fixture(scope="module")
 def lit_shard(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Path:
-    """A shard of a recipe with ``statistics: {light: true}``."""
+    """Render a shard of a recipe with ``statistics: {light: true}``; return its path."""
     root = tmp_path_factory.mktemp("lit")
     folder = plan_small(root / "dataset", root / "library", num_units=1, num_views=4, light=True)
     plan = folder.read_plan()
@@ -149,7 +148,7 @@ def lit_shard(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) ->
 
 
 def test_shards_contain_the_buffers_of_a_reconstruction(lit_shard: Path) -> None:
-    """The same code on the shard as a capture gives equal values but for half-float rounding."""
+    """Light computed from the shard as a capture equals the stored buffers up to half-float rounding."""
     from model.reconstruction.captures.read import read_capture
 
     views = list(ShardReader(lit_shard))
@@ -165,15 +164,14 @@ def test_shards_contain_the_buffers_of_a_reconstruction(lit_shard: Path) -> None
 
 
 def test_recorded_light_has_a_separate_revision(lit_shard: Path, tmp_path: Path) -> None:
-    """A change of only the recorded light keeps other datasets valid."""
+    """A new revision of recorded light does not invalidate datasets without it."""
     with_light = DatasetFolder(lit_shard.parent.parent).read_plan().versions
     without = plan_small(tmp_path / "dataset", tmp_path / "library").read_plan().versions
     assert with_light == {**without, "light_revision": str(LIGHT_REVISION)}
 
 
 def test_a_network_gets_the_inputs_of_its_training(lit_shard: Path, tmp_path: Path) -> None:
-    """A network that returns its inputs shows them; statistics of a traced capture differ from the dataset's
-    only at edges."""
+    """A network that returns its inputs gives the stored buffers except at edges, where statistics differ."""
     from model.checkpoint import CheckpointCard, save_checkpoint
     from model.networks import MAX_REFLECTANCE, NetworkConfig
     from model.own_network import make_network
