@@ -145,7 +145,7 @@ def _document(name: str) -> CaseMaker:
         path = folder / "document.json"
 
         def check(target: Path) -> None:
-            # accepted documents round-trip unchanged
+            # accepted documents must round-trip unchanged
             result = read(target)
             text = canonical_json(result)
             assert canonical_json(parse_model(type(result), json.loads(text), target)) == text
@@ -169,7 +169,7 @@ def _package_files() -> dict[str, bytes]:
 
 
 def package_folder(folder: Path) -> Case:
-    """Return a case of package folders with a damaged file or a mutated description."""
+    """Return a fuzz case of package folders with a damaged file or a mutated description."""
     package = folder / "package"
     package.mkdir()
     set_traps(package)
@@ -200,7 +200,7 @@ def package_folder(folder: Path) -> Case:
 
 
 def package_zip(folder: Path) -> Case:
-    """Return a case of zipped packages with a mutated description, unsafe members or damaged bytes."""
+    """Return a fuzz case of zipped packages with a mutated description, unsafe members or damaged bytes."""
     files = _package_files()
     documents = valid_documents()
 
@@ -275,7 +275,7 @@ class _SmallShard:
 
 
 def shard(folder: Path) -> Case:
-    """Return a case of hostile shards, which are verified and read view by view."""
+    """Return a fuzz case of hostile shards, which are verified and read view by view."""
     parts = _SmallShard()
 
     def read(path: Path) -> None:
@@ -290,7 +290,7 @@ def shard(folder: Path) -> Case:
 
 
 def exr(folder: Path) -> Case:
-    """Return a case of EXR images with damaged bytes, false windows or false compression types."""
+    """Return a fuzz case of EXR images with damaged bytes, false windows or false compression types."""
     buffers = make_buffers(6, 9, seed=1)
     chosen = {name: buffers[name] for name in ("beauty", "roughness", "material_id")}
     originals = [encode_view(chosen, kind, 1) for kind in ("none", "rle", "zips", "zip", "piz")]
@@ -312,7 +312,7 @@ def exr(folder: Path) -> Case:
 
 
 def dataset_folder(folder: Path) -> Case:
-    """Return a case of dataset folders with damaged or linked documents or a hostile shard."""
+    """Return a fuzz case of dataset folders with damaged or linked documents or a hostile shard."""
     root = folder / "set"
     for name in ("shards", "units", "failed", "logs", "configurations"):
         (root / name).mkdir(parents=True)

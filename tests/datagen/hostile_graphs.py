@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cases of importer input with extreme reference graphs, nesting depths and element counts.
+"""Fuzz cases of importer input with extreme reference graphs, nesting depths and element counts.
 
 Most inputs are read under the limits ``SMALL``, which small files reach in milliseconds; a few are up to
 ``FULL_FACTOR`` times larger and read under the default limits.
@@ -97,7 +97,7 @@ def _shapes(rng: random.Random, scale: Scale, num_bsdfs: int) -> list[str]:
 
 
 def mitsuba(folder: Path) -> Case:
-    """Return a case of Mitsuba scenes with many or deep references, instances, includes and defaults."""
+    """Return a fuzz case of Mitsuba scenes with many or deep references, instances, includes and defaults."""
     scale = Scale()
 
     def write(rng: random.Random) -> Path:
@@ -181,7 +181,7 @@ def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
 
 
 def gltf_graph(folder: Path) -> Case:
-    """Return a case of glTF files with large or invalid node graphs."""
+    """Return a fuzz case of glTF files with large or invalid node graphs."""
     scale = Scale()
 
     def write(rng: random.Random) -> Path:
@@ -193,7 +193,7 @@ def gltf_graph(folder: Path) -> Case:
 
 
 def texture_folder(folder: Path) -> Case:
-    """Return a case of texture folders with maps of random size, often constant and so small on disk."""
+    """Return a fuzz case of texture folders with maps of random size, often constant and so small on disk."""
     scale, root = Scale(), folder / "oak"
     root.mkdir()
     roles = ("Color", "Roughness", "Metalness", "NormalGL", "NormalDX", "AO", "Opacity", "Displacement")
@@ -214,7 +214,7 @@ def texture_folder(folder: Path) -> Case:
 
 
 def sweet_home(folder: Path) -> Case:
-    """Return a case of furniture libraries with many files, faces per vertex and polygon corners."""
+    """Return a fuzz case of furniture libraries with many files, faces per vertex and polygon corners."""
     scale = Scale()
 
     def model(rng: random.Random) -> bytes:
@@ -256,7 +256,7 @@ def sweet_home(folder: Path) -> Case:
 
 
 def package_zip(folder: Path) -> Case:
-    """Return a case of zipped packages with members of random number, size and compression ratio."""
+    """Return a fuzz case of zipped packages with members of random number, size and compression ratio."""
     scale = Scale()
     document = json.dumps(valid_documents()["material"][0])
     texture = encode_png(np.full((8, 8, 3), 9, np.uint8))

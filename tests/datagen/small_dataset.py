@@ -40,7 +40,7 @@ def make_buffers(height: int, width: int, seed: int) -> dict[str, np.ndarray]:
 
 
 def make_configuration(num_views: int, width: int = 40, height: int = 24) -> Configuration:
-    """A configuration of an environment without objects, with ``num_views`` cameras."""
+    """Return a configuration of an environment with ``num_views`` cameras and without objects."""
     cameras = []
     for index in range(num_views):
         pose = look_at([0.3 * index, -2.0, 1.4], [0.0, 0.0, 1.0])

@@ -36,7 +36,7 @@ WALL_M = 0.1
 
 
 def box(minimum: Any, maximum: Any) -> trimesh.Trimesh:
-    """An axis-aligned box with outward-facing triangles."""
+    """Return an axis-aligned box with outward-facing triangles."""
     low, high = np.asarray(minimum, float), np.asarray(maximum, float)
     mesh = trimesh.creation.box(extents=high - low)
     mesh.apply_translation(0.5 * (low + high))
@@ -44,14 +44,14 @@ def box(minimum: Any, maximum: Any) -> trimesh.Trimesh:
 
 
 def cylinder(radius: float, height: float, sections: int = 24) -> trimesh.Trimesh:
-    """An upright cylinder whose base is at z = 0."""
+    """Return an upright cylinder with its base at z = 0."""
     mesh = trimesh.creation.cylinder(radius=radius, height=height, sections=sections)
     mesh.apply_translation([0, 0, 0.5 * height])
     return mesh
 
 
 def ball(radius: float) -> trimesh.Trimesh:
-    """A sphere with a small flat base at z = 0; a true sphere would be unstable."""
+    """Return a sphere with a small flat base at z = 0; a true sphere would be unstable."""
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     vertices = np.array(mesh.vertices)
     vertices[:, 2] = np.maximum(vertices[:, 2], -0.95 * radius)

@@ -73,7 +73,7 @@ def estimate(scene: WorldScene, albedo: float, group: LightGroup, points: Any, c
 @pytest.mark.parametrize("albedo", [0.0, 0.5, 0.8])
 @pytest.mark.parametrize("error", [0.0, 0.05])
 def test_probe_in_an_integrating_sphere(tmp_path: Path, albedo: float, error: float) -> None:
-    """A point light I at the centre of a sphere of radius r gives it the irradiance I/r^2 / (1 - albedo)."""
+    """A point light I at the centre of a sphere of radius r irradiates its wall by I/r^2 / (1 - albedo)."""
     radius, intensity = 2.0, 3.0
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     scene = scene_of(trimesh.Trimesh(ball.vertices, ball.faces[:, ::-1], process=False), tmp_path)
@@ -227,7 +227,7 @@ NATIVE = {"native_probability": 1, "area_probability": 0, "point_probability": 0
 
 
 def test_every_room_is_lit(tmp_path: Path) -> None:
-    """A room without slots, openings and lights gets a panel under its ceiling."""
+    """A room without light slots, openings and lights gets a luminous panel under its ceiling."""
     write_room(tmp_path, "bare", light_slots=(), openings=())
     write_objects(tmp_path)
     library = Library([tmp_path])

@@ -49,7 +49,7 @@ def room(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> tu
     mesh = Mesh(np.concatenate([above, below]).astype(np.float32), faces, None, None)
     num = CELLS * CELLS
     index = np.full((num, LAYERS, NUM_SIDES), -1, np.int32)
-    index[:, -1, 4] = np.arange(num)  # the side that faces down
+    index[:, -1, 4] = np.arange(num)  # downward orientation
     index[:, 0, 5] = num + np.arange(num)
     grid = CellGrid(np.array([-0.5, -0.5, 0.0]), CELL_M, np.array([CELLS, CELLS, LAYERS]), index.ravel())
     row, column = np.divmod(np.arange(num), CELLS)
@@ -204,7 +204,7 @@ def test_points_in_the_plane_of_a_lamp_get_no_light_twice() -> None:
 
 
 def test_metal_mirrors_the_lamp_without_noise() -> None:
-    """Above a metal floor, 256 guided rays agree with 65,536 unguided ones, at low noise."""
+    """Above a metal floor, 256 guided rays agree with 65,536 unguided ones and have little noise."""
     field, surfels = room(ceiling_radiance())
     num = len(surfels)
     is_floor = np.arange(num) >= num // 2

@@ -178,7 +178,7 @@ def test_room_is_complete(name: str) -> None:
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_room_is_closed_except_for_its_openings(name: str) -> None:
-    """Rays from camera regions hit a front face, or leave through an opening."""
+    """Rays from camera regions hit a front face or leave through an opening."""
     asset, rays = environment(name), room_rays(name)
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(60_000, 3))

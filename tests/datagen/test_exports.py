@@ -75,7 +75,7 @@ def read_png(path: Path) -> np.ndarray:
 
 
 def test_views_show_the_objects(views) -> None:
-    """The tests below need visible objects."""
+    """The other tests need visible objects."""
     assert sum(len(masks_of(view)) for view in views) >= 4
     assert {name for view in views for name in masks_of(view)} == {"cabinet-1", "chair-1"}
 

@@ -59,7 +59,7 @@ def expected(undisturbed: DatasetFolder) -> dict[str, str]:
 
 
 def _copy(folder: DatasetFolder, root: Path, without: tuple[int, ...] = ()) -> DatasetFolder:
-    """A copy at ``root`` in which the units of the given indices are unfinished."""
+    """Copy a dataset to ``root``; in the copy, units with the indices ``without`` are unfinished."""
     shutil.copytree(folder.root, root)
     copied = DatasetFolder(root)
     for unit in copied.read_plan().units:
@@ -117,7 +117,7 @@ def _is_seen(folder: DatasetFolder, pattern: str) -> bool:
 
 
 def _comes(folder: DatasetFolder, process: subprocess.Popen, moment: str, rng: random.Random) -> bool:
-    """Wait for a key of ``MOMENTS``; return False if the run ends first."""
+    """Wait for ``moment``, a key of ``MOMENTS``; return False if the run ends first."""
     if moment == "any":
         try:
             process.wait(timeout=rng.uniform(0.2, 1.5))

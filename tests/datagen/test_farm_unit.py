@@ -44,7 +44,7 @@ class Made:
     library: Library
 
     def attempt(self, folder: DatasetFolder, **more: Any) -> UnitRun:
-        """A new attempt at the unit of ``folder``."""
+        """Return a new attempt at the unit of ``folder``."""
         plan = folder.read_plan()
         recipe = folder.read_recipe()
         return UnitRun(folder, plan.units[0], recipe, self.library, plan.versions, plan.variant, **more)

@@ -136,7 +136,7 @@ def test_ply_that_is_shorter_than_its_header_is_refused(tmp_path: Path, memory_s
 
 
 def test_zip_bomb_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
-    """The zips have 80 MB of zeros in 80 kB, and a member larger than its directory entry states."""
+    """One zip expands from 80 kB to 80 MB, another has a member larger than its directory entry states."""
     document = json.dumps(valid_documents()["material"][0])
     path = tmp_path / "bomb.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -376,7 +376,7 @@ def test_rooms_become_environments_with_lights_and_cameras(tmp_path: Path) -> No
     camera = asset.cameras[0]
     assert (camera.width_px, camera.height_px) == (1080, 720)
     matrix = np.array(camera.asset_from_camera)
-    np.testing.assert_allclose(matrix[:3, 2], [0, 1, 0], atol=1e-9)  # glTF -Z is +Y here
+    np.testing.assert_allclose(matrix[:3, 2], [0, 1, 0], atol=1e-9)  # -Z of glTF becomes +Y
     np.testing.assert_allclose(matrix[:3, 1], [0, 0, -1], atol=1e-9)
     (surface,) = asset.support_surfaces
     assert surface.kind == "floor"

@@ -26,7 +26,7 @@ from datagen.importers.common import ImportedAsset, ImportOptions
 from datagen.importers.dispatch import import_asset
 from datagen.importers.summary import group_sentences, summary_lines
 
-SIZE = (1.6, 0.5, 0.8)  # x, y, z of a sofa, Z up
+SIZE = (1.6, 0.5, 0.8)  # extents of a sofa in metres, Z up
 OPTIONS = ImportOptions(license="CC0-1.0")
 
 
@@ -48,7 +48,7 @@ def size_of(record: ImportedAsset) -> np.ndarray:
 def write_obj(folder: Path, texture: str = "") -> Path:
     """Write an OBJ box with Y up, half oak with a ``texture``, if given, half steel; return its path."""
     mesh = box()
-    points = np.asarray(mesh.vertices)[:, [0, 2, 1]] * [1, 1, -1]  # (x, z, -y)
+    points = np.asarray(mesh.vertices)[:, [0, 2, 1]] * [1, 1, -1]  # Z up to Y up
     lines = ["mtllib sofa.mtl", *(f"v {x} {y} {z}" for x, y, z in points)]
     lines += ["vt 0 0", "vt 1 0", "vt 1 1"]
     for k, face in enumerate(np.asarray(mesh.faces) + 1):

@@ -243,7 +243,7 @@ def test_normals_are_smooth_within_a_smoothing_group_and_creased_at_sharp_edges(
     on_side = np.abs(smooth.normals[:, 1]) < 0.5
     assert np.allclose(smooth.normals[on_side], radial[on_side], atol=1e-4)
     assert np.allclose(smooth.normals[~on_side], [0, 1, 0], atol=1e-5)
-    assert len(smooth.positions) == 36  # shared along the side, split at the rim
+    assert len(smooth.positions) == 36  # vertices are shared on the side and split at the rim
     flat = (
         read_obj_model("\n".join([*lines, "s off", *sides]).encode(), "can.obj", Budget("x")).surfaces[0].mesh
     )

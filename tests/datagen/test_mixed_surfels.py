@@ -161,7 +161,7 @@ def test_pixels_without_other_surfaces_keep_their_values(
 
 @pytest.mark.parametrize(("part", "expected"), [(1.0, 1.0), (0.45, 0.5), (0.0, 0.0)])
 def test_slope_is_the_observed_part_of_the_predicted_mixture(part: float, expected: float) -> None:
-    """Slopes are divided by 0.9, the value that exact data give."""
+    """Slopes are divided by 0.9, the minimum slope of an exact mesh."""
     rng = np.random.default_rng(3)
     share = rng.uniform(0.2, 0.8, 200_000)
     known, beyond = rng.uniform(0.1, 1, (2, len(share), 1)) * np.ones(3)

@@ -173,7 +173,7 @@ def test_even_count_takes_the_mean_of_the_middle_two():
 
 
 def test_equal_costs_keep_the_first_view():
-    """With ``best_views`` of 4 among six identical cameras every view selects views 0 to 3."""
+    """With ``best_views=4``, each of six identical cameras selects views 0 to 3."""
     base = make_views(num_views=1)[0]
     views = [replace(base, color=np.full_like(base.color, value / 10)) for value in range(6)]
     hit = has_surface(base.depth_z_m, base.surface_mask)

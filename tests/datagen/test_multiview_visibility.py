@@ -171,7 +171,7 @@ def test_the_image_ends_at_the_outer_edge_of_its_last_pixel():
 
 @pytest.mark.parametrize("farthest", [0, 1, 2])
 def test_the_farthest_camera_is_found_at_any_index(farthest):
-    """Zeros read beyond the list of cameras would give a camera at the origin, which is farther than all."""
+    """All cameras are far from the origin, so zeros read beyond their list would give a farther camera."""
     import mitsuba as mi
 
     centres = np.array([[40.0, 41.0, 40.0], [40.0, 40.0, 42.0], [41.0, 41.0, 40.0]])

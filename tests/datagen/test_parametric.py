@@ -66,7 +66,7 @@ def test_rooms_are_sound_and_packages_valid(kind: str) -> None:
 
 
 def test_a_room_takes_less_than_two_seconds() -> None:
-    """The processor time of a room and its package was measured: median 0.3 s, maximum 0.9 s."""
+    """A room and its package take a median processor time of 0.3 s and a maximum of 0.9 s, as measured."""
     slowest = {}
     for kind in sorted(KINDS):
         start = time.process_time()
@@ -81,7 +81,7 @@ def test_few_rooms_are_rejected() -> None:
 
 
 def test_bytes_depend_on_kind_and_seed_alone() -> None:
-    """Another process with another hash seed and order makes the same zips."""
+    """A process with another hash seed that makes the rooms in another order gives the same zips."""
     wanted = [("hallway", "1"), ("cafe", "2"), ("bedroom", "3")]
     code = (
         "from datagen.formats.base import sha256_hex; from datagen.parametric.packing import room_package\n"
@@ -126,7 +126,7 @@ def test_three_quarters_of_the_shades_are_luminous() -> None:
             corners = shape.points[shape.faces]
             cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             area = 0.5 * float(np.linalg.norm(cross, axis=1).sum())
-            assert lamp.area_m2 == pytest.approx(area, rel=0.12)  # polygons in place of circles, and rims
+            assert lamp.area_m2 == pytest.approx(area, rel=0.12)  # circles are polygons with rims
             is_luminous = all(slot != "shade" for slot, _ in item.shapes)
             if is_luminous:  # its side is visible from eye level
                 assert np.ptp(shape.points[:, 2]) > 0.1 and lamp.area_m2 > 0.05

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Progress is shown as bars on a terminal, otherwise as lines at intervals and at later stages."""
+"""Progress is shown by bars on a terminal and otherwise by lines at intervals and at stage changes."""
 
 from __future__ import annotations
 

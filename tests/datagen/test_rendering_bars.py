@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Window bars one pixel wide keep their values between bright panes, and the recorded error is true."""
+"""Window bars one pixel wide keep their values between bright panes, and the recorded error is correct."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def truth() -> Image:
 
 
 def noisy_pair(rng: np.random.Generator, sigma: float, shared: float = 0.0) -> tuple[Image, Image]:
-    """Return two images of relative noise ``sigma``, a share ``shared`` of whose variance is common."""
+    """Return two images of relative noise ``sigma``; a share ``shared`` of its variance is common to them."""
     noise = rng.normal(0.0, sigma, (3, *SIZE, 3))
     own, common = math.sqrt(1 - shared), math.sqrt(shared)
     a, b = (truth() * (1 + own * n + common * noise[2]) for n in noise[:2])
@@ -163,7 +163,7 @@ def test_black_image_has_no_error_and_missing_light_counts() -> None:
 
 
 def test_heavy_tailed_noise_does_not_meet_the_target() -> None:
-    """With rare bright samples, as behind a door ajar, no target counts as met although it is missed."""
+    """With rare bright samples, as behind a door ajar, the budget never counts a missed target as met."""
     rng = np.random.default_rng(3)
     black = np.zeros((*SIZE, 3), np.float32)
     budget, met, fell_short = SampleBudget(0.05, 8), 0, 0
@@ -296,7 +296,7 @@ def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRen
 
 
 def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> None:
-    """A view stops after one pass, far above its target; the fast denoiser is used only by the estimate."""
+    """A view stops after one pass, far above its error target; only the estimate uses the fast denoiser."""
     asked: list[tuple[int, tuple[int, ...], float]] = []
 
     def is_enough(index: int, image: NDArray, estimate: ErrorEstimate) -> bool:
@@ -436,7 +436,7 @@ def test_reference_quality_clamps_nothing(tmp_path: Path) -> None:
 
 
 def ajar(shared_data: Path, root: Path, recipe: RenderRecipe, size: tuple[int, int]) -> SceneRenderer:
-    """Return a renderer of Veach's scene with a door ajar, through which all light enters."""
+    """Return a renderer of Veach's scene of a door ajar, through which all light enters."""
     from datagen.formats.asset import EnvironmentAsset
     from datagen.importers.common import ImportOptions
     from datagen.importers.mitsuba_xml import import_mitsuba_scene

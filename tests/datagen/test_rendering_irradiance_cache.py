@@ -155,7 +155,7 @@ def test_reflectance_of_the_specular_lobe_equals_that_of_the_bsdf() -> None:
 
 
 def test_irradiance_does_not_pass_a_wall(tmp_path: Path) -> None:
-    """The side of a thin wall without a lamp stays dark."""
+    """A lamp on one side of a thin wall leaves the other side dark."""
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
         "wall": (quad([0, -2, 0], [0, 4, 0], [0, 0, 2]), "grey"),
@@ -250,8 +250,8 @@ def two_rooms() -> SmallScene:
 
 
 def test_unseen_rooms_are_not_dark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Light around a corner agrees with full paths for cached paths and for cached paths of four segments
-    that use cached irradiance only at the last vertex."""
+    """Light around a corner is the same with full paths, with cached paths, and with cached paths of four
+    segments that use cached irradiance only at the last vertex."""
     from datagen.rendering.transport import irradiance_cache
 
     bulb = PointLight(name="bulb", position_m=(-1.5, 1.8, 1.8), intensity=(5.0, 5.0, 5.0))

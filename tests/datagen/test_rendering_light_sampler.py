@@ -192,7 +192,7 @@ def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
 
 
 def test_many_lights_are_chosen_uniformly(tmp_path: Path) -> None:
-    """Lights are too many for per-cell probabilities, but the guide to the window keeps its share."""
+    """There are too many lights for per-cell probabilities, but the guide to the window keeps its share."""
     from datagen.rendering.transport.light_sampler import MAX_LEARNED
 
     bulbs = tuple(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The renderer: names and shapes, reproducible bytes, its estimator against Mitsuba's, the denoiser."""
+"""The renderer: buffers, reproducible bytes, agreement with Mitsuba's path tracer, and the denoiser."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ RECIPE = RenderRecipe(path_samples=6, auxiliary_samples=16, keep_noisy=True)
 
 
 def box_room() -> SmallScene:
-    """A room open towards -y, with one coloured wall and glossy boxes."""
+    """Return a room that is open towards -y, with one coloured wall and a glossy box as an object."""
     grey = GREY.model_copy(update={"specular_albedo": (0.04, 0.04, 0.04), "roughness": 0.5})
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),

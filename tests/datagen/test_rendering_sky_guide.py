@@ -32,7 +32,7 @@ LAMP = AreaLight(
 
 
 def walled_room(*, window: bool = True, curtain: bool = False) -> SmallScene:
-    """A room of 4 x 4 x 2 m, closed except for a window of 0.6 x 0.8 m in the wall at y = 2."""
+    """Return a room of 4 x 4 x 2 m, closed except for a window of 0.6 x 0.8 m in the wall at y = 2."""
     parts: dict[str, Any] = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
         "ceiling": (quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]), "grey"),
@@ -142,7 +142,7 @@ def test_points_outside_of_the_box_use_emitter_sampling(tmp_path: Path) -> None:
 def test_no_guide_without_an_enclosing_room(tmp_path: Path, case: str) -> None:
     lights: tuple[Any, ...] = {"no environment": (LAMP,), "lamp outshines it": (LAMP, SKY)}.get(case, (SKY,))
     scene = walled_room(window=case != "sealed")
-    if case == "nothing but sky":  # a floor under an open sky: cameras and points have no box around them
+    if case == "nothing but sky":  # a small floor under an open sky encloses no camera
         scene = SmallScene({"floor": (quad([-2, -2, 0], [0.1, 0, 0], [0, 0.1, 0]), "grey")}, {"grey": GREY})
     room = rendered(tmp_path, scene, *lights)
     assert room.tracer.sky_guide is None

@@ -37,7 +37,7 @@ SIZE = (128, 90)
 
 @pytest.fixture(scope="module")
 def sound_views(mitsuba_variant) -> list[tuple[ViewCamera, View]]:
-    """Complete views of the boxes scene: exact geometry, plausible materials, real statistics."""
+    """Return complete views of boxes with exact geometry, plausible materials and computed statistics."""
     views = [view for index, view in enumerate(make_views((SIZE,), is_noise=False)) if index not in (4, 5)]
     rng = np.random.default_rng(3)
     inputs, complete = [], []
