@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R that were recovered from light."""
+"""Confidence of D, S and R recovered from light, which weights them against the network's predictions."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ from datagen.light.estimated_light import MAX_REFLECTED
 from datagen.light.surfels import CellGrid, Surfels
 
 IMPOSSIBLE = (0.1, 0.3)
-"""Limits on the share of nearby surfels that reflect more than their incident light: light has full weight
-below the first limit, and none above the second."""
+"""Range of the local share of surfels that reflect more than their incident light, over which the confidence
+of D, S and R decreases to 0."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
-"""Limits on this share in a room: below the first, light has full weight everywhere."""
+"""Range of the same share over the whole room; below it, the local share does not reduce confidence."""
 DARK_ROOM = (0.2, 0.4)
-"""Limits on this share in a room: above the second, light has no weight anywhere, since its sources are not
-photographed."""
+"""Range of the same share over the whole room, over which all confidence decreases to 0, since most light
+sources are not photographed."""
 IMPOSSIBLE_SURFACE = (0.4, 0.8)
-"""Limits on the share of nearby surfels, in any room, for the weight of light as evidence of D."""
+"""Range of the local share over which the confidence of D decreases to 0 in any room."""
 MIN_OBSERVATIONS = 50.0
-"""Number of observations at which a share depends equally on its surfels and on the larger surface."""
+"""Number of observations at which a block's or region's own share is weighted by half
+(:func:`_shrunk_share`)."""
 BLOCK_CELLS = 25
-"""Side of the blocks over which shares are computed, in cells: a twelfth of the room's diagonal."""
+"""Side in cells of the blocks over which shares are computed: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
-"""Limits on the uncertain share of a surfel's light, which has full weight below the first limit, and none
-above the second."""
+"""Range of the uncertain share of a surfel's diffuse shading, over which its confidence decreases from 1 to
+0."""
 HIDDEN_LIGHT = (0.3, 0.5)
-"""Limits on the share of unphotographed lamps at unknown positions in a smooth region's light, which has full
-weight below the first limit, and none above the second."""
+"""Range of the share of a smooth region's light that comes from unphotographed lamps, over which the
+confidence of D, S and R decreases from 1 to 0."""
 INFERRED_LIGHT = (0.02, 0.08)
-"""Limits on the share of unphotographed lamps at known positions in a smooth region's light, for S and R."""
+"""Like :data:`HIDDEN_LIGHT`, for lamps declared by the geometry and the confidence of S and R."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
-"""Limits on the spread of normals around a surfel, and on the room's median spread, in radians: R has full
-weight below the first limit of either, and the weight :data:`BUMPY_TRUST` above the second limits of both. A
-mesh with errors is bumpy everywhere and reflects in wrong directions; an exact mesh is curved at some objects
-only."""
-_BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # minimum cosine between normals of one surface
+"""Ranges of the spread of normals around a surfel and of its median over the room, in radians, over which the
+confidence of R decreases to the factor :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere and
+reflects in wrong directions; an exact mesh is curved only at some objects."""
+_BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # the latter: minimum cosine between normals of one surface
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
-"""Limits on the photographed share of a surfel's hemisphere: light has no weight below the first limit, and
-full weight above the second."""
+"""Ranges of the photographed share of a surfel's hemisphere, over which the confidence of D and of S and R
+increases from 0 to 1."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
-    """Confidence (N, 3) of surfels' D, S and R from the ``photographed`` share (N,), in [0, 1], of their
-    hemispheres.
+    """Compute the confidence (N, 3) of D, S and R from the share (N,) of each surfel's hemisphere that is
+    photographed.
 
-    An error of the irradiance changes D in proportion, so D needs a larger share than S and R, whose prior
+    The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose prior
     already has more weight where evidence is weak.
     """
     of_d = _ramp(photographed, D_EVIDENCE)
@@ -62,26 +62,26 @@ def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class ImpossibleShares:
-    """Shares of surfels that reflect more than their incident light, because of unphotographed sources.
+    """Shares of surfels that reflect more than their incident light, because of unphotographed light sources.
 
-    ``around`` (N,): share near each surfel in its smooth region; ``of_room``: share in the whole room.
+    ``around`` (N,): share near each surfel within its smooth region; ``of_room``: share in the whole room.
     """
 
     around: NDArray[np.float64]
     of_room: float
 
     def trust(self) -> NDArray[np.float32]:
-        """Factor (N,) of all confidences; where it is low, the network's maps are blended in.
+        """Compute the factor (N,), in [0, 1], of the confidence of D, S and R.
 
-        It is 1 for all surfels below :data:`IMPOSSIBLE_ROOM`, since some surfels are too bright in any room.
+        It is 1 below :data:`IMPOSSIBLE_ROOM`, since some surfels are too bright in any room.
         """
         trust = 1 - _ramp(self.of_room, IMPOSSIBLE_ROOM) * _ramp(self.around, IMPOSSIBLE)
         return (trust * (1 - _ramp(self.of_room, DARK_ROOM))).astype(np.float32)
 
     def evidence(self) -> NDArray[np.float32]:
-        """Factor (N,) of the confidence of D in any room.
+        """Compute the additional factor (N,), in [0, 1], of the confidence of D.
 
-        Where most of a surface reflects more than its incident light, its shading is corrected using other
+        Where most of a surface reflects more than its incident light, its shading is corrected from other
         surfaces and the network's maps.
         """
         return (1 - _ramp(self.around, IMPOSSIBLE_SURFACE)).astype(np.float32)
@@ -90,12 +90,12 @@ class ImpossibleShares:
 def impossible_shares(
     surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_], region: NDArray
 ) -> ImpossibleShares:
-    """Shares of surfels that reflect more than their incident light, by smooth ``region`` (N,).
+    """Compute the shares of surfels that reflect more than their incident light.
 
-    Such surfels have a radiance above :data:`MAX_REFLECTED` times their shading ``diffuse`` (N, 3). Shares,
-    weighted by views, are those of a region in blocks of :data:`BLOCK_CELLS` cells, interpolated between
-    blocks; shares of blocks with few views are shrunk to that of the region, and those of regions to that of
-    the room. Metals and mixed surfels are ignored.
+    Such surfels have a radiance above :data:`MAX_REFLECTED` times their shading ``diffuse`` (N, 3). Surfels
+    are weighted by their number of views; metals and mixed surfels are ignored. Local shares are computed in
+    blocks of :data:`BLOCK_CELLS` cells of each smooth ``region`` (N,) and interpolated between blocks. Shares
+    of blocks with few views are shrunk to that of the region, and those of regions to that of the room.
     """
     excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = (np.diff(surfels.observations.start) * ~(is_metal | surfels.is_mixed)).astype(np.float64)
@@ -109,7 +109,7 @@ def impossible_shares(
     whole = _shrunk_share(np.bincount(of_region, weight * excess), np.bincount(of_region, weight), of_room)
     num = np.bincount(block)
     total, shining = np.bincount(block, weight), np.bincount(block, weight * excess)
-    apart_m = 100 * side_m * of_region  # separates the regions in the tree
+    apart_m = 100 * side_m * of_region  # keeps nearest neighbours within one region
     place = np.column_stack([surfels.position_m, surfels.normal * side_m, apart_m]).astype(np.float64)
     centre = np.stack([np.bincount(block, column) / num for column in place.T], axis=1)
     distance, index = cKDTree(centre).query(place, k=np.arange(min(_NEAR_BLOCKS, len(num))) + 1, workers=-1)
@@ -121,24 +121,24 @@ def impossible_shares(
 
 
 def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> NDArray[np.float64]:
-    """Share ``part`` / ``total`` (K,), shrunk to ``otherwise`` by the weight :data:`MIN_OBSERVATIONS`."""
+    """Compute ``part`` / ``total`` (K,), shrunk to ``otherwise`` with the weight :data:`MIN_OBSERVATIONS`."""
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 
 def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of all confidences from the share ``hidden`` (N,) of light from unphotographed lamps."""
+    """Compute the factor (N,) of all confidences from the share (N,) of light from unphotographed lamps."""
     return (1 - _ramp(hidden, HIDDEN_LIGHT)).astype(np.float32)
 
 
 def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of the confidences of S and R from the ``share`` (N,) of light from named lamps that no
-    photograph shows.
+    """Compute the factor (N,) of the confidence of S and R from the ``share`` (N,) of light from
+    unphotographed lamps that the geometry declares.
     """
     return (1 - _ramp(share, INFERRED_LIGHT)).astype(np.float32)
 
 
 def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
-    """Root mean square angle (N,) in radians between the normals of each surfel and its neighbours."""
+    """Compute the root mean square angle (N,) in radians between each surfel's normal and its neighbours'."""
     nearest = np.arange(min(_BUMPY_NEIGHBOURS + 1, len(surfels))) + 1
     _, index = cKDTree(surfels.position_m).query(surfels.position_m, k=nearest, workers=-1)
     normal = surfels.normal.astype(np.float64)
@@ -149,20 +149,22 @@ def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
 
 
 def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of the confidence of R from the ``spread`` (N,) of normals (:func:`normal_spread`)."""
+    """Compute the factor (N,) of the confidence of R from the result ``spread`` (N,) of
+    :func:`normal_spread`.
+    """
     of_room = _ramp(float(np.median(spread)), BUMPY_ROOM)
     return (1 - (1 - BUMPY_TRUST) * of_room * _ramp(spread, BUMPY)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
-    """Factor (N,) of the confidence of surfels with diffuse shading ``diffuse`` (N, 3), of which the
-    luminance ``doubt`` (N,) is uncertain.
+    """Compute the factor (N,) of the confidence of surfels from the uncertain luminance ``doubt`` (N,) of
+    their diffuse shading ``diffuse`` (N, 3).
     """
     part = doubt / np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
     return 1.0 - _ramp(part, DOUBT)
 
 
 def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:
-    """Smoothstep from 0 at the first of ``ends`` to 1 at the second."""
+    """Compute the smoothstep of ``value`` from 0 at the first of ``ends`` to 1 at the second."""
     t = np.clip((value - ends[0]) / (ends[1] - ends[0]), 0, 1)
     return t * t * (3 - 2 * t)

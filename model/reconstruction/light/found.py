@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The recovered lights of a room, for export (docs/light.md)."""
+"""Collects the recovered light sources of a room for export (docs/light.md)."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import sky_image
 
 NUM_SAMPLES = 1600
-"""Number of pixels to which exported lights are balanced."""
+"""Number of pixels against which the radiance of exported lights is balanced."""
 _SEED = 0x62616C
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
-    """Lamps, windows and, if light from outside depends on direction only, the sky, with their radiance.
+    """Collect the recovered lamps, panels, windows and sky of a room with their radiance.
 
-    Lamps declared by the geometry consist of its emissive parts, other lamps of smooth regions that emit.
+    The sky is returned only if there are windows and the light from outside depends on direction only.
     """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
@@ -40,7 +40,7 @@ def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) ->
 
 
 def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> RadianceSamples:
-    """Radiance of about ``num`` random valid, unclipped pixels, equally many per view.
+    """Sample the radiance of about ``num`` random valid, unclipped pixels, equally many per view.
 
     The result does not depend on the order of the views.
     """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Converts emissive surfaces to lamps for export: one for each emissive part declared by the geometry, and
-one for each other smooth region that was found to emit.
+"""Converts emissive surfaces to lamps for export: one per emissive part of the geometry, and one per other
+smooth region that was found to emit.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from model.reconstruction.found_lights import FoundLamp, as_color
 
 
 def found_lamps(emitters: Emitters, mesh: Mesh, parts: Sequence[GeometryPart]) -> tuple[FoundLamp, ...]:
-    """Lamps ``lamp-0``, ... of the emissive ``parts`` in order, and ``found-0``, ... of other surfaces.
+    """Convert emissive ``parts`` to lamps ``lamp-0``, ..., and other emitting regions to ``found-0``, ...
 
-    A part's radiance is the area-weighted mean over its triangles that emit from the front of their winding.
+    A part's radiance is the area-weighted mean over its triangles that emit from their front.
     """
     areas = mesh.areas()
     shown = np.zeros((len(mesh.faces), 3))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The pipeline stage of ``materials infer`` for materials from light."""
+"""The stage of ``materials infer`` that recovers materials from light."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Texture of metals: the specular albedo of single surfels, where their reflections are blurred."""
+"""Computes a texture of the specular albedo of metals that blur their reflections, surfel by surfel."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from datagen.light.surfels import Surfels, weighted_medians
 from model.reconstruction.light.points import UNSEEN_WEIGHT
 
 SHARP, BLURRED = 0.2, 0.3
-"""Roughness up to which a surfel keeps its segment's S, since cells do not resolve sharp reflections, and
-above which its S depends on its own observations."""
+"""Range of roughness over which S of a metal surfel changes from that of its segment to that of its own
+observations; the grid's cells do not resolve sharp reflections."""
 SEGMENT_VIEWS = 2.0
-"""Weight of the segment's S, in observations of the surfel."""
+"""Weight of the segment's S, as a number of observations of the surfel."""
 
 
 def textured_specular_albedo(
@@ -24,10 +24,11 @@ def textured_specular_albedo(
     is_metal: NDArray[np.bool_],
     shading: SpecularShading,
 ) -> NDArray[np.float32]:
-    """S (N, 3) of the surfels: of metals the median over observations of (L - Ls1) / Ls0.
+    """Compute S (N, 3) of the surfels; for metals, it tends to the median of (L - Ls1) / Ls0 over
+    observations.
 
-    ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments,
-    ``shading`` that of all M observations at these, as if all of its light were known.
+    ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments;
+    ``shading`` is that of all M observations, divided by the known share of its light.
     """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()

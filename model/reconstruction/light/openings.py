@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Finds windows: rectangles through which rays from a room's surfaces leave its mesh, and their radiance.
 
-Rays that leave the background's box through one connected part of a face belong to one opening. Its plane,
-parallel to the face, is the one in which they cover the smallest area. Rays from surfels are
+Rays that leave the background's bounding box through one connected part of a face belong to one opening. Its
+plane is the one parallel to the face in which they cover the smallest area. Rays from surfels are
 cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
-through an opening count, regardless of the face of the box that they cross behind it.
+through an opening are averaged, regardless of the face of the box through which they leave.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from model.reconstruction.found_lights import FoundPatch, Rectangle, as_color
 from model.reconstruction.light.rectangles import cover, cut
 
 FINE = 96
-"""Number of squares along each side of a face of the box."""
+"""Number of squares along each side of a face of the bounding box."""
 RAYS = 600_000
 MIN_RAYS, MIN_OPEN = 2, 0.4
-"""Minimum number of rays through an open square, absolute and relative to the median over the squares; a
+"""Minimum number of rays through an open square, absolute and relative to the median over crossed squares; a
 square at the edge of a window is only partly open."""
 PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
-"""Number of planes tried from a face of the box inwards, depth of the last relative to the box, and minimum
-share of the rays that start on the inner side of a plane."""
+"""Number of candidate planes per face of the box, maximum depth of a plane relative to the box, and minimum
+share of an opening's rays that start on the inner side of its plane."""
 MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
-"""Maximum number of openings, searched from the largest, and minimum share of all leaving rays for each."""
+"""Maximum number of openings, found in decreasing order of size, and minimum share of all leaving rays."""
 MIN_SIDE = 1 / 60
-"""Side of the smallest window, relative to the box's diagonal; smaller gaps may be cracks of the mesh."""
+"""Side of the smallest window, relative to the box's diagonal; smaller openings may be cracks of the mesh."""
 MAX_BLOCK = FINE // 6
-"""Maximum side of a rectangle in squares; larger ones are cut, which preserves gradients."""
+"""Maximum side of a rectangle in squares; larger ones are cut to preserve gradients of radiance."""
 DARK = 1e-3
-"""Minimum luminance of a window relative to the surfels' median."""
-_GAP = 1e-3  # between plane and rectangles, in diagonals, so that rectangles never coincide with a wall
+"""Minimum luminance of a window relative to the median over surfels."""
+_GAP = 1e-3  # from plane to rectangles in box diagonals, so that rectangles never coincide with a wall
 
 
 @dataclass(frozen=True)
 class LeavingRays:
-    """N rays that leave the mesh.
+    """N rays from surfels that leave the mesh.
 
-    ``origin``, ``direction`` and ``radiance`` are (N, 3); ``face`` (N,) is the face of the box (twice the
-    axis, plus 1 for the upper one); ``is_known`` (N,): whether the radiance is known.
+    ``origin``, ``direction`` and ``radiance`` are (N, 3); ``face`` (N,): face of the bounding box that the
+    ray crosses, 2 axis + (1 if upper); ``is_known`` (N,): whether the radiance is known.
     """
 
     origin: NDArray[np.float64]
@@ -58,12 +58,12 @@ class LeavingRays:
     is_known: NDArray[np.bool_]
 
     def chosen(self, which: NDArray) -> LeavingRays:
-        """The selected rays; ``which`` is a mask (N,) or indices."""
+        """Select rays; ``which`` is a mask (N,) or indices."""
         return LeavingRays(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def leaving_rays(field: RadianceField, surfels: Surfels) -> LeavingRays:
-    """Cosine-distributed rays from surfels that leave the mesh."""
+    """Trace about :data:`RAYS` cosine-distributed rays from surfels, and return those that leave the mesh."""
     import mitsuba as mi
 
     random = np.random.default_rng(0x77696E64)
@@ -94,7 +94,7 @@ def _gathered(background: Background, origin: NDArray, direction: NDArray) -> Le
 def found_windows(
     rays: LeavingRays, background: Background, median_luminance: float
 ) -> tuple[FoundPatch, ...]:
-    """The windows through which ``rays`` leave, in decreasing order of power, without dark ones."""
+    """Find the windows through which ``rays`` leave, without dark ones, in decreasing order of power."""
     windows: list[FoundPatch] = []
     rest = rays
     for _ in range(MAX_BUNDLES):
@@ -116,7 +116,7 @@ def found_windows(
 
 @dataclass(frozen=True)
 class _Plane:
-    """A plane parallel to a face of the box, ``depth_m`` inwards, with the same grid of squares as the
+    """A plane parallel to a face of the box, ``depth_m`` inside it, divided into the same squares as the
     face.
     """
 
@@ -130,24 +130,24 @@ class _Plane:
 
     @property
     def at_m(self) -> float:
-        """Coordinate of the plane along its axis."""
+        """Coordinate of the plane along its normal axis, in metres."""
         if self.face % 2:
             return float(self.box.high[self.axis]) - self.depth_m
         return float(self.box.low[self.axis]) + self.depth_m
 
     @property
     def across(self) -> tuple[int, int]:
-        """The two axes along the plane."""
+        """The two axes parallel to the plane."""
         first, second = (axis for axis in range(3) if axis != self.axis)
         return first, second
 
     @property
     def square_m(self) -> NDArray[np.float64]:
-        """Sides (2,) of a square in metres."""
+        """Side lengths (2,) of a square in metres."""
         return (self.box.high - self.box.low)[list(self.across)] / FINE
 
     def crossed(self, rays: LeavingRays) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Mask (N,) of rays that start on the inner side, and flat index (N,) of the square of each ray."""
+        """Compute the mask (N,) of rays from the inner side, and the flat index (N,) of each ray's square."""
         along = rays.direction[:, self.axis]
         along = np.where(np.abs(along) < 1e-9, np.where(self.face % 2, 1e-9, -1e-9), along)
         distance = (self.at_m - rays.origin[:, self.axis]) / along
@@ -157,15 +157,15 @@ class _Plane:
         return distance >= 0, square[:, 0] * FINE + square[:, 1]
 
     def within(self, rays: LeavingRays, is_open: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Mask (N,) of the rays that cross the plane through open squares."""
+        """Compute the mask (N,) of the rays that cross the plane through open squares."""
         is_inside, square = self.crossed(rays)
         return is_inside & is_open.ravel()[square]
 
 
 @dataclass(frozen=True)
 class _Squares:
-    """Sums over the rays through each square of a plane, (FINE, FINE): ``num`` rays, ``known`` rays of known
-    radiance, and the ``sums`` (FINE, FINE, 3) of their radiance.
+    """Sums over the rays through each square of a plane: the number of rays ``num`` and of rays of ``known``
+    radiance, (FINE, FINE), and the ``sums`` (FINE, FINE, 3) of known radiance.
     """
 
     num: NDArray[np.int64]
@@ -187,7 +187,7 @@ class _Squares:
 
 
 def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mask (FINE, FINE) of the open squares, from the number of rays ``num`` through each square."""
+    """Compute the mask (FINE, FINE) of open squares from the number of rays ``num`` through each."""
     crossed = num[num > 0]
     if not len(crossed):
         return np.zeros((FINE, FINE), dtype=bool)
@@ -197,13 +197,13 @@ def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _components(is_open: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """Masks (FINE, FINE) of the connected components of the open squares."""
+    """Separate the open squares into masks (FINE, FINE) of connected components."""
     labels, count = ndimage.label(is_open)
     return [labels == label for label in range(1, count + 1)]
 
 
 def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[np.bool_], int]:
-    """Mask (N,) of the largest set of rays through one connected part of a face of the box, and that face."""
+    """Find the largest set of rays through one connected part of a face: its mask (N,) and the face."""
     best, of_face, most = np.zeros(len(rays.face), dtype=bool), 0, 0
     for face in range(6):
         mine = rays.face == face
@@ -218,7 +218,7 @@ def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[
 
 
 def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
-    """The plane parallel to ``face`` in which the rays cover the smallest area."""
+    """Find the plane parallel to ``face`` in which the rays cover the smallest area."""
     best, least = _Plane(background, face, 0.0), np.inf
     side = float((background.high - background.low)[face // 2])
     for depth in np.linspace(0, MAX_DEPTH * side, PLANES):
@@ -233,9 +233,9 @@ def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
 
 
 def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatch | None:
-    """A window of the connected open squares ``part``; None if it is too small or of unknown radiance.
+    """Make a window of the connected open squares ``part``; None if it is too small or its radiance unknown.
 
-    Its rectangles cover most of the squares and emit their total power.
+    Its rectangles cover most of the squares and emit the total power of all of them.
     """
     area_m2 = float(part.sum() * plane.square_m.prod())
     diagonal = float(np.linalg.norm(plane.box.high - plane.box.low))
@@ -254,7 +254,7 @@ def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatc
 
 
 def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:
-    """The rectangle of a ``block`` (row, column, rows, columns) of squares; it emits inwards."""
+    """Make the inward-facing rectangle of a ``block`` (row, column, rows, columns) of squares."""
     row, column, rows, columns = block
     window = (slice(row, row + rows), slice(column, column + columns))
     known = int(seen.known[window].sum())

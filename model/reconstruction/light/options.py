@@ -18,12 +18,12 @@ from model.reconstruction.light.solve import PriorWeights
 class LightOptions(GatherOptions):
     """Options of the light stage.
 
-    ``solve_rays``: rays per observation of a solved point and roughness level; ``specular_rays``: rays per
-    observation of a surfel. At most ``max_points`` surfels are solved, with ``num_observations`` each.
-    ``num_rounds``: a second round has less noise, and reflects rays at the metals found in the first.
-    ``unmixes_edges``: whether the radiance of pixels that mix two surfaces is separated. ``has_prior``:
-    whether the network's maps are a prior where evidence is missing. ``is_corrected``: whether the shading
-    gets a smooth correction where its light is not photographed.
+    ``solve_rays``: rays per observation of a solved surfel and roughness level; ``specular_rays``: rays per
+    observation of any surfel; ``max_points``: maximum number of solved surfels; ``num_observations``: maximum
+    number of observations of each; ``num_rounds``: the second round has less noise and includes reflections
+    at metals; ``unmixes_edges``: whether radiance is separated in pixels that mix two surfaces;
+    ``has_prior``: whether the network's maps are a prior; ``is_corrected``: whether shading by unphotographed
+    light is corrected smoothly.
     """
 
     solve_rays: int = 24
@@ -41,16 +41,16 @@ STEPS = (
     "edges", "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction",
     "maps", "lights",
 )  # fmt: skip
-"""Steps of the stage in order; "second round" is left out if there is only one round."""
+"""Steps of the stage in order; "second round" is absent if there is only one round."""
 
 
 @dataclass
 class LightReport:
-    """Findings of the light stage.
+    """Statistics of the light stage.
 
-    ``photographed_share``: mean photographed share of the surfels' hemispheres; ``confidence``: means over
-    surfels for D, S and R; ``seconds``: time by step; ``memory_mb``: peak resident memory up to the end of
-    each step.
+    ``photographed_share``: mean photographed share of the surfels' hemispheres; ``confidence``: mean of D, S
+    and R over surfels; ``seconds``: time of each step; ``memory_mb``: peak resident memory at the end of each
+    step.
     """
 
     num_surfels: int = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of views for the report: photograph, D and its confidence."""
+"""Makes pictures of views for the report: photograph, D and the confidence of D."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO_SURFACE = 128
 
 
 def view_pictures(views: Sequence[TracedView], maps: Sequence[Maps], exposure: float) -> list[ViewPicture]:
-    """Pictures of up to :data:`NUM_VIEWS` evenly spaced views, at most :data:`WIDTH_PX` wide."""
+    """Make pictures of up to :data:`NUM_VIEWS` evenly spaced views, at most :data:`WIDTH_PX` wide."""
     chosen = np.unique(np.linspace(0, len(views) - 1, NUM_VIEWS).round().astype(int))
     pictures = []
     for index in chosen:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Chooses surfels, shades their observations, and solves S and R of the segments."""
+"""Chooses surfels, computes the specular shading of their observations, and solves segments for S and R."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from model.reconstruction.light.solve import (
 )
 
 EVIDENCE_POWER = 3
-"""Priors are weighted by the photographed share of the light to the power of minus this number."""
+"""Exponent of a segment's evidence; the weights of priors are inversely proportional to the power."""
 HALF_EVIDENCE_VIEWS = 1.0
-"""Number of views of a surfel that gives half of the full evidence: from few directions, other materials may
-look like metal."""
+"""Number of views of a surfel at which its evidence is half of that with many views: in few views, other
+materials may resemble metal."""
 MIN_VIEWS, MIN_LIGHT = 3, 0.6
-"""Preferred minimum of a surfel's number of views and of its share of known light."""
-_MIN_WEIGHT = 0.1  # preferred minimum of an observation
+"""Number of views and known share of light from which a surfel is preferred."""
+_MIN_WEIGHT = 0.1  # preferred minimum weight of an observation
 _QUOTA_STEP = 8
 UNSEEN_WEIGHT = 0.05
-"""Weight of observations that is added to the photographed share of their lobe, which may be 0."""
+"""Weight of an observation whose specular lobe is not photographed, relative to one whose lobe is."""
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Index of each surfel's ``segment`` (N,) and smooth ``region`` (N,), and the network's D, S and R as
-    ``prior`` (N, 7).
+    """Segmentation of N surfels: index of each surfel's ``segment`` (N,) and smooth ``region`` (N,), and the
+    network's D, S and R as ``prior`` (N, 7).
     """
 
     segment: NDArray[np.int32]
@@ -45,10 +45,10 @@ class Segmentation:
 
 @dataclass(frozen=True)
 class Points:
-    """P surfels to be solved, ordered by segment, with up to O observations each.
+    """P surfels to be solved, in order of their segments, with up to O observations each.
 
-    ``surfel`` (P,): index of the surfel; ``row`` (P, O): indices of the observations; ``weight`` (P, O), 0
-    for missing observations; ``start`` (G + 1,): first point of each of G segments, then P.
+    ``surfel`` (P,): indices of the surfels; ``row`` (P, O): indices of the observations; ``weight`` (P, O), 0
+    for missing observations; ``start`` (G + 1,): first point of each of G segments, followed by P.
     """
 
     surfel: NDArray[np.int64]
@@ -60,8 +60,8 @@ class Points:
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
     """Choose at most ``max_points`` surfels, evenly distributed over the segments ``segment`` (N,).
 
-    ``known`` (N,) is the known share of their light. Each has at most ``num_observations``: the darkest, the
-    brightest and evenly ranked ones between them.
+    ``known`` (N,) is the known share of their light. Each surfel has at most ``num_observations``, chosen at
+    equal steps of rank by luminance from the darkest to the brightest.
     """
     num_segments = int(segment.max()) + 1
     size = np.bincount(segment, minlength=num_segments)
@@ -84,7 +84,7 @@ def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: L
 
 
 def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
-    """Weight (M,) of each observation: number of pixels, at most 4, times the cosine of the view angle."""
+    """Compute each observation's weight (M,): pixels, at most 4, times the cosine of the view angle."""
     observations = surfels.observations
     surfel = surfels.surfel_of_observation()
     direction = surfels.directions(surfel, observations.view)
@@ -111,9 +111,9 @@ def _choose_observations(
 
 @dataclass(frozen=True)
 class PointShading:
-    """Specular shading S ``ls0`` + ``ls1`` of the points' observations by roughness, (P, O, levels, 3).
+    """Specular shading S ``ls0`` + ``ls1`` of the points' observations, (P, O, roughness levels, 3).
 
-    The observations' ``weight`` (P, O) is lower where the lobe includes unphotographed radiance.
+    The ``weight`` (P, O) of an observation is lower where its lobe includes unphotographed radiance.
     """
 
     ls0: NDArray[np.float32]

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 COVERED, MAX_RECTANGLES = 0.98, 12
-"""Share of a mask to cover by rectangles, and maximum number of rectangles."""
+"""Share of a mask that rectangles must cover, and maximum number of rectangles."""
 
 
 def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Disjoint rectangles (row, column, rows, columns) that cover a share :data:`COVERED` of a mask (H, W),
-    largest first; at most :data:`MAX_RECTANGLES`.
+    """Find disjoint rectangles (row, column, rows, columns) that cover the share :data:`COVERED` of a mask
+    (H, W), at most :data:`MAX_RECTANGLES`, in decreasing order of size.
     """
     rest = mask.copy()
     found: list[tuple[int, int, int, int]] = []
@@ -26,7 +26,7 @@ def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
 
 
 def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """The largest rectangle (row, column, rows, columns) in which a mask (H, W) is True."""
+    """Find the largest rectangle (row, column, rows, columns) within which a mask (H, W) is True."""
     best, size = (0, 0, 0, 0), 0
     heights = np.zeros(mask.shape[1] + 1, np.int64)  # a final 0 closes all open rectangles
     for row, line in enumerate(mask):
@@ -45,7 +45,7 @@ def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 
 
 def cut(block: tuple[int, int, int, int], most: int) -> list[tuple[int, int, int, int]]:
-    """Cut a rectangle (row, column, rows, columns) into pieces of at most ``most`` squares a side."""
+    """Cut a rectangle (row, column, rows, columns) into pieces of at most ``most`` rows and columns."""
     row, column, rows, columns = block
     down, along = -(-rows // most), -(-columns // most)
     tops = np.linspace(row, row + rows, down + 1).round().astype(int)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Divides surfels into segments that share specular albedo and roughness.
 
-A segment is a part of a smooth region of the mesh with similar reflectance and predictions, found by binning
-these features; a bin with few surfels is joined to the nearest bin of its region.
+A segment is a part of a smooth region of the mesh with similar reflectance and predictions. These features
+are binned, and a bin with few surfels is merged with the nearest bin of its region.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 LUMINANCE_STEP, CHROMA_STEP = 0.5, 0.35
-"""Bin widths in the mean ln reflectance over channels, and in ln of red and blue relative to green."""
+"""Bin widths of the mean ln reflectance over channels, and of ln red and ln blue minus ln green."""
 SPECULAR_STEP, ROUGHNESS_STEP = 0.3, 0.35
-"""Bin widths in the square root of the predicted specular albedo, and in the predicted roughness."""
+"""Bin widths of the square root of the predicted specular albedo, and of the predicted roughness."""
 MIN_SURFELS = 24
-"""Minimum number of surfels of a bin that is not joined to another."""
+"""Number of surfels below which a bin is merged with another."""
 _MIN_REFLECTANCE, _MAX_REFLECTANCE = 0.01, 2.0
 
 
 def segment_surfels(
     region: NDArray, reflectance: NDArray, specular_albedo: NDArray, roughness: NDArray
 ) -> NDArray[np.int32]:
-    """Index (N,) of each surfel's segment, from 0 without gaps, by its smooth ``region`` (N,),
+    """Compute the index (N,) of each surfel's segment, from 0 without gaps, from its smooth ``region`` (N,),
     ``reflectance`` pi L / E (N, 3), and predicted ``specular_albedo`` (N, 3) and ``roughness`` (N,).
     """
     feature = _features(reflectance, specular_albedo, roughness)
@@ -51,7 +51,7 @@ def segment_surfels(
 
 
 def _features(reflectance: NDArray, specular_albedo: NDArray, roughness: NDArray) -> NDArray[np.float64]:
-    """Features (N, 5) in units of bin width."""
+    """Compute the features (N, 5) of surfels in units of bin width."""
     rho = np.log(np.clip(reflectance.astype(np.float64), _MIN_REFLECTANCE, _MAX_REFLECTANCE))
     green = rho[:, 1]
     return np.stack(

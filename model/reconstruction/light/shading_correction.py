@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Corrects the diffuse shading Ld where the incident light is not photographed.
 
-The error of Ld is smooth over a surface, regardless of texture: missing or wrongly estimated light affects
-the whole neighbourhood. The logarithm u (N, 3) of the factor by which the albedo pi L / E is too low
-minimises over the surfels
+Missing or wrongly estimated light affects a whole neighbourhood, so the error of Ld is smooth over a surface,
+regardless of texture. The logarithm u (N, 3) of the factor that corrects the albedo rho = pi L / E minimises,
+over the surfels,
 
     c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
 
-with rho = pi L / E, c the confidence in the light, D_p the network's albedo at the scale of the confident
-surfels, and D_r the mean albedo of the confident surfels of the same smooth region. The weight of each prior
-is the inverse square of its spread among the confident surfels; Huber weights make both robust. The texture
-of a surface remains as photographed.
+with c the confidence in the light, D_p the network's albedo at the scale of the confident surfels, and D_r
+the mean albedo of the confident surfels of the same smooth region. The weight of each prior is the inverse
+square of its spread among the confident surfels; Huber weights make both robust. Texture remains as
+photographed.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from datagen.light.cells import cell_keys
 from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medians
 
 SMOOTHNESS = 100.0
-"""Weight of a difference between adjacent surfels, relative to that of a surfel with known light."""
+"""Weight of differences of u between adjacent surfels, relative to that of u of a surfel with known light."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
 """Weights of the priors at a spread of 1; small, since the errors of neighbouring surfels are correlated."""
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
-"""Values added in quadrature to the spreads of ln D."""
+"""Standard deviations of ln D that are added in quadrature to the spreads."""
 SCALE_SUPPORT = 0.05
-"""Mean confidence in the light at which half of the scale of the confident surfels is applied to the
-network's albedo."""
+"""Mean confidence in the light at which the network's albedo is scaled by half, in ln, of its offset from the
+confident surfels."""
 MIN_SUPPORT = 10.0
-"""Minimum number of confident surfels of a region for its prior, which has full weight from ten times as
-many."""
+"""Number of confident surfels from which a region has a prior; the prior has full weight from ten times this
+number."""
 _NEIGHBOURS = 9
 _BLOCK = 5  # in cells
-_ROUNDS = 3  # of Huber weights
-_HUBER_NETWORK, _HUBER_REGION = 0.5, 2.0  # in ln D, and in spreads
+_ROUNDS = 3  # iterations of reweighting
+_HUBER_NETWORK, _HUBER_REGION = 0.5, 2.0  # Huber thresholds in ln D, and in spreads
 _TOLERANCE, _MAX_ITERATIONS = 1e-3, 1000  # of the conjugate gradients
 _MIN_ALBEDO, _MAX_ALBEDO = 0.005, 0.95
 
@@ -51,12 +51,12 @@ def shading_correction(
     confidence: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Correction u (N, 3) of surfels: the corrected albedo is exp(u) ``albedo`` (N, 3), the corrected diffuse
-    shading exp(-u) Ld.
+    """Compute the correction u (N, 3): the corrected albedo is exp(u) ``albedo`` (N, 3), the corrected
+    diffuse shading exp(-u) Ld.
 
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
     ``confidence`` (N,): confidence in the light, in [0, 1]; ``is_diffuse`` (N,): mask of lit surfels that are
-    not metal.
+    not metal. Raises ArithmeticError if the solver does not converge.
     """
     log_albedo, log_network = _log(albedo), _log(predicted)
     confident = confidence * is_diffuse
@@ -87,10 +87,10 @@ def shading_correction(
 
 
 def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> NDArray[np.float32]:
-    """RGB factor (3,) from the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N, 3) of surfels in
-    known light.
+    """Compute the RGB factor (3,) that scales the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N,
+    3) of surfels in known light.
 
-    ``confident`` (N,) is the confidence in their light, 0 for metals. The factor approaches 1 if little light
+    ``confident`` (N,) is the confidence in their light, 0 for metals. The factor tends to 1 if little light
     is known (:data:`SCALE_SUPPORT`).
     """
     support = float(confident.mean())
@@ -99,7 +99,7 @@ def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> ND
 
 
 def _network_offset(difference: NDArray, confident: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Robust mean (3,) and standard deviation of the ``difference`` (N, 3) in ln D, weighted by
+    """Compute the robust mean (3,) and standard deviation of the ``difference`` (N, 3) in ln D, weighted by
     ``confident`` (N,).
     """
     offset, spread, _ = _grouped_spread(difference, confident, np.zeros(len(confident), np.int64))
@@ -113,10 +113,11 @@ def _log(albedo: NDArray) -> NDArray[np.float64]:
 def _minimised(
     matrix: sparse.csr_matrix, right: NDArray, blocks: sparse.csr_matrix, start: NDArray
 ) -> NDArray:
-    """Solve ``matrix`` (N, N) x = ``right`` (N, 3) by preconditioned conjugate gradients from ``start``.
+    """Solve ``matrix`` (N, N) x = ``right`` (N, 3) by preconditioned conjugate gradients from ``start`` (N,
+    3).
 
-    The preconditioner is Jacobi plus a coarse solve with one unknown per block, so smooth long-range
-    corrections converge fast; ``blocks`` (N, K) is the membership. Raises ArithmeticError if it diverges.
+    The preconditioner, Jacobi plus a coarse solve with one unknown per block, speeds up smooth long-range
+    corrections; ``blocks`` (N, K) is the membership. Raises ArithmeticError if it does not converge.
     """
     coarse = splu((blocks.T @ matrix @ blocks).tocsc())
     diagonal = matrix.diagonal()
@@ -136,7 +137,7 @@ def _minimised(
 
 
 def _blocks(surfels: Surfels) -> sparse.csr_matrix:
-    """Membership (N, K), 0 or 1, of surfels in blocks of :data:`_BLOCK` cells along each axis, by side."""
+    """Compute the membership (N, K), 0 or 1, of surfels in blocks of :data:`_BLOCK`^3 cells and one side."""
     grid = surfels.grid
     shape = -(-grid.shape // _BLOCK)
     coarse = CellGrid(grid.low, _BLOCK * grid.cell_m, shape, grid.surfel)
@@ -148,11 +149,11 @@ def _blocks(surfels: Surfels) -> sparse.csr_matrix:
 def _grouped_spread(
     values: NDArray, weight: NDArray, group: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Robust mean (N, 3), standard deviation (N,) and total weight (N,) of the group of each row of
+    """Compute the robust mean (N, 3), standard deviation (N,) and total weight (N,) of each row's group in
     ``values`` (N, 3).
 
-    The deviation is computed from mean absolute deviations of at most 1. The mean is of values clipped at
-    twice the deviation from the median: the median alone of a checkerboard would be one of its two colours.
+    The deviation follows from mean absolute deviations, clipped at 1. The mean is that of values clipped at
+    twice the deviation from the median, since the median of a checkerboard would be one of its two colours.
     """
     order = np.argsort(group, kind="stable")
     keys, first = np.unique(group[order], return_index=True)
@@ -172,7 +173,7 @@ def _grouped_spread(
 
 
 def _laplacian(surfels: Surfels) -> sparse.csr_matrix:
-    """Laplacian (N, N) of the graph that joins adjacent surfels with similar normals."""
+    """Compute the Laplacian (N, N) of the graph that joins adjacent surfels with similar normals."""
     num = len(surfels)
     distance, index = near_surfels(surfels, _NEIGHBOURS)
     weight = np.exp(-0.5 * (distance / 2) ** 2)

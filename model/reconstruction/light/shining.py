@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Finds lamps that the geometry does not declare: surfels whose radiance is several times the maximum that
-they could reflect, in nearly all views (a mirror reflects a lamp in some views only), and several times that
-of the surrounding surface (the light of a hidden lamp on a wall fades gradually).
+"""Finds lamps that the geometry does not declare.
 
-Neighbouring cells of one side are clustered and exported as rectangles perpendicular to the side's axis, just
-in front of the surface, since the triangles of a ceiling extend beyond its lamp.
+Their surfels have several times the maximum radiance that they could reflect, in nearly all views (a mirror
+reflects a lamp in some views only), and several times that of the surrounding surface (the light of a hidden
+lamp decreases gradually). Neighbouring cells of one side are clustered and exported as rectangles
+perpendicular to the side's axis, just in front of the surface, since a ceiling's triangles extend beyond its
+lamp.
 """
 
 from __future__ import annotations
@@ -24,22 +25,23 @@ from model.reconstruction.found_lights import FoundPatch, Rectangle, as_color
 from model.reconstruction.light.rectangles import cover, cut
 
 EXCESS = 2.5
-"""Minimum radiance of a lamp, relative to a white surface in the same light."""
+"""Minimum radiance of a lamp relative to that of a white surface in the same light."""
 FAINTEST, MIN_VIEWS = 0.2, 3
-"""Maximum share of the views in which a lamp is fainter, and minimum number of views that show it."""
+"""Share of the views in which a lamp may be fainter, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
-"""Minimum photographed share of a surfel's hemisphere; near unphotographed lamps, estimates are too dark."""
+"""Minimum photographed share of a surfel's hemisphere; irradiance near unphotographed lamps is
+underestimated."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
-"""Minimum size of a lamp in cells, and its minimum share of the radiant power of all surfels."""
+"""Minimum number of cells of a lamp, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
 """Maximum side of a rectangle in cells."""
 MIN_EDGE, RING_CELLS = 2.0, (1.5, 3.5)
-"""Minimum radiance of a lamp relative to the surrounding surface, in a ring of these radii in cells."""
+"""Minimum radiance of a lamp relative to the surrounding ring of surfels, and radii of the ring in cells."""
 _GAP = 0.25  # cells between the surface and its rectangle
 
 
 def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
-    """The lamps ``panel-0``, ... among the surfels, in decreasing order of power."""
+    """Find the lamps ``panel-0``, ... among the surfels, in decreasing order of power."""
     surfels, grid = lit.surfels, lit.surfels.grid
     sent = luminance(surfels.radiance.astype(np.float64))
     arriving = luminance(lit.diffuse.astype(np.float64))
@@ -69,14 +71,14 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
 
 
 def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    """Indices of points of ``tree`` within ``reach`` of any of ``points`` along every axis, ascending."""
+    """Find the points of ``tree`` within ``reach`` of any of ``points`` along every axis, as sorted indices."""
     lists = tree.query_ball_point(points, reach, p=np.inf)
     return np.unique(np.concatenate([np.asarray(found, dtype=np.int64) for found in lists]))
 
 
 def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Luminance (K,) of each of ``surfels`` (K,) exceeded in all but a share :data:`FAINTEST` of its views; 0
-    with fewer than :data:`MIN_VIEWS` views.
+    """Compute the quantile :data:`FAINTEST` (K,) of the luminance of ``surfels`` (K,) over their views; 0 for
+    those with fewer than :data:`MIN_VIEWS` views.
     """
     observations = lit.surfels.observations
     found = np.zeros(len(surfels))
@@ -88,7 +90,7 @@ def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: Lit) -> FoundPatch:
-    """The lamp in the cells ``cell`` (K, 3) of one ``side``, which contain the surfels ``surfel`` (K,)."""
+    """Make the panel that covers the cells ``cell`` (K, 3) of ``side`` with the surfels ``surfel`` (K,)."""
     surfels, grid = lit.surfels, lit.surfels.grid
     axis, is_upper = side // 2, side % 2 == 1
     across = [k for k in range(3) if k != axis]
@@ -100,7 +102,7 @@ def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: L
     np.add.at(num, tuple(at.T), 1)
     np.add.at(sums, tuple(at.T), surfels.radiance[surfel])
     mean = sums.sum(axis=(0, 1)) / num.sum()
-    # includes cells without observations between others of the lamp
+    # fills gaps of cells without observations
     mask = ndimage.binary_closing(np.pad(num > 0, 2), np.ones((3, 3)))[2:-2, 2:-2]
     area_m2 = float(mask.sum()) * grid.cell_m**2
     height = float(np.median(surfels.position_m[surfel, axis])) + _GAP * grid.cell_m * (1 if is_upper else -1)

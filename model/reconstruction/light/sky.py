@@ -14,9 +14,9 @@ HEIGHT, WIDTH = 64, 128
 
 
 def sky_image(background: Background) -> NDArray[np.float32]:
-    """Radiance of a distant ``background`` by direction, as a sky image (HEIGHT, WIDTH, 3).
+    """Convert the radiance of a distant ``background`` to a sky image (HEIGHT, WIDTH, 3).
 
-    A pixel is the mean of its known bins or, without known bins, equal to the nearest pixel with some.
+    A pixel is the mean of its known bins; a pixel without known bins equals the nearest one with some.
     """
     pixel = directions_of(background.layout.ways(), HEIGHT)[background.is_known]
     radiance = background.radiance[background.is_known].astype(np.float64)
@@ -32,7 +32,7 @@ def sky_image(background: Background) -> NDArray[np.float32]:
 
 
 def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
-    """Flat pixel index (N,) of directions (N, 3) in an image of ``height`` rows and twice as many columns.
+    """Compute the flat pixel index (N,) of directions (N, 3) in an image of 2 ``height`` x ``height`` pixels.
 
     The top row is +Z, the centre column +Y, and +X is to its right.
     """
@@ -43,7 +43,7 @@ def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
 
 
 def direction_vectors(height: int) -> NDArray[np.float64]:
-    """Unit directions (2 H^2, 3) of the pixel centres of a sky image."""
+    """Compute the unit directions (2 ``height``^2, 3) of the pixel centres of a sky image, row by row."""
     row, column = np.divmod(np.arange(2 * height * height), 2 * height)
     polar, turn = (row + 0.5) / height * np.pi, ((column + 0.5) / (2 * height) - 0.5) * 2 * np.pi
     return np.stack([np.sin(polar) * np.sin(turn), np.sin(polar) * np.cos(turn), np.cos(polar)], axis=1)

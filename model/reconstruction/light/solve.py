@@ -8,8 +8,8 @@ albedo of each point follows in closed form from its observations,
 
 and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
 ln 51 at the capture's exposure, plus priors on the network's S and R. Alternative hypotheses are matte (S =
-0, R = 1) and metal: D = 0 and a coloured S of each point, the mean of L - Ls1 over that of Ls0, so that metal
-with a texture costs no more than a dielectric with one.
+0, R = 1) and metal: D = 0 and a coloured S per point, mean(L - Ls1) / mean(Ls0), so that textured metal costs
+no more than a textured dielectric.
 """
 
 from __future__ import annotations
@@ -27,41 +27,41 @@ SPECULAR_LEVELS = np.array([0.0, 0.02, 0.04, 0.06, 0.08], np.float32)
 """Specular albedos of dielectrics, from water (0.02) to sapphire (0.08)."""
 MAX_ALBEDO = 0.95
 MAX_RESIDUAL = 0.2
-"""Maximum residual of an observation; larger ones, from faulty visibility or light, are clamped."""
+"""Upper bound on the residual of an observation, which may be due to wrong visibility or light."""
 MIN_METAL = 0.2
-"""Minimum specular albedo of metal, mean over channels."""
+"""Minimum specular albedo of metal, averaged over channels."""
 MIN_DARK_METAL = 0.1
-"""Minimum specular albedo of segments to which metal spreads, such as the dark tiles of a metal floor."""
+"""Minimum specular albedo, averaged over channels, of any metal, such as the dark tiles of a metal floor."""
 
 MIN_EVIDENCE = 0.05
 DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
-"""Limits on a segment's residual: confidence is full below the first, and 0 above the second, since no
-hypothesis explains the observations. Unexplained dielectrics are mostly metals in inexact light or geometry;
-correct metals fit worse than correct dielectrics, since they reflect the errors of both."""
+"""Ranges of a segment's residual over which confidence decreases from 1 to 0, since no hypothesis explains
+the observations. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals fit
+worse than correct dielectrics, since they reflect the errors of light and geometry."""
 NETWORK_VARIANCE = 0.03
-"""Variance of the network's R per view of a segment, relative to which the hypotheses' variance of R lowers
-confidence; the latter omits errors of light and geometry, which all hypotheses share if views are few."""
+"""Variance of the network's R, per view, against which variance of R over hypotheses lowers confidence; the
+latter omits errors of light and geometry that all hypotheses share if views are few."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
-"""Difference of costs, relative to the residual, by which a hypothesis of S and R is e times less likely."""
+"""Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e."""
 MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
 """Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the
-difference of costs, relative to the residual, at which they are equally likely, since glossy hypotheses fit
+excess cost, relative to the residual, at which matte is as likely as glossy, since glossy hypotheses fit
 noise slightly better."""
 METAL_SHARE = 0.25
-"""Share of metal among a smooth region's surfels from which metal spreads in the region."""
+"""Share of metal among a smooth region's surfels from which its other segments may become metal."""
 MIN_ADVANTAGE = -0.05
-"""Minimum advantage of metal that counts in a region's mean, so that few dark segments do not decide."""
+"""Lower bound on the advantage of metal in a region's mean, so that few dark segments do not dominate it."""
 METAL_TOLERANCE = 0.005
-"""Excess cost over a dielectric at which metal still spreads to a segment."""
+"""Maximum excess cost of metal over a dielectric at which a segment of a metal region becomes metal."""
 
 
 @dataclass(frozen=True)
 class PriorWeights:
-    """Weights of the priors, each divided by a segment's evidence.
+    """Weights of the priors, which are divided by a segment's evidence.
 
     ``specular_albedo`` and ``roughness``: weights of the squared differences of sqrt(S) and of R from the
-    network's; ``metal``: minimum difference of costs by which metal must be better than a dielectric.
+    network's; ``metal``: minimum difference by which the cost of metal must be below that of a dielectric.
     """
 
     specular_albedo: float = 0.02
@@ -71,8 +71,8 @@ class PriorWeights:
 
 @dataclass(frozen=True)
 class Costs:
-    """Costs of the hypotheses for G segments, by roughness and specular albedo: ``dielectric`` (G, levels,
-    speculars), ``metal`` (G, levels), and ``metal_albedo`` (G, levels, 3), the S of each metal hypothesis.
+    """Costs of hypotheses for G segments by roughness level and specular albedo: ``dielectric`` (G, levels,
+    speculars), ``metal`` (G, levels) and ``metal_albedo`` (G, levels, 3), the S of the metal hypotheses.
     """
 
     dielectric: NDArray[np.float32]
@@ -84,9 +84,9 @@ class Costs:
 class SolvedSegments:
     """Materials of G segments.
 
-    ``specular_albedo`` (G, 3), ``roughness`` (G,), ``is_metal`` (G,), ``residual`` (G,), the mean cost
-    without priors, and ``confidence`` (G, 3) of D, S and R in [0, 1], which decreases with the residual and
-    with the variance of the likely hypotheses.
+    ``specular_albedo`` (G, 3); ``roughness`` (G,); ``is_metal`` (G,); ``residual`` (G,): cost without priors;
+    ``confidence`` (G, 3) of D, S and R in [0, 1], which decreases with the residual and, for R, with the
+    variance over the likely hypotheses.
     """
 
     specular_albedo: NDArray[np.float32]
@@ -105,10 +105,10 @@ def segment_costs(
     ls1: NDArray[np.float32],
     exposure: float,
 ) -> Costs:
-    """Costs of G segments; segment g consists of the points ``start[g]`` to ``start[g + 1]`` - 1.
+    """Compute the costs of G segments; segment g consists of the points ``start[g]`` to ``start[g + 1]`` - 1.
 
-    For P points with O observations each: ``radiance`` (P, O, 3); ``weight`` (P, O), 0 for missing ones;
-    diffuse shading ``diffuse`` (P, 3); specular shading ``ls0`` and ``ls1`` (P, O, levels, 3).
+    For P points with O observations each: ``radiance`` (P, O, 3); ``weight`` (P, O), 0 for missing
+    observations; diffuse shading ``diffuse`` (P, 3); specular shading ``ls0`` and ``ls1`` (P, O, levels, 3).
     """
     observed = (start, radiance, weight, diffuse, ls0, ls1, np.float32(exposure))
     return Costs(*_costs(*observed, ROUGHNESS_LEVELS, SPECULAR_LEVELS))
@@ -124,14 +124,13 @@ def decide(
     size: NDArray,
     weights: PriorWeights,
 ) -> SolvedSegments:
-    """The expected material of each segment.
+    """Compute the expected material of each of G segments.
 
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) is in (0, 1];
-    ``views`` (G,) is the mean number of views of a surfel, ``group`` (G,) the smooth region and ``size`` (G,)
-    the number of surfels. A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy
-    hypotheses, weighted by likelihood. If :data:`METAL_SHARE` of a region is metal, or the mean advantage of
-    metal in it exceeds the mean minimum, its segments that metal explains about as well as a dielectric
-    become metal too.
+    ``views`` (G,): mean number of views of a surfel; ``group`` (G,): smooth region; ``size`` (G,): number of
+    surfels. A dielectric is the mean of the matte (S = 0, R = 1) and glossy hypotheses, weighted by
+    likelihood. Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if
+    :data:`METAL_SHARE` of it is metal or the mean advantage of metal over it exceeds the required one.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -148,7 +147,7 @@ def decide(
     found_s, found_r = (1 - matte) * found_s, matte + (1 - matte) * found_r
     variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
-    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # networks rarely predict metal, but then reliably
+    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # the network rarely predicts metal, but reliably
     required = weights.metal * doubt * unlike
     metal = costs.metal + of_r
     mean_albedo = costs.metal_albedo.mean(axis=2)
@@ -180,10 +179,9 @@ def decide(
 
 
 def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Means (G,) of S, R and R squared over the glossy hypotheses of ``cost`` (G, levels, nonzero speculars),
-    weighted by likelihood.
-
-    The mean has a lower squared error than the most likely hypothesis.
+    """Compute the means (G,) of S, R and R^2 over the glossy hypotheses of ``cost`` (G, levels, nonzero
+    speculars), weighted by likelihood, since means have a lower squared error than the most likely
+    hypothesis.
     """
     weight = softmax(-cost.reshape(len(cost), -1), axis=1).reshape(cost.shape)
     of_level = weight.sum(axis=2)
@@ -195,8 +193,8 @@ def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:
-    """Roughness (G,) at the minimum of the parabola through the costs of the ``best`` level (G,) and its
-    neighbours; ``cost`` is (G, levels).
+    """Compute the roughness (G,) at the minimum of the parabola through the costs of the ``best`` level (G,)
+    and its neighbours; ``cost`` is (G, levels).
     """
     rows, last = np.arange(len(best)), len(ROUGHNESS_LEVELS) - 1
     inner = (best > 0) & (best < last)
@@ -219,8 +217,8 @@ def _encoded(value, exposure):
 
 @compiled
 def _cost(first, last, radiance, target, weight, diffuse, ls0, ls1, level, specular, is_metal, exposure):
-    """Mean capped residual of a segment's points for one roughness level, and for one specular albedo or, of
-    metal, the best one of each point and channel.
+    """Compute the mean clamped residual of a segment's points at one roughness level, for a dielectric of
+    albedo ``specular`` or a metal with the best albedo of each point and channel.
     """
     total, sum_weight = np.float32(0), np.float32(0)
     num = radiance.shape[1]
@@ -254,7 +252,7 @@ def _cost(first, last, radiance, target, weight, diffuse, ls0, ls1, level, specu
 
 @compiled
 def _metal_albedo(first, last, radiance, weight, ls0, ls1, level, out):
-    """Set ``out`` (3,) to the medians of (L - Ls1) / Ls0 over a segment's observations, in [0, 1]."""
+    """Set ``out`` (3,) to the medians of (L - Ls1) / Ls0 over a segment's observations, clipped to [0, 1]."""
     num = radiance.shape[1]
     ratio = np.empty((last - first) * num, np.float32)
     for channel in range(3):

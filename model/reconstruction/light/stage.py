@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""The stage between prediction and merge that recovers maps of the views from their recorded light.
+"""The stage between prediction and merge that recovers material maps of the views from their recorded light.
 
-Surfels and radiance field (``lighting``) → segments → S and R of segments (``points``, ``solve``) → a second
-round of both, with less noise and with rays reflected at metals → specular part of every observation →
-correction of the shading where light is not photographed (``shading_correction``) → maps of the views
-(``view_maps``), blended with the network's by ``confidence``. See docs/light.md.
+Surfels and their radiance field are gathered (``lighting``) and divided into segments, whose S and R are
+solved (``points``, ``solve``), in a second round with less noise and with rays reflected at metals. Then the
+specular part of every observation is computed, shading by unphotographed light corrected
+(``shading_correction``), and maps of the views (``view_maps``) blended with the network's by ``confidence``.
+See docs/light.md.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
 
-_SEED = 99  # of the specular part of all observations; differs from the solver's seeds
+_SEED = 99  # for the specular parts; differs from the solver's seeds
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class LightMaterials:
     """Results of the light stage.
 
     ``maps``: D, S, R and ``confidence`` (H, W, 3) of each view by name; ``lit``: the surfels and their light;
-    ``solved``, the diffuse ``albedo`` (N, 3) and ``segment`` (N,): the surfels' materials and segments.
+    ``solved``, ``albedo`` (N, 3) and ``segment`` (N,): materials, diffuse albedo and segments of the surfels.
     """
 
     maps: list[dict[str, NDArray]]
@@ -69,12 +70,12 @@ def materials_from_light(
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
     report: LightReport | None = None,
 ) -> LightMaterials:
-    """Recover the materials of ``views`` from their recorded light.
+    """Recover the materials of ``views`` from their recorded light, independently of the order of the views.
 
     ``maps`` are the network's; ``emits`` (M,) is the mask of triangles known to emit; ``region_of_face`` (M,)
-    is each triangle's smooth region; ``exposure`` is the factor that scales bright surfaces to 0.9;
-    ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading at positions and normals (N, 3). The
-    result does not depend on the order of the views. Raises ValueError if they show no extended surface.
+    is the smooth region of each triangle; ``exposure`` is the factor that scales bright surfaces to 0.9;
+    ``doubt_at`` returns the uncertain luminance (N,) of the diffuse shading at positions and normals (N, 3).
+    Raises ValueError if the views show no extended surface.
     """
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
@@ -144,7 +145,7 @@ def _packed(view_maps: dict[str, NDArray]) -> NDArray:
 def _specular_parts(
     lit: Lit, segments: SolvedSegments, segment: NDArray, options: LightOptions
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """S (N, 3) of the surfels, and the specular shading S Ls0 + Ls1 (M, 3) of every observation."""
+    """Compute S (N, 3) of the surfels, and the specular shading S Ls0 + Ls1 (M, 3) of every observation."""
     surfels = lit.surfels
     owner = surfels.surfel_of_observation()
     roughness = segments.roughness[segment]
@@ -173,7 +174,7 @@ def _solved_surfels(
     inferred: NDArray,
     options: LightOptions,
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
-    """The surfels' shading and materials for the views' maps, and their diffuse albedo (N, 3)."""
+    """Compute the surfels' shading and materials for the views' maps, and their diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
     r, is_metal = segments.roughness[segment], segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
@@ -194,7 +195,7 @@ def _solved_surfels(
     if options.is_corrected:
         predicted, is_diffuse = segmentation.prior[:, :3], is_lit & ~is_metal
         scale = network_scale(albedo, predicted, confidence[:, 0] * is_diffuse)
-        # applies the scale only where the light is trusted but no hypothesis explains the observations
+        # scales only where the light is trusted but no hypothesis explains the observations
         unexplained = np.clip((trust - replaced) / np.maximum(1 - replaced, 1e-6), 0, 1)[:, None]
         prior_scale = 1 + unexplained * (scale - 1)
         correction = shading_correction(
@@ -208,8 +209,8 @@ def _solved_surfels(
 def surfel_albedo(
     surfels: Surfels, diffuse: NDArray, specular: NDArray, specular_albedo: NDArray, is_metal: NDArray
 ) -> NDArray[np.float32]:
-    """Diffuse albedo (N, 3) of surfels, 0 for metals: the median over their observations of (L - specular) /
-    ((1 - S) Ld), from ``diffuse`` Ld and ``specular_albedo`` S (N, 3) and ``specular`` (M, 3).
+    """Compute the diffuse albedo (N, 3) of surfels, 0 for metals: the median of (L - specular) / ((1 - S) Ld)
+    over observations, with ``diffuse`` Ld and ``specular_albedo`` S (N, 3), and ``specular`` (M, 3).
     """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Looks up the confidence of D, S and R at any surface point in a compact copy of the surfels' confidence."""
+"""Compact copy of the surfels' confidence of D, S and R for look-up at any surface point."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1),
 
 @dataclass(frozen=True)
 class SurfelConfidence:
-    """Confidence of N surfels by cell and side.
+    """Confidence of N surfels by cell and side of the surfel grid.
 
-    ``low`` (3,), ``cell_m`` and ``shape`` (3,) are the grid's lower corner, cell size and number of cells;
-    ``cell`` (N,): index of each surfel's cell and side, ascending; ``confidence`` (N, 3) of D, S and R, 255
-    for 1.
+    ``low`` (3,), ``cell_m`` and ``shape`` (3,): lower corner, cell size and number of cells of the grid;
+    ``cell`` (N,): index of each surfel's cell and side, ascending; ``confidence`` (N, 3): D, S and R in steps
+    of 1 / 255.
     """
 
     low: NDArray[np.float64]
@@ -32,13 +32,13 @@ class SurfelConfidence:
 
     @classmethod
     def of(cls, surfels: Surfels, confidence: NDArray) -> SurfelConfidence:
-        """Store the ``confidence`` (N, 3) of ``surfels``, in [0, 1]."""
+        """Store the ``confidence`` (N, 3), in [0, 1], of ``surfels``."""
         grid = surfels.grid
         stored = np.round(255 * np.clip(confidence, 0, 1)).astype(np.uint8)
         return cls(grid.low, grid.cell_m, grid.shape, np.flatnonzero(grid.surfel >= 0), stored)
 
     def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
-        """Confidence (..., 3) of the surface at ``points`` (..., 3) with ``normals`` (..., 3), 255 for 1.
+        """Look up the confidence (..., 3), 0 to 255, at surface ``points`` with ``normals``, (..., 3) each.
 
         It is that of the surfel in the point's cell, else in the nearest adjacent cell with one, else 0.
         """

@@ -2,8 +2,8 @@
 """Estimates the radiance of lamps that the geometry declares and no photograph shows.
 
 A lamp is a connected part of the emitting triangles. Lamps with the same number of triangles and the same
-area are of one kind and have one radiance: that of a photographed lamp of the kind or, if there is none, the
-radiance for which illuminated surfaces have a uniform albedo in each smooth region that is close to the
+area are of one kind and have one radiance. It is that of a photographed lamp of this kind; without one, it is
+the radiance for which the illuminated surfaces have a uniform albedo in each smooth region, close to the
 network's (:func:`~model.reconstruction.radiometry.recovered.recovered`).
 """
 
@@ -25,32 +25,32 @@ from model.reconstruction.radiometry.recovered import RAYS, Gathered, Prior, Sou
 from model.reconstruction.radiometry.sources import Sources
 
 MAX_POINTS = 2500
-"""Maximum number of surfels that determine the radiance."""
+"""Maximum number of surfels from which the radiance is estimated."""
 SAME_AREA = 0.02
-"""Maximum relative difference of area between lamps of one kind."""
+"""Maximum relative difference in area between lamps of one kind."""
 MIN_LIGHT = 0.01
-"""Lower bound on the light from a kind of lamp, relative to the light from all else."""
+"""Lower bound on the light from a kind of lamp, relative to all other light."""
 ALBEDO_SPREAD = 0.5
-"""Prior standard deviation of a region's mean ln albedo from the network's."""
+"""Prior standard deviation of the difference of a region's mean ln albedo from the network's."""
 _EXPECTED, _EXPECTED_SPREAD = np.log(30.0), 2.0  # prior of ln(light / MIN_LIGHT)
-_MIN_ALBEDO = 0.02  # limits the effect of dark predictions on the mean logarithm
+_MIN_ALBEDO = 0.02  # limits the effect of dark predictions on the mean ln albedo
 _MIN_KNOWN = 0.5  # minimum known share of a surfel's light
 
 
 @dataclass(frozen=True)
 class UnseenLamps:
-    """All ``emitters`` of a room, with the estimated radiance of unphotographed lamps.
+    """All ``emitters`` of a room, with estimated radiance for unphotographed lamps.
 
-    ``light_at`` returns the luminance (N,) of the diffuse shading at positions and normals (N, 3) by the
-    lamps whose radiance was estimated from surfaces; None if there are none.
+    ``light_at`` returns the luminance (N,) of diffuse shading by the lamps whose radiance was estimated from
+    surfaces, at positions and normals (N, 3); None if there are none.
     """
 
     emitters: Emitters
     light_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None
 
     def share(self, lit: Lit, region: NDArray) -> NDArray[np.float64]:
-        """Mean share (N,) of the estimated lamps in the light of each surfel's smooth ``region`` (N,), at
-        least their share in the whole room.
+        """Compute the mean share (N,) of light from the estimated lamps over each surfel's smooth ``region``
+        (N,), at least the mean over the whole room.
         """
         if self.light_at is None:
             return np.zeros(len(lit.surfels))
@@ -62,7 +62,7 @@ class UnseenLamps:
 
 
 def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> UnseenLamps:
-    """Estimate the radiance of a room's unphotographed lamps, whose light is missing in ``lit``.
+    """Estimate the radiance of a room's unphotographed lamps, whose light ``lit`` does not include.
 
     ``region`` (N,) and ``predicted`` (N, 3) are the surfels' smooth regions and the network's D.
     """
@@ -108,8 +108,8 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
 
 
 def lamp_kinds(emitters: Emitters, mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Index (K,) of the kind of each emitter of unknown radiance, -1 for the others, and radiance (K, 3) of
-    all emitters, 0 if unknown.
+    """Compute the kind (K,) of each emitter of unknown radiance, -1 for others, and the radiance (K, 3) of
+    all emitters, which is 0 if neither the lamp nor its kind is photographed.
     """
     faces = emitters.triangles
     lamp_of_face = smooth_regions(Mesh(mesh.positions, mesh.faces[faces]), np.pi)

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Computes maps of views from solved surfels: texture from the photographs, scale from the light.
+"""Computes material maps of views from solved surfels: texture from the photographs, scale from the light.
 
 Shading and materials of the surfels around a pixel are interpolated between cell centres, and
 
     D = (L - specular part) / ((1 - S) Ld),
 
-clipped to [0, MAX_ALBEDO], or in uncertain light to the albedo of white paint; the specular part is that of
-the same view. S and R are those of surfels of similar reflectance, so they change with the colour; they are
-blended with the network's by confidence. S of rough metals has the detail of the photograph: that of the
-surfels around the pixel times L over their radiance in the view. A network's D beyond what the recorded light
-allows is reduced.
+clipped to [0, MAX_ALBEDO] or, in uncertain light, to the albedo of white paint, with the specular part of the
+same view. S and R are those of nearby surfels of similar reflectance, blended with the network's by
+confidence. S of rough metals is that of the nearby surfels times L / (their radiance in the view), which adds
+the detail of the photograph. A network's D above the maximum that the recorded light permits is reduced.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from model.reconstruction.light.metal_texture import BLURRED, SHARP
 from model.reconstruction.light.solve import MAX_ALBEDO
 
 SIMILAR = 0.35
-"""Difference in ln reflectance from the pixel at which a surfel's S and R have the weight exp(-1/2)."""
+"""Difference in ln reflectance from the pixel at which a surfel's S and R are weighted by exp(-1/2)."""
 WHITE_PAINT = 0.85
-"""Maximum D in uncertain light; surfels of the development rooms that exceed it there have a true D of 0.78
+"""Maximum D in uncertain light; surfels of the development rooms above it in such light have a true D of 0.78
 to 0.91."""
 MAX_EXCESS = 1.5
-"""Maximum of the network's D relative to that of a surface whose whole radiance is diffuse, which it cannot
-exceed; the margin allows for errors of Ld."""
+"""Maximum of the network's D relative to L / Ld, the D of a surface without specular reflection; it exceeds 1
+to allow for errors of Ld."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 
 
@@ -42,9 +41,9 @@ _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 class SolvedSurfels:
     """Shading and materials of N surfels with M observations.
 
-    ``diffuse`` (N, 3): Ld; ``specular`` (M, 3): S Ls0 + Ls1 of each observation; ``specular_albedo`` (N, 3),
-    ``roughness`` (N,), ``is_metal`` (N,); ``confidence`` (N, 3) of D, S and R in [0, 1]; ``replaced`` (N,):
-    share of the network's D that is replaced; ``prior_scale`` (N, 3): factor of the remainder.
+    ``diffuse`` (N, 3): Ld; ``specular`` (M, 3): S Ls0 + Ls1 of each observation; ``specular_albedo`` (N, 3);
+    ``roughness`` (N,); ``is_metal`` (N,); ``confidence`` (N, 3) of D, S and R in [0, 1]; ``replaced`` (N,):
+    weight of D from light against the network's D; ``prior_scale`` (N, 3): factor of the network's D.
     """
 
     diffuse: NDArray[np.float32]
@@ -60,9 +59,9 @@ class SolvedSurfels:
 def view_materials(
     surfels: Surfels, solved: SolvedSurfels, index: int, view: TracedView, predicted: dict[str, NDArray]
 ) -> dict[str, NDArray[np.float16]]:
-    """Compute the maps D, S, R and ``confidence`` (H, W, 3) of the view ``index`` by name.
+    """Compute D, S, R and ``confidence`` (H, W, 3) of view number ``index``, by map name.
 
-    Pixels without a surfel keep the network's maps ``predicted`` and have confidence 0.
+    Pixels without a surfel retain the network's maps ``predicted`` and have confidence 0.
     """
     observations = surfels.observations
     rows = np.flatnonzero(observations.view == index)
@@ -106,7 +105,7 @@ def _pixels(
     color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, observed, diffuse, specular,
     albedo, rough, metal, confidence, replaced, prior_scale, radiance, prior, floor
 ):  # fmt: skip
-    """D, S, R and their confidence (P, 10) of the P pixels of a view."""
+    """Compute D, S, R and their confidence (P, 10) for the P pixels of a view."""
     out = np.zeros((len(color), 10), np.float32)
     width = int(camera[16])
     here = np.zeros(3)
