@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Readers of all supported capture formats; ``read.py`` recognises the format and calls its module."""
+"""Readers of all supported capture formats; ``read.py`` detects the format and calls its reader."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """``read_capture`` for other programs, imported on use: commands read ``options`` before all else."""
+    """Import ``read_capture`` lazily: commands import ``options`` at start, without the readers."""
     if name == "read_capture":
         from model.reconstruction.captures.read import read_capture
 

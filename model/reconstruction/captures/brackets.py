@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Merges exposure brackets: photographs with one camera and pose, but different exposures.
 
-A pixel is the mean of the photographs in which it is not clipped, weighted by exposure: for photon noise this
-estimator has the least variance (Hanji, Zhong and Mantiuk, "Noise-aware merging of high dynamic range image
-stacks without camera calibration", ECCV workshops 2020). A pixel clipped in all of them remains clipped.
+A pixel is the mean of the photographs in which it is not clipped, weighted by exposure: for photon noise,
+this estimator has the least variance (Hanji, Zhong and Mantiuk, "Noise-aware merging of high dynamic range
+image stacks without camera calibration", ECCV workshops 2020). A pixel clipped in all of them remains
+clipped.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from datagen.foundation.cameras import Camera
 from model.reconstruction.captures.photographs import PhotographSource
 
 MAX_APART_M = 1e-3
-"""Maximum distance between the estimated centres of cameras of one bracket."""
+"""Maximum distance between the estimated camera centres of one bracket."""
 MAX_TURN_RAD = 1e-3
-"""Maximum angle between their estimated orientations: 0.6 of 640 pixels at a field of view of 60 degrees."""
+"""Maximum angle between the orientations of a bracket: 0.6 of 640 pixels at a field of view of 60 degrees."""
 MAX_INTRINSICS_SHARE = 1e-3
-"""Maximum difference between their intrinsics, relative to the image's width."""
+"""Maximum difference between the intrinsics of one bracket, relative to the image width."""
 MIN_EXPOSURE_RATIO = 1.1
 """Minimum ratio of a bracket's longest to its shortest exposure."""
 
@@ -35,19 +36,19 @@ class BracketSource:
     photographs: tuple[PhotographSource, ...]
 
     def read(self, camera: Camera) -> ColorImage:
-        """Resample the photographs to ``camera`` and merge them, with the limit of the shortest exposure."""
+        """Resample the photographs to ``camera`` and merge them; the shortest exposure defines the limit."""
         ordered = sorted(self.photographs, key=lambda p: (p.exposure_scale, str(p.path)))
         return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """An empty dictionary: photographs have no ground truth."""
+        """Return an empty dictionary, since photographs have no ground truth."""
         return {}
 
 
 def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
-    """Merge ``images`` of one size and exposure; ``scales`` are the inverse original exposures.
+    """Merge ``images`` of equal size and exposure; ``scales`` are the inverses of their original exposures.
 
-    Pixels clipped in all images get the value from the shortest exposure, which is the highest lower bound.
+    Pixels clipped in all images get the value of the shortest exposure, which is the highest lower bound.
     """
     shape = images[0].color.shape
     total, weights = np.zeros(shape), np.zeros(shape)
@@ -66,10 +67,10 @@ def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
 
 
 def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
-    """Replace each bracket in ``views`` by one view, named after its first photograph; also returns notes for
-    the user.
+    """Replace each bracket in ``views`` by one view, named after its first photograph; return the views and
+    notes for the user.
 
-    Photographs of one pose and equal exposure stay separate, since their exposures may not be recorded.
+    Photographs with one pose and equal exposures are not merged, since their exposures may be unrecorded.
     """
     groups: list[list[CaptureView]] = []
     for view in views:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Reads Bundler's ``bundle.out`` (v0.3) with its ``list.txt``, an export format of many tools.
+"""Reads Bundler's ``bundle.out`` (v0.3) with its ``list.txt``, which many tools export.
 
-Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up. A
-point P in its frame is projected to p = -(P.x, P.y) / P.z, and imaged at f (1 + k1 |p|^2 + k2 |p|^4) p from
-the image's centre, y up. Cameras with f = 0 have no pose. The file has no image sizes, so the images must be
-available.
+A camera consists of f, k1, k2, the rows of the camera_from_world rotation, and the translation. It looks
+along -z with y up. A point P in its frame is projected to p = -(P.x, P.y) / P.z, and imaged at f (1 + k1
+|p|^2 + k2 |p|^4) p from the image centre, y up. Cameras with f = 0 have no pose. The file contains no image
+sizes, so the images are required.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _LISTS = ("list.txt", "image_list.txt", "bundle.out.list.txt")
 
 
 def find(path: Path) -> Path | None:
-    """The Bundler file ``path``, or the only one in the folder ``path``, or None."""
+    """Return the Bundler file ``path``, or the only one in the folder ``path``; None if there is none."""
     files = sorted(path.glob("*.out")) if path.is_dir() else [path] if path.suffix == ".out" else []
     found = [file for file in files if head_of(file).startswith("# Bundle file")]
     return found[0] if len(found) == 1 else None
@@ -89,7 +89,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _names(path: Path) -> list[str]:
-    """Names of the images: the first word of every line of the list next to the file."""
+    """Read the image names, the first word of each line of the list next to the file."""
     for name in (f"{path.stem}.list.txt", *_LISTS):
         if (path.parent / name).is_file():
             return [line.split()[0] for line in read_text(path.parent / name).splitlines() if line.strip()]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Reads COLMAP models: ``cameras`` and ``images``, text or binary, and lines of sight from ``points3D.bin``.
+"""Reads COLMAP models: ``cameras`` and ``images`` (text or binary), and lines of sight from ``points3D.bin``.
 
-COLMAP's pose is camera_from_world (quaternion w x y z, translation). Its cameras look along +z with y down
-and have pixel centres at +0.5, as in this project. The world is the frame chosen by COLMAP.
+COLMAP stores camera_from_world as a quaternion (w, x, y, z) and a translation. Its cameras look along +z with
+y down, and pixel centres are at +0.5, as in this project. Its world frame is arbitrary.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MODELS = (
     ("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
     ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
 )  # fmt: skip
-"""Name and number of parameters of each lens model, by COLMAP's id."""
+"""Name and number of parameters of each lens model, indexed by COLMAP's model id."""
 _SUPPORTED = {name for name, _ in MODELS} - {"FOV", "THIN_PRISM_FISHEYE"}
 _REMEDY = "export the model again (colmap model_converter)"
 _UNDISTORT = "undistort the images (colmap image_undistorter), or calibrate with one of these"
@@ -36,8 +36,8 @@ _UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and 
 
 @dataclass(frozen=True)
 class Sights:
-    """K lines of sight from V cameras at ``centers`` (V, 3) to N ``points`` (N, 3): indices ``camera`` (K,)
-    and ``point`` (K,).
+    """K lines of sight from V cameras at ``centers`` (V, 3) to N ``points`` (N, 3); ``camera`` (K,) and
+    ``point`` (K,) are the indices of their ends.
     """
 
     points: NDArray[np.float64]
@@ -58,7 +58,7 @@ _Intrinsics = tuple[tuple[float, float, float, float], Distortion | None]
 
 
 def find(path: Path) -> Path | None:
-    """The folder of a model: ``path``, or its subfolder ``sparse`` or ``sparse/0``, or None."""
+    """Return the folder of a model, ``path`` or its subfolder ``sparse`` or ``sparse/0``, or None."""
     for model in (path, path / "sparse", path / "sparse" / "0"):
         if any(all((model / f"{n}{s}").is_file() for n in ("cameras", "images")) for s in (".bin", ".txt")):
             return model
@@ -120,7 +120,7 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
 
 
 def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> NDArray[np.float64]:
-    """world_from_camera (4, 4). Raises :class:`InputError` if the pose is invalid."""
+    """Compute world_from_camera (4, 4). Raises :class:`InputError` if the pose is invalid."""
     length = float(np.linalg.norm(quaternion))
     if not (np.isfinite(length) and length > 1e-6 and np.isfinite(translation).all()):
         raise input_error(where, name, f"quaternion {quaternion.tolist()}", "a rotation", _REMEDY)
@@ -129,7 +129,7 @@ def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> 
 
 
 def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    """Compute the rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
     w, x, y, z = (float(q) for q in quaternion)
     return np.array(
         [
@@ -141,7 +141,7 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
 
 
 def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
-    """(fx, fy, cx, cy) in pixels and the distortion of a COLMAP lens model with parameters ``p``.
+    """Convert a COLMAP lens model with parameters ``p`` to (fx, fy, cx, cy) in pixels and the distortion.
 
     Raises :class:`InputError`, which names ``field``, for unsupported models and invalid parameters.
     """
@@ -193,7 +193,7 @@ def _read_text_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDArra
     while lines and not lines[0]:
         lines.pop(0)
     poses = {}
-    for line in lines[::2]:  # each image has a second line with its points, which may be empty
+    for line in lines[::2]:  # the second line of each image lists its points and may be empty
         words = line.split(maxsplit=9)
         if not words:
             continue
@@ -236,7 +236,7 @@ class _Cursor:
         return value
 
     def short(self) -> InputError:
-        """Make the error for a truncated file."""
+        """Return the error for a truncated file."""
         return input_error(self.path, "", "the file ends early", "a whole file", _REMEDY)
 
 
@@ -260,12 +260,12 @@ def _binary_images(path: Path, budget: Budget) -> Iterator[tuple[str, tuple[int,
         budget.spend("frames", 1, "images")
         values = cursor.take("i7di")
         name = cursor.text()
-        cursor.take(f"{cursor.take('Q')[0] * 24}x")  # x, y as doubles and a point id per feature
+        cursor.take(f"{cursor.take('Q')[0] * 24}x")  # per feature: x and y as doubles, and a point id
         yield name, (values[0], values[8], np.array(values[1:5]), np.array(values[5:8]))
 
 
 def read_sights(folder: Path, budget: Budget, max_error_px: float) -> Sights:
-    """Read the lines of sight to the points of a binary model with a mean reprojection error of at most
+    """Read the lines of sight to points of a binary model whose mean reprojection error is at most
     ``max_error_px``. Raises :class:`InputError`.
     """
     where = folder / "images.bin"

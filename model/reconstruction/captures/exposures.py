@@ -13,7 +13,7 @@ from model.reconstruction.captures.photographs import relative_exposure
 
 
 def exposure_scales(images: Sequence[Path], *, is_required: bool) -> list[float]:
-    """Factor of each photograph that compensates for its recorded exposure, 1 at the median exposure.
+    """Compute the factor that compensates for the recorded exposure of each photograph, 1 at the median.
 
     If any photograph has no record, all factors are 1; if ``is_required``, raises :class:`InputError` with
     all of these photographs.

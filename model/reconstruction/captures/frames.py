@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Estimates the up axis and unit of a capture.
 
-Up: photographers hold cameras upright, so the axis within 30 degrees of the cameras' mean up direction is up.
-If the orientation is arbitrary, as from structure from motion, up is the direction most nearly perpendicular
-to the rows of all images, regardless of the cameras' tilt. Unit: a room is 1 m to 100 m across (the diagonal
-of its bounding box); larger ones are in millimetres or centimetres, whichever is closer to 8 m.
+Photographers hold cameras upright, so up is the axis within 30 degrees of the cameras' mean up direction. In
+arbitrary frames, such as those of structure from motion, up is the direction most nearly perpendicular to the
+rows of all images, regardless of the cameras' tilt. A room is 1 m to 100 m across (the diagonal of its
+bounding box); a larger one is in millimetres or centimetres, whichever makes it closer to 8 m.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from model.reconstruction.captures.options import Axis
 
 AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)
-_MIN_AGREEMENT = 0.3  # length of the mean up direction, near 0 for cameras that look down at any roll
-_MIN_TURN = np.sin(np.radians(10.0)) ** 2  # variance of directions that deviate by 10 degrees from the mean
+_MIN_AGREEMENT = 0.3  # minimum length of the mean up vector, near 0 for cameras that look down
+_MIN_TURN = np.sin(np.radians(10.0)) ** 2  # variance of directions at 10 degrees from their mean
 _LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0
 _SMALLEST_ROOM = 1.0
 
@@ -36,14 +36,14 @@ _Z_FROM = {
 
 
 def z_up_from(up: Axis) -> NDArray[np.float64]:
-    """Rotation (3, 3) that maps the axis ``up`` to +z."""
+    """Return the rotation (3, 3) that maps the axis ``up`` to +z."""
     return np.array(_Z_FROM[up], dtype=np.float64)
 
 
 def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """Rotation (3, 3) that maps the up direction estimated from cameras without roll to +z.
+    """Compute the rotation (3, 3) that maps the up direction to +z, estimated from cameras without roll.
 
-    If the rows of all images have about one direction, up is the cameras' mean up direction.
+    If the pixel rows of all images are almost parallel, up is the cameras' mean up direction.
     """
     along_rows = np.array([camera.world_from_camera[:3, 0] for camera in cameras])
     mean_up = -np.mean([camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
@@ -57,21 +57,21 @@ def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
 
 
 def world_from_source(rotation: NDArray[np.float64], unit_m: float) -> NDArray[np.float64]:
-    """Transform (4, 4) that rotates by ``rotation`` (3, 3) and converts units of ``unit_m`` m to metres."""
+    """Make the transform (4, 4) that rotates by ``rotation`` (3, 3) and scales by ``unit_m`` to metres."""
     matrix = np.eye(4)
     matrix[:3, :3] = unit_m * rotation
     return matrix
 
 
 def up_of(matrix: ArrayLike) -> Axis:
-    """The axis that a transform world_from_source (4, 4) maps closest to +z."""
+    """Return the axis that a transform world_from_source (4, 4) maps closest to +z."""
     row = np.asarray(matrix, dtype=np.float64)[2, :3]
     at = int(np.abs(row).argmax())
     return AXES[at if row[at] > 0 else at + 3]
 
 
 def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
-    """The up axis estimated from the cameras, 'z' by default, and a message about it for the user."""
+    """Estimate the up axis from the cameras, 'z' by default; also return a message about it for the user."""
     mean = np.mean([-camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     at = int(np.abs(mean).argmax())
@@ -83,7 +83,7 @@ def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
 
 
 def judged_unit(diagonal: float) -> tuple[float, str]:
-    """Metres per unit of a mesh, estimated from the diagonal of its bounding box, and a message about it."""
+    """Estimate the metres per unit of a mesh from the diagonal of its bounding box; also return a message."""
     unit = 1.0
     if np.isfinite(diagonal) and diagonal > _LARGEST_ROOM:
         unit = min((0.01, 0.001), key=lambda u: abs(np.log(diagonal * u / _USUAL_ROOM_M)))

@@ -23,9 +23,9 @@ _CONVERT = f"convert it to {', '.join(MESH_SUFFIXES[:3])}, as Blender and MeshLa
 
 
 def find_mesh(path: Path) -> Path:
-    """The only mesh file in the folder ``path`` or next to the file ``path``.
+    """Return the only mesh file in the folder ``path`` or next to the file ``path``.
 
-    Raises :class:`InputError` if there are none or several.
+    Raises :class:`InputError` if there is none or several.
     """
     folder = path if path.is_dir() else path.parent
     found = (
@@ -42,7 +42,7 @@ def find_mesh(path: Path) -> Path:
 
 
 def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
-    """Transform a mesh to world space, without degenerate and repeated triangles; also returns notes on its
+    """Transform a mesh to world space, without degenerate and repeated triangles; return it and notes on its
     faults.
 
     Raises :class:`InputError`, which names ``path``, for an unusable mesh.
@@ -91,16 +91,16 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
-    """Remove triangles with the three positions of another, of any winding; also returns their number.
+    """Remove triangles at the same positions as another, of any winding; return the mesh and their number.
 
-    Only one of them would get texels.
+    Only one of them would receive texels.
     """
     corners = np.sort(welded(mesh)[1][mesh.faces], axis=1)
     order = np.lexsort(corners.T)
     same = np.zeros(len(corners), dtype=bool)
     same[1:] = (corners[order][1:] == corners[order][:-1]).all(axis=1)
     keep = np.ones(len(corners), dtype=bool)
-    keep[order[same]] = False  # lexsort is stable, so the first of equals is kept
+    keep[order[same]] = False  # lexsort is stable, so the first of equal triangles is kept
     if not same.any():
         return mesh, 0
     return Mesh(mesh.positions, mesh.faces[keep], mesh.normals, mesh.uv), int(same.sum())

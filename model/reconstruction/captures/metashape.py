@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Reads the camera file of Agisoft Metashape (PhotoScan): "Export Cameras", Agisoft XML.
 
-A camera's ``transform`` is chunk_from_camera, x right, y down, z forward. The transform (rotation,
-translation, scale) of the chunk or, if the camera refers to one, of a component maps to the coordinates in
-which "Export Model" writes meshes, if these are local. Sensors: f, cx, cy in pixels, the principal point
-relative to the image's centre; b1 is added to f for u, b2 is skew. Frame cameras: k1 ... k4 of r^2 ... r^8;
-p1 multiplies (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models"). Equidistant fisheyes are
-OpenCV's fisheye if p1 = p2 = 0.
+A camera's ``transform`` is chunk_from_camera, with x right, y down and z forward. The transform (rotation,
+translation, scale) of the chunk, or of the camera's component if it has one, maps to the coordinates in which
+"Export Model" writes meshes, if these are local. Sensors have f, cx and cy in pixels, the principal point
+being relative to the image centre; b1 is added to f for u, and b2 is skew. Frame cameras have k1 ... k4 of
+r^2 ... r^8; p1 multiplies (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models"). Equidistant
+fisheyes equal OpenCV's fisheye if p1 = p2 = 0.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Sensor:
 
 
 def find(path: Path) -> Path | None:
-    """The camera file ``path``, or the only one in the folder ``path``, or None."""
+    """Return the camera file ``path``, or the only one in the folder ``path``; None if there is none."""
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path] if path.suffix.lower() == ".xml" else []
     found = [file for file in files if "<document" in head_of(file) and "<chunk" in head_of(file)]
     return found[0] if len(found) == 1 else None
@@ -76,7 +76,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
             problems.extend(error.problems)
     _check_local(chunk, path)
     placement = _similarity(chunk.find("transform"), path)
-    components = {  # since version 1.7 separately aligned parts have their own transforms
+    components = {  # since version 1.7, separately aligned parts have separate transforms
         element.get("id", ""): _similarity(element.find("transform"), path)
         for element in chunk.iterfind("components/component")
         if element.find("transform") is not None
@@ -154,7 +154,7 @@ def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Disto
 
 
 def _check_local(chunk: ElementTree.Element, path: Path) -> None:
-    """Raise :class:`InputError` for a georeferenced chunk: its mesh and cameras differ in coordinates."""
+    """Raise :class:`InputError` for a georeferenced chunk, whose mesh and cameras differ in coordinates."""
     for element in chunk.findall("reference"):
         text = (element.text or "").strip().upper()
         if text.startswith(_EARTH):

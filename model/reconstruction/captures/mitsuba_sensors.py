@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads the sensors of a Mitsuba scene, in the scene's frame; an image is named after its sensor's id."""
+"""Reads the sensors of a Mitsuba scene in the scene's frame; each image has the name of its sensor's id."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
 
 
 def find(path: Path) -> Path | None:
-    """``path`` if it is a Mitsuba scene, else None."""
+    """Return ``path`` if it is a Mitsuba scene, else None."""
     return path if path.suffix == ".xml" and "<scene" in head_of(path) else None
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Reads OpenMVG's ``sfm_data.json`` (``openMVG_main_ConvertSfM_DataFormat -V -I -E``).
 
-A pose is camera_from_world ``rotation`` (rows) and ``center``; cameras look along +z with y down. Distortion:
-``disto_k1``, ``disto_k3`` (r^2, r^4, r^6), ``disto_t2`` (k1 k2 k3 t1 t2, t1 and t2 as OpenCV's p1 and p2),
-``fisheye`` (OpenCV's). The serialiser writes the class of an intrinsic only at its first occurrence, so
-classes are recognised by their keys.
+A pose consists of the camera_from_world ``rotation`` (rows) and the ``center``; cameras look along +z with y
+down. Distortion is ``disto_k1`` or ``disto_k3`` (r^2, r^4, r^6), ``disto_t2`` (k1 k2 k3 t1 t2, with t1 and t2
+as OpenCV's p1 and p2) or ``fisheye`` (OpenCV's). The serialiser writes the class of an intrinsic only at its
+first occurrence, so classes are recognised by their keys.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _REMEDY = "export views, intrinsics and extrinsics (openMVG_main_ConvertSfM_Data
 
 
 def find(path: Path) -> Path | None:
-    """The OpenMVG file ``path``, or ``sfm_data.json`` in the folder ``path``, or None."""
+    """Return the OpenMVG file ``path``, or ``sfm_data.json`` in the folder ``path``, or None."""
     file = path / "sfm_data.json" if path.is_dir() else path
     return file if file.suffix == ".json" and '"sfm_data_version"' in head_of(file) else None
 
@@ -78,7 +78,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     if not found and not problems:
         problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
     raise_problems(problems)
-    # root_path may be of another computer: only its last part is used, for a folder next to the file
+    # root_path may be from another computer, so only its last part is used, as a folder next to the file
     name = Path(str(data.get("root_path", ""))).name
     candidates = [
         path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..") and len(f) < 100
@@ -89,7 +89,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _payload(entry: dict[str, Any]) -> dict[str, Any]:
-    """The object in the serialiser's pointer wrapper. Raises :class:`TypeError` if it is not an object."""
+    """Unwrap an object from the serialiser's pointer. Raises :class:`TypeError` if it is not an object."""
     payload = entry["value"]["ptr_wrapper"]["data"]
     if not isinstance(payload, dict):
         raise TypeError(f"{payload!r}")
@@ -98,7 +98,7 @@ def _payload(entry: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics, as those of a camera at the origin, and distortion."""
+    """Intrinsics, stored as a camera at the origin, and distortion."""
 
     camera: Camera
     distortion: Distortion | None
@@ -114,7 +114,7 @@ def _lens(lens: dict[str, Any], path: Path, field: str) -> _Lens:
 
 
 def _pose(name: str, pose: dict[str, Any], path: Path) -> NDArray[np.float64]:
-    """world_from_camera (4, 4). Raises :class:`InputError` if the pose is invalid."""
+    """Compute world_from_camera (4, 4). Raises :class:`InputError` if the pose is invalid."""
     camera_from_world = rotation_part(pose["rotation"], path, f"{name}.rotation")
     center = np.array([float(v) for v in pose["center"]])
     if center.shape != (3,) or not np.isfinite(center).all():

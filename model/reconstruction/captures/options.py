@@ -14,7 +14,8 @@ from datagen.foundation.encodings import Encoding
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Exposure = Literal["auto", "common", "exif"]
-"""Relative exposures of photographs: equal (common), from EXIF (exif), or from EXIF if all have it (auto)."""
+"""Relative exposures of photographs: all equal (common), from EXIF (exif), or from EXIF if all have it
+(auto)."""
 DEFAULT_MAX_WIDTH_PX = 640
 
 
@@ -29,9 +30,10 @@ def _metres(text: str) -> float | None:
 class FrameOptions:
     """Options for the mesh and the coordinate frame of a capture.
 
-    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit in metres; "auto" and None estimate them
-    (``captures.frames``); "cameras" estimates an up direction that need not be an axis. Views whose longer
-    side exceeds ``max_width_px`` are scaled down, since the networks are trained on views of 640 pixels.
+    ``up`` is the up axis of the cameras' world and ``unit_m`` its unit in metres; "auto" and None estimate
+    them (``captures.frames``); "cameras" estimates an up direction that need not be an axis. Views whose
+    longer side exceeds ``max_width_px`` are scaled down, since the networks are trained on views of 640
+    pixels.
     """
 
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
@@ -57,9 +59,9 @@ class FrameOptions:
 class CaptureOptions(FrameOptions):
     """Options for reading a capture.
 
-    ``library``: folders of the asset packages of a rendered capture; the default is the library of its
-    dataset, else the bundled one. ``mesh_up``: up axis of the mesh, or "same" as the cameras'. ``limits``:
-    limits on the input's size; by default from environment variables.
+    ``library``: folders with the asset packages of a rendered capture, by default the library of its dataset
+    or, without one, the bundled library; ``mesh_up``: up axis of the mesh, or "same" as that of the cameras;
+    ``limits``: limits on the input size, by default from environment variables.
     """
 
     images: Annotated[Path | None, typer.Option(help="Folder of the photographs.")] = None

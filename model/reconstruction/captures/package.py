@@ -2,7 +2,7 @@
 """Reads captures from environment packages, with photographs next to the package.
 
 The Blender add-on exports such packages, so a scene modelled from photographs needs no other export. A
-photograph is named after its camera.
+photograph has the name of its camera.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _FOLDERS = ("photographs", "images")
 
 
 def is_package(path: Path) -> bool:
-    """Whether ``path`` is an asset package: a folder with ``asset.json``, or a zip."""
+    """Return whether ``path`` is an asset package: a folder with ``asset.json``, or a zip."""
     return (path / ASSET_FILE).is_file() or path.suffix == ".zip"
 
 
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """Read a capture of the package's cameras that have a photograph.
+    """Read a capture that consists of the package's cameras with a photograph.
 
     ``images`` is by default the folder ``photographs`` or ``images`` in the package or next to it. Raises
     :class:`InputError` if no camera has a photograph.

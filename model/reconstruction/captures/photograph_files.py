@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Readers of photograph files by format, and messages for unsupported formats.
+"""Reads photograph files by format, and reports unsupported formats.
 
-PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size is checked, EXR by OpenEXR, HEIC by libheif
-(``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
+PNG, JPEG, TIFF and WEBP are decoded by OpenCV after a check of their size, EXR by OpenEXR, HEIC by libheif
+(``pillow-heif``, the extra ``heic``), and raw photographs by libraw (``raw_photographs``). libheif and libraw
 rotate photographs upright, so their EXIF orientation is not applied again.
 """
 
@@ -33,14 +33,14 @@ KNOWN_SUFFIXES = (
     *PHOTOGRAPH_SUFFIXES, ".avif", ".bmp", ".gif", ".jp2", ".jpe", ".jfif", ".jxl", ".ppm",
     ".psd", ".tga",
 )  # fmt: skip
-"""Suffixes of files that count as photographs, whether they can be read or not."""
+"""Suffixes of files that are recognised as photographs, including unsupported formats."""
 _READ = "PNG, JPEG, TIFF, WEBP, HEIC or EXR"
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP")
 _OPENCV_FORMATS = {".tif": ("TIFF",), ".tiff": ("TIFF",), ".webp": ("WEBP",)}
 
 
 def can_read(path: Path) -> bool:
-    """Whether photographs with the suffix of ``path`` can be read; HEIC and raw files need their extra."""
+    """Return whether the suffix of ``path`` can be read; HEIC and raw photographs need optional packages."""
     suffix = path.suffix.lower()
     if suffix in HEIC_SUFFIXES:
         return find_spec("pillow_heif") is not None
@@ -48,12 +48,12 @@ def can_read(path: Path) -> bool:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether a file has the suffix of a raw photograph."""
+    """Return whether a file has the suffix of a raw photograph."""
     return path.suffix.lower() in RAW_SUFFIXES
 
 
 def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
-    """Problems of photographs in unsupported formats, one per suffix."""
+    """Return the problems of photographs in unsupported formats, one per suffix."""
     problems = []
     for suffix in sorted({file.suffix.lower() for file in files}):
         names = [file.name for file in files if file.suffix.lower() == suffix]
@@ -75,8 +75,8 @@ def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
 class Stored:
     """A decoded photograph.
 
-    ``pixels`` (H, W, C) are as stored. ``is_linear``: whether they are linear regardless of the encoding
-    option. ``clipped`` (H, W): mask of clipped pixels, None if it must be derived from the values.
+    ``pixels`` (H, W, C): stored values; ``is_linear``: whether they are linear regardless of the encoding
+    option; ``clipped`` (H, W): mask of clipped pixels, or None if it must be derived from the values.
     """
 
     pixels: NDArray
@@ -94,7 +94,7 @@ def read_stored(path: Path) -> Stored:
 
 
 def read_photograph(path: Path) -> NDArray:
-    """Read the pixels (H, W, C) in the stored orientation, or upright from HEIC and raw files.
+    """Read the pixels (H, W, C) of a photograph in the stored orientation; HEIC and raw files are upright.
 
     Raises :class:`InputError`.
     """
@@ -108,7 +108,7 @@ def read_photograph(path: Path) -> NDArray:
 
 
 def photograph_size(path: Path) -> tuple[int, int]:
-    """(width, height) in pixels in the stored orientation, or upright of HEIC and raw files.
+    """Read (width, height) in pixels in the stored orientation; HEIC and raw files are upright.
 
     Raises :class:`InputError`.
     """
@@ -121,7 +121,7 @@ def photograph_size(path: Path) -> tuple[int, int]:
 
 
 def pillow_formats(path: Path) -> tuple[str, ...]:
-    """Names of Pillow's formats for the suffix of ``path``; registers the HEIC reader if needed."""
+    """Return Pillow's format names for the suffix of ``path``; registers the HEIC reader if needed."""
     if path.suffix.lower() not in HEIC_SUFFIXES or not can_read(path):
         return _FORMATS
     from pillow_heif import register_heif_opener

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads photographs as a capture's images: decoded, rotated upright, linearised, resized and undistorted.
+"""Reads photographs as images of a capture: decoded, upright, linearised, resized and undistorted.
 
 Pixel centres are at +0.5 (``foundation.cameras``), but at integers in OpenCV, so OpenCV's principal point is
 ours minus 0.5. Linearisation precedes any resampling.
@@ -23,17 +23,17 @@ from model.reconstruction.captures.photograph_files import is_raw, pillow_format
 
 PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
-"""Linear value above which a pixel counts as clipped; JPEG stores clipped pixels a few steps below 1."""
+"""Linear value from which a pixel counts as clipped; JPEG stores clipped pixels a few steps below 1."""
 MIN_CLIPPED_SHARE = 0.02
 """Share of clipped pixels in a resampled pixel above which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
-_ASPECT_SLACK_PX = 1.0  # for sizes that calibrations round differently
+_ASPECT_SLACK_PX = 1.0  # since calibrations round sizes differently
 
 
 @dataclass(frozen=True)
 class PhotographSource:
-    """A photograph on disk and its ``calibrated`` camera; ``exposure_scale`` is a factor of linear values."""
+    """A photograph on disk and its ``calibrated`` camera; ``exposure_scale`` multiplies linear values."""
 
     path: Path
     calibrated: Camera
@@ -42,7 +42,7 @@ class PhotographSource:
     exposure_scale: float = 1.0
 
     def read(self, camera: Camera) -> ColorImage:
-        """Read the photograph, resampled to ``camera``, a pinhole camera with the same pose."""
+        """Read the photograph and resample it to ``camera``, a pinhole camera with the same pose."""
         stored = read_stored(self.path)
         pixels = fit_orientation(stored.pixels, self.path, self.calibrated)
         linear = linearized(pixels, "linear" if stored.is_linear else self.encoding)
@@ -57,12 +57,12 @@ class PhotographSource:
         return replace(found, limit=self.exposure_scale) if has_limit else found
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """An empty dictionary: photographs have no ground truth."""
+        """Return an empty dictionary, since photographs have no ground truth."""
         return {}
 
 
 def exif_orientation(path: Path) -> int:
-    """EXIF orientation, 1 to 8; 1 if there is none. Raises :class:`InputError` for an unreadable file."""
+    """Read the EXIF orientation, 1 to 8; 1 if absent. Raises :class:`InputError` for an unreadable file."""
     if path.suffix.lower() == ".exr" or is_raw(path):
         return 1
     from PIL import Image
@@ -76,7 +76,7 @@ def exif_orientation(path: Path) -> int:
 
 
 def relative_exposure(path: Path) -> float | None:
-    """Relative exposure from EXIF, time in s * ISO / f-number^2; None if a value is missing."""
+    """Read the relative exposure, time in s * ISO / f-number^2, from EXIF; None if a value is missing."""
     if is_raw(path):
         from model.reconstruction.captures.raw_photographs import raw_exposure
 
@@ -96,7 +96,7 @@ def relative_exposure(path: Path) -> float | None:
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Rotate and flip ``pixels`` (H, W, C) upright from an EXIF orientation (1 to 8)."""
+    """Rotate and flip ``pixels`` (H, W, C) with the EXIF ``orientation`` (1 to 8) upright."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.transpose(1, 0, 2)
     flips = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}.get(orientation, ())
@@ -109,7 +109,8 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """The image (H, W, C) as stored or, if only the upright image has the camera's aspect ratio, upright.
+    """Return the image (H, W, C) as stored or, if only the upright one has the camera's aspect ratio,
+    upright.
 
     Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
     image has the camera's aspect ratio.
@@ -147,7 +148,7 @@ def undistorted(
     """Resample a ``linear`` image (H, W, 3) of the ``calibrated`` lens, and its mask ``clipped`` (H, W, 3),
     to the pinhole ``camera``.
 
-    The image is first resized to the camera's size, by averaging areas if it shrinks, against aliasing.
+    The image is first resized to the camera's size, by area averaging if it shrinks, to prevent aliasing.
     """
     import cv2
 
@@ -183,7 +184,7 @@ def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
 def _distorted_pixels(
     lens: Camera, distortion: Distortion | None, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Positions x and y (H, W) of the pixels of ``camera`` in the lens's image, in OpenCV's coordinates."""
+    """Compute the positions x and y (H, W) of the pixels of ``camera`` in the lens image, as in OpenCV."""
     size = (camera.width_px, camera.height_px)
     u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
@@ -195,7 +196,7 @@ def _distorted_pixels(
 
 
 def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> NDArray[np.float64]:
-    """Pixels (..., 2), with centres at +0.5, at which a lens images the rays (x / z, y / z) (..., 2)."""
+    """Project the rays (x / z, y / z) (..., 2) through a lens to pixels (..., 2), with centres at +0.5."""
     x, y = np.moveaxis(np.asarray(rays, dtype=np.float64), -1, 0)
     if distortion is not None and distortion.model == "fisheye":
         r = np.hypot(x, y)
@@ -217,7 +218,7 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
 
 
 def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Factor by which a brown or polynomial lens scales points at squared radii ``r2``, of the same shape."""
+    """Compute the radial factor of a brown or polynomial lens at squared radii ``r2``, of the same shape."""
     k = np.zeros(8)
     k[: len(distortion.coefficients)] = distortion.coefficients
     if distortion.model == "polynomial":
@@ -227,7 +228,7 @@ def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.bool_]:
-    """Mask of radii ``r`` beyond the first at which the distorted radius decreases, where images repeat."""
+    """Compute the mask of radii ``r`` beyond which the distorted radius decreases, so the image repeats."""
     if distortion is None:
         return np.zeros(r.shape, dtype=bool)
     steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Common parts of the readers of calibrations, and their result: images with cameras and distortion.
+"""Common functions and types of the calibration readers, which return images with cameras and distortion.
 
-Every reader converts its software's convention to the project's: world_from_camera with x right, y down, z
-forward; pixel centres at +0.5; distortion coefficients in OpenCV's order.
+Each reader converts the convention of its software to that of the project: world_from_camera with x right, y
+down, z forward; pixel centres at +0.5; distortion coefficients in OpenCV's order.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from model.reconstruction.captures.photograph_files import (
 EXPORT_AGAIN = "export it again"
 UNSIZED = "name its folder with --images, since the file does not state the image's size"
 _RIGID_TOLERANCE = 1e-3  # files contain rounded numbers
-_MAX_SKEW_PX = 0.25  # at the image's border; more would need correction, and no real lens has it
+_MAX_SKEW_PX = 0.25  # at the image border; larger skew would need correction, and real lenses have none
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class PosedImage:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All images of a calibration, the folder to which their names are relative, and notes for the user."""
+    """Images of a calibration, the folder to which their names are relative, and notes for the user."""
 
     images: tuple[PosedImage, ...]
     folder: Path
@@ -56,14 +56,14 @@ class Calibration:
 
 
 class ImageMissing(Exception):
-    """An image of a calibration is missing; readers report all such images by :meth:`ImageFinder.absent`."""
+    """An image of a calibration is missing; readers report it with :meth:`ImageFinder.absent`."""
 
 
 class ImageFinder:
     """Finds images in a folder by their names in a calibration.
 
-    Names may be absolute paths of another computer, lack a suffix or differ in case. Files outside the
-    folder, also through links, are not found, since calibrations are untrusted.
+    Names may be absolute paths of another computer, lack a suffix or differ in case. Calibrations are
+    untrusted, so files outside the folder, including those behind links, are not found.
     """
 
     def __init__(self, folder: Path):
@@ -71,11 +71,11 @@ class ImageFinder:
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
-        """Path of the image ``name`` in the folder, else of the only image below it with that file name, else
-        None.
+        """Find the image ``name`` in the folder, else the only image below it with that file name; None if
+        there is none.
         """
         name = name.replace("\\", "/")
-        if not name.isprintable():  # the system raises for paths with a zero byte
+        if not name.isprintable():  # paths with a zero byte raise ValueError
             return None
         direct = self.folder / name  # an absolute name replaces the folder
         suffixes: tuple[str, ...] = PHOTOGRAPH_SUFFIXES
@@ -90,15 +90,15 @@ class ImageFinder:
         return found[0] if len(found) == 1 else None
 
     def require(self, name: str) -> Path:
-        """Like :meth:`find`, but raises :class:`ImageMissing` with the name if there is no image."""
+        """Find the image ``name`` as :meth:`find` does. Raises :class:`ImageMissing` if there is none."""
         image = self.find(name)
         if image is None:
             raise ImageMissing(name)
         return image
 
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
-        """Problems of ``names``, which :meth:`find` did not find: one per unsupported format, and one with
-        ``remedy`` per missing image.
+        """Return the problems of ``names`` that :meth:`find` did not find: one per unsupported format, and
+        one with ``remedy`` per missing image.
         """
         others = self.unread(names)
         expected = f"one image of this name in {self.folder}"
@@ -107,24 +107,24 @@ class ImageFinder:
         ]
 
     def unread(self, names: Sequence[str]) -> dict[str, Path]:
-        """Files, by name, of those of the images ``names`` that exist in an unsupported format."""
+        """Return the files in unsupported formats among the images ``names``, by name."""
         named = {name: self._named(name.replace("\\", "/")) for name in names}
         others = {name: [f for f in files if not can_read(f)] for name, files in named.items()}
         return {name: files[0] for name, files in others.items() if files}
 
     def _admitted(self, name: str) -> Path | None:
-        """The file with a relative or absolute name, or None if there is none in the folder."""
+        """Return the file with a relative or absolute name if it is in the folder, else None."""
         if not os.path.lexists(self.folder / name):
             return None
         real, _ = fault_of(self.folder, name, (self.folder,))
         return real if real is not None and real.is_file() else None
 
     def _named(self, name: str) -> list[Path]:
-        """Images below the folder with the file name of ``name``, in any known format."""
+        """Return the images below the folder with the file name of ``name``, in any known format."""
         return self._index().get(Path(name).name.lower(), []) if name.isprintable() else []
 
     def _index(self) -> dict[str, list[Path]]:
-        """All images below the folder, by lower-case name with and without suffix."""
+        """Return all images below the folder by lower-case name, with and without suffix."""
         if self._by_name is None:
             self._by_name = {}
             paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
@@ -150,7 +150,7 @@ def read_text(path: Path) -> str:
 
 
 def head_of(path: Path, num_bytes: int = 4096) -> str:
-    """The first ``num_bytes`` of a file as text, to recognise its format; '' if it cannot be read."""
+    """Read the first ``num_bytes`` of a file as text, to detect its format; '' if it cannot be read."""
     try:
         if not path.is_file():
             return ""
@@ -177,7 +177,7 @@ def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np
 
 
 def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.float64]:
-    """The rotation nearest to a (3, 3) matrix after removing its uniform scale.
+    """Return the rotation nearest to a (3, 3) matrix without its uniform scale.
 
     Raises :class:`InputError` if the matrix is not a scaled rotation.
     """
@@ -194,7 +194,7 @@ def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.floa
 
 
 def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray[np.float64]:
-    """world_from_camera (4, 4) from a rotation (3, 3) and the camera's centre (3,)."""
+    """Make world_from_camera (4, 4) from a rotation (3, 3) and the camera centre (3,)."""
     pose = np.eye(4)
     pose[:3, :3] = world_from_camera_rotation
     pose[:3, 3] = center
@@ -204,8 +204,8 @@ def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray
 def polynomial(
     radial: tuple[float, float, float, float], tangential: tuple[float, float]
 ) -> Distortion | None:
-    """Distortion with ``radial`` k1 ... k4 (of r^2 ... r^8) and OpenCV's ``tangential`` p1, p2; None if all
-    are 0.
+    """Make the distortion with ``radial`` k1 ... k4 (of r^2 ... r^8) and OpenCV's ``tangential`` p1, p2; None
+    if all are 0.
     """
     k1, k2, k3, k4 = radial
     coefficients = (k1, k2, *tangential, k3, k4)

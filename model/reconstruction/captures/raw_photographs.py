@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Reads raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709, the camera's white balance.
+"""Reads raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 at the camera's white
+balance.
 
 Black and white levels are the file's; values are not brightened, and no curve is applied. Channels are scaled
 so that the weakest channel in white light reaches 1 at the sensor's limit. Pixels interpolated from a sensor
@@ -18,10 +19,10 @@ from datagen.foundation.exr import check_claim
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX
 
 LIMIT_SHARE = 0.99
-"""Clipping level, 0 at black level and 1 at white level; sensors saturate slightly below 1."""
+"""Clipping level between black level (0) and white level (1); sensors saturate slightly below 1."""
 _REACH_PX = 5
 """Side of the square of sensor values from which a pixel is interpolated."""
-_TURNS = {3: 2, 5: 1, 6: -1}  # quarter turns counter-clockwise by libraw's flip
+_TURNS = {3: 2, 5: 1, 6: -1}  # counter-clockwise quarter turns for each flip code of libraw
 
 
 def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
@@ -67,7 +68,7 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
 
 
 def raw_size(path: Path) -> tuple[int, int]:
-    """(width, height) in pixels of the upright photograph. Raises :class:`InputError`."""
+    """Read (width, height) in pixels of the upright photograph. Raises :class:`InputError`."""
     import rawpy
 
     if not path.is_file():
@@ -81,7 +82,7 @@ def raw_size(path: Path) -> tuple[int, int]:
 
 
 def raw_exposure(path: Path) -> float | None:
-    """Relative exposure, time in s * ISO / f-number^2; None if a value is missing."""
+    """Read the relative exposure, time in s * ISO / f-number^2; None if a value is missing."""
     import rawpy
 
     try:

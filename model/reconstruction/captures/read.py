@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Recognises the format of a capture and reads it.
+"""Detects the format of a capture and reads it.
 
-A calibration format is a row of ``FORMS`` and a module with two functions: ``find(path)`` returns the file or
-folder to read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. A new format needs
-nothing else. Photographs also need a mesh file; ``CaptureOptions`` gives the axes and units of cameras and
-mesh.
+A calibration format is an entry of ``FORMS`` and a module with two functions: ``find(path)`` returns the file
+or folder to read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. Photographs also
+require a mesh file; ``CaptureOptions`` defines the axes and units of cameras and mesh.
 """
 
 from __future__ import annotations
@@ -92,8 +91,8 @@ FORMS = (
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
     """Read the capture at ``path``. Raises :class:`InputError` with its faults, or if its format is unknown.
 
-    Known formats: a shard (.tar) or a dataset folder of one shard; ``capture.json`` or its folder; an
-    environment package with cameras; and ``FORMS``.
+    Known formats are a shard (.tar) or a dataset folder with one shard, ``capture.json`` or its folder, an
+    environment package with cameras, and those of ``FORMS``.
     """
     options = options or CaptureOptions()
     budget = Budget(path, options.limits)
@@ -115,7 +114,7 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
 
 
 def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None:
-    """Raise :class:`InputError` for files outside of the ``given`` folders, since captures are untrusted."""
+    """Raise :class:`InputError` for files outside the ``given`` folders, since captures are untrusted."""
     problems = []
     for field, name in [
         *((f"photographs[{k}].image", p.image) for k, p in enumerate(record.photographs)),
@@ -142,8 +141,8 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
 
 
 def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
-    """The content of ``capture.json``, with absolute paths, for calibrated photographs at ``path``, and notes
-    for the user. Raises :class:`InputError`.
+    """Make the content of ``capture.json``, with absolute paths, for calibrated photographs at ``path``; also
+    return notes for the user. Raises :class:`InputError`.
     """
     record, notes, _ = _calibrated(path, options, Budget(path, options.limits))
     return record, notes
@@ -152,7 +151,7 @@ def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tupl
 def _calibrated(
     path: Path, options: CaptureOptions, budget: Budget
 ) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
-    """Like :func:`capture_file`, and the mesh in its own frame if it was read to estimate the unit."""
+    """Like :func:`capture_file`; also return the mesh in its own frame if the unit was estimated from it."""
     form, found = _form_of(path)
     try:
         calibration = form.read(found, options.images, budget)
@@ -213,7 +212,7 @@ def _calibrated(
 
 
 def has_cameras(path: Path) -> bool:
-    """Whether ``path`` is in a known capture format, which may still be invalid."""
+    """Return whether ``path`` has a known capture format; its content is not checked."""
     is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
     return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
 
@@ -229,7 +228,7 @@ def _form_of(path: Path) -> tuple[Form, Path]:
 
 
 def write_capture(folder: Path, record: CaptureFile) -> Path:
-    """Write ``capture.json`` to ``folder``, with paths below the folder relative to it; returns its path."""
+    """Write ``capture.json`` to ``folder`` and return its path; paths below the folder become relative."""
     folder.mkdir(parents=True, exist_ok=True)
 
     def relative(name: str) -> str:
@@ -258,7 +257,7 @@ def open_capture(
     mesh_in_its_frame: Mesh | None = None,
     budget: Budget | None = None,
 ) -> Capture:
-    """Open the capture of ``record``, whose paths are relative to ``base``; the mesh is read unless given.
+    """Open the capture of ``record``, with paths relative to ``base``; read the mesh unless it is passed.
 
     Raises :class:`InputError` with all missing photographs, or for an unusable mesh.
     """
@@ -295,7 +294,7 @@ def _shrunk(capture: Capture, max_width_px: int) -> Capture:
 
 
 def shrunk_camera(camera: Camera, max_width_px: int) -> Camera:
-    """Scale the camera down to a longer side of at most ``max_width_px``; sides are whole pixels."""
+    """Scale the camera down to a longer side of at most ``max_width_px``, with sides in whole pixels."""
     longer = max(camera.width_px, camera.height_px)
     if longer <= max_width_px:
         return camera

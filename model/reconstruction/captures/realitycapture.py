@@ -2,14 +2,13 @@
 """Reads RealityCapture's (RealityScan's) CSV "Internal/External camera parameters" and XMP sidecars.
 
 In both formats, the focal length is in mm for film whose longer side is 36 mm, and the principal point is an
-offset from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2, which
-are OpenCV's p2, p1 (t1 multiplies r^2 + 2 x^2). The files have no image sizes, so the images must be
-available.
+offset from the centre in units of the longer side. Distortion is k1 ... k4 of r^2 ... r^8, and t1, t2, which
+are OpenCV's p2, p1 (t1 multiplies r^2 + 2 x^2). The files contain no image sizes, so the images are required.
 
-CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera that
-looks along -z with y up: at angles of 0 it looks straight down, with north (+y) at the top. XMP: ``Rotation``
-is camera_from_world by rows, of a camera with y down and z forward; ``Position`` is the centre
-("RealityCapture XMP camera math").
+In the CSV, x, y, alt is the centre, and world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, for a
+camera that looks along -z with y up: at zero angles it looks straight down, with north (+y) at the top. In
+XMP, ``Rotation`` is camera_from_world by rows, for a camera with y down and z forward, and ``Position`` is
+the centre ("RealityCapture XMP camera math").
 """
 
 from __future__ import annotations
@@ -52,14 +51,14 @@ _FILM_MM = 36.0
 
 
 def find_csv(path: Path) -> Path | None:
-    """The CSV with camera parameters ``path``, or the only one in the folder ``path``, or None."""
+    """Return the CSV of cameras ``path``, or the only one in the folder ``path``; None if there is none."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
     found = [file for file in files if _columns(head_of(file)) is not None]
     return found[0] if len(found) == 1 else None
 
 
 def find_xmp(path: Path) -> Path | None:
-    """The folder with XMP sidecars: ``path`` or its subfolder ``images``, or None."""
+    """Return the folder with XMP sidecars, ``path`` or its subfolder ``images``; None if there is none."""
     for folder in (path, path / "images"):
         if folder.is_dir() and any("capturingreality" in head_of(file) for file in folder.glob("*.xmp")):
             return folder
@@ -67,7 +66,7 @@ def find_xmp(path: Path) -> Path | None:
 
 
 def _columns(text: str) -> list[str] | None:
-    """Names of the columns in the first lines of a CSV; None without the needed ones."""
+    """Find the column names in the first lines of a CSV; None if a required column is missing."""
     for line in text.lstrip("\ufeff").splitlines()[:3]:
         names = [word.strip().lstrip("#").lower() for word in line.split(",")]
         if set(_NEEDED) <= set(names):
@@ -121,7 +120,7 @@ def _from_row(row: Mapping[str, str], path: Path, field: str, finder: ImageFinde
 
 
 def rotation_of_angles(heading: float, pitch: float, roll: float) -> NDArray[np.float64]:
-    """world_from_camera (3, 3) of a camera with y down and z forward, from the CSV's angles in degrees."""
+    """Compute world_from_camera (3, 3), with y down and z forward, from the CSV's angles in degrees."""
     a, b, c = (math.radians(v) for v in (-heading, pitch, roll))
     about_z = np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, math.cos(b), -math.sin(b)], [0, math.sin(b), math.cos(b)]])

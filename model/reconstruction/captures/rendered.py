@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads captures from shards: images from the tar file, geometry from the configuration's library."""
+"""Reads captures from shards, with images from the tar file and geometry from the configuration's library."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from datagen.rendering.capture_geometry import configuration_geometry
 
 @dataclass(frozen=True)
 class ShardSource:
-    """A view's EXR in a shard, the file ``member`` of ``num_bytes`` bytes at the byte ``offset``."""
+    """A view's EXR in a shard: the file ``member``, which starts at the byte ``offset``."""
 
     shard: Path
     member: str
@@ -41,7 +41,7 @@ class ShardSource:
         return ColorImage(beauty, np.ones(beauty.shape[:2], dtype=bool))
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """Read the buffers ``names`` (H, W, C) that are stored."""
+        """Read those of the buffers ``names`` that are stored, (H, W, C) each."""
         return self._decode(names)
 
     def _decode(self, names: tuple[str, ...]) -> dict[str, NDArray]:
@@ -57,7 +57,9 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """The library of a shard: the given paths, else its dataset's library, else the bundled one."""
+    """Open a shard's library: ``paths`` and the dataset's rooms, or the dataset's library, or the bundled
+    one.
+    """
     folder = DatasetFolder(shard.parent.parent)
     if paths:
         return Library([*paths, *rooms_of(folder.root)])
@@ -69,7 +71,7 @@ def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
 def read_shard(shard: Path, library: Library) -> Capture:
     """Read a shard as a capture.
 
-    Raises :class:`InputError` if packages in ``library`` do not have the configuration's hashes.
+    Raises :class:`InputError` if package hashes in ``library`` differ from those of the configuration.
     """
     reader = ShardReader(shard)
     configuration = reader.configuration()

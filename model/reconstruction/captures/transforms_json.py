@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reads ``transforms.json`` (NeRF, instant-ngp, nerfstudio).
 
-``transform_matrix`` is world_from_camera of a camera that looks along -z with y up; intrinsics are at the top
-level or in a frame, in pixels with centres at +0.5, or given as the field of view ``camera_angle_x``.
+``transform_matrix`` is world_from_camera of a camera that looks along -z with y up. Intrinsics are at the top
+level or in a frame, in pixels with centres at +0.5, or as the field of view ``camera_angle_x`` in radians.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MODELS = {
 
 
 def find(path: Path) -> Path | None:
-    """The JSON file ``path``, or ``transforms.json`` in the folder ``path``, or None."""
+    """Return the JSON file ``path``, or ``transforms.json`` in the folder ``path``; None if there is none."""
     file = path / "transforms.json" if path.is_dir() else path
     return file if file.suffix == ".json" and file.is_file() else None
 
@@ -50,7 +50,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> list[PosedImage]:
-    """Read every frame; its image, with an absolute path, is found next to the file or in ``folder``.
+    """Read every frame; images are searched next to the file and in ``folder``, and get absolute paths.
 
     Raises :class:`InputError` with all faults of the file.
     """

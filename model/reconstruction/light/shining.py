@@ -71,7 +71,7 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
 
 
 def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    """Find the points of ``tree`` within ``reach`` of any of ``points`` along every axis, as sorted indices."""
+    """Find the points of ``tree`` within ``reach`` of any of ``points`` along every axis, as indices."""
     lists = tree.query_ball_point(points, reach, p=np.inf)
     return np.unique(np.concatenate([np.asarray(found, dtype=np.int64) for found in lists]))
 

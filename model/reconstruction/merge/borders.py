@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Weights a view's pixels by their distance to the borders of its footprint.
+"""Weights a view's pixels by their distance to borders.
 
-At a border, of the image or of a nearer surface's silhouette, the set of merged views changes, which would
-cause visible steps in the merged maps. A pixel's weight therefore falls to almost 0 towards the nearest
-border.
+At a border, of the image or of a silhouette, the set of merged views changes, which would cause visible steps
+in the merged maps. A pixel's weight therefore decreases to almost 0 towards the nearest border.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 RAMP = 0.1
-"""Distance over which the weight falls, relative to the image's diagonal."""
+"""Distance over which the weight decreases, relative to the image diagonal."""
 MIN_BORDER_WEIGHT = 1e-3
-"""Weight at a border; above 0, so that texels visible only at borders, such as leaves, get a value."""
+"""Weight at a border, above 0 so that texels visible only near borders, such as leaves, get a value."""
 
 
 def border_weights(depth_z_m: NDArray, max_jump: float) -> NDArray[np.float32]:
-    """Weight (H, W) in [MIN_BORDER_WEIGHT, 1] of a view's pixels by their distance to the nearest border.
+    """Compute the weight (H, W) in [MIN_BORDER_WEIGHT, 1] of each pixel by distance to the nearest border.
 
     Borders are the edges of the image, pixels without a surface (``depth_z_m`` (H, W) is 0), and neighbouring
     pixels whose depths differ by more than ``max_jump`` relative to the larger one.

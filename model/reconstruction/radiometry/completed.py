@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Brings photographs to one exposure and completes their clipped pixels.
+"""Scales photographs to one exposure and estimates their clipped pixels.
 
 The value of a clipped pixel is a lower bound. The pixel gets the median radiance of its surface in the views
-that do not clip it. A surface that all views clip is a source, whose radiance is estimated from its
-illumination of other surfaces (``recovered``).
+in which it is not clipped. A surface that is clipped in all views is a source, whose radiance is estimated
+from its illumination of other surfaces (``recovered``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from model.reconstruction.radiometry.sources import Sources, find_sources, sourc
 
 @dataclass(frozen=True)
 class Completed:
-    """Views at one exposure with completed pixels, and how they were obtained.
+    """Views at one exposure with estimated clipped pixels.
 
     ``radiometry`` is the cameras' calibration. ``sources`` are clipped in every view; ``radiance`` (S, 3) is
     their radiance, ``spread`` (S,) the standard deviation of its logarithm. ``clipped_share``: share of the
@@ -50,7 +50,7 @@ def completed_views(
     *,
     is_evened: bool = True,
 ) -> Completed:
-    """Bring ``views`` to one exposure and complete their clipped pixels.
+    """Scale ``views`` to one exposure and estimate their clipped pixels.
 
     ``emits`` (M,): mask of triangles known to emit; ``region_of_face`` (M,): smooth region of each triangle;
     ``is_evened``: whether exposures are estimated. Raises ValueError if the views show no extended surface.
@@ -86,7 +86,7 @@ def completed_views(
 def _filled(
     view: TracedView, source: NDArray, radiance: NDArray, surfels: Surfels, surfel: NDArray
 ) -> TracedView:
-    """Complete a view's clipped pixels with the radiance of their source or, without one, their surfel."""
+    """Set the clipped pixels of a view to the radiance of their source or, without one, of their surfel."""
     assert view.clipped_mask is not None
     color, clipped = view.color.reshape(-1, 3).copy(), view.clipped_mask.reshape(-1, 3)
     pixel = np.flatnonzero(clipped.any(axis=1))

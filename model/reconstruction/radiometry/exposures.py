@@ -8,8 +8,8 @@ value
 
 relative to the sensor's limit, where g_v is the view's ln gain by channel and c the deviation of the response
 from sRGB; an exponent of the radiance cannot be determined from exposures and is assumed to be 1. Least
-squares of logarithms with Cauchy weights, with L_i eliminated, are robust to highlights and faults of the
-geometry. The undetermined common gain is chosen for a median gain of 1.
+squares of logarithms with Cauchy weights and L_i eliminated are robust to highlights and errors of the
+geometry. The common gain is undetermined and is chosen for a median gain of 1.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ from datagen.geometry.views import TracedView
 from datagen.light.surfels import Surfels
 
 MAX_SURFELS, MIN_VIEWS, MIN_SAMPLES = 8_000, 2, 10
-"""Maximum number of surfels, and minimum numbers of views per surfel and of samples per view on average."""
+"""Maximum number of surfels, minimum number of views per surfel, and minimum mean of samples per view."""
 DARK, BRIGHT = 0.004, 0.9
-"""Range of usable values relative to the limit, between noise and clipping."""
+"""Range of usable values relative to the clipping limit, which excludes noise and clipping."""
 MIN_GAIN, MIN_VIGNETTING = 0.03, 0.05
-"""Root mean square of ln gains, and absolute ln of the factor in the corners, below which they are ignored,
-since highlights alone can cause as much."""
+"""Root mean square of ln gains, and absolute ln of the factor in the image corners, below which they are
+ignored, since highlights alone can cause such values."""
 MIN_EXPLAINED = 0.02
-"""Minimum relative reduction of the cost by a response curve."""
+"""Minimum relative reduction of the cost for which a response curve is accepted."""
 MIN_SPREAD = 0.1
-"""Minimum standard deviation of ln gains for a response curve, which only different exposures determine."""
+"""Minimum standard deviation of ln gains for a response curve, whose estimation requires different
+exposures."""
 _ROUNDS = 10
-_SCALES = (0.5, 0.06)  # scale of Cauchy's distribution, in ln L: first and last round
+_SCALES = (0.5, 0.06)  # first and last scale of Cauchy's distribution, in ln L
 _PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05
 _PRIOR_WEIGHT = 5.0  # weight of a prior at one standard deviation, in observations
 _MAX_CURVE = 0.15  # above 1 / 2 pi the curve is not monotonic
@@ -47,10 +48,10 @@ _STEP = 1e-3  # of numerical derivatives
 
 @dataclass(frozen=True)
 class Radiometry:
-    """Radiometric calibration of all photographs.
+    """Radiometric calibration of V photographs.
 
-    ``gain`` (V, 3): each view's gain by channel. ``vignetting``: -ln of the factor in the image's corners.
-    ``curve``: deviation c of the response from sRGB.
+    ``gain`` (V, 3): gain of each view by channel; ``vignetting``: -ln of the factor in the image corners;
+    ``curve``: deviation c of the response from sRGB (see the module).
     """
 
     gain: NDArray[np.float64]
@@ -59,11 +60,11 @@ class Radiometry:
 
     @property
     def changes(self) -> bool:
-        """Whether the correction of any photograph is not the identity."""
+        """Whether the correction changes any photograph."""
         return bool((self.gain != 1).any()) or self.vignetting != 0 or self.curve != 0
 
     def undone(self, view: TracedView, index: int) -> TracedView:
-        """Convert the colours of ``view``, of the given ``index``, to radiance at the common exposure."""
+        """Convert the colours of ``view``, of number ``index``, to radiance at the common exposure."""
         color = view.color.astype(np.float64)
         if self.curve and view.limit is not None:
             color = view.limit * unbent(color / view.limit, self.curve)
@@ -73,15 +74,15 @@ class Radiometry:
 
 
 def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Values recorded by a camera whose response deviates from sRGB by ``curve``, decoded as sRGB, for the
-    linear ``value`` of the same shape; both are relative to the clipping limit.
+    """Apply the response, which deviates from sRGB by ``curve``, to a linear ``value``, and decode it as
+    sRGB; both values are relative to the clipping limit.
     """
     encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
 
 
 def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Inverse of :func:`shown`: linear values from recorded ones, relative to the clipping limit."""
+    """Invert :func:`shown`: convert recorded to linear values, both relative to the clipping limit."""
     encoded = np.linspace(0, 1, 4096)
     bent = encoded - curve * np.sin(2 * np.pi * encoded)
     of_value = np.asarray(srgb_from_linear(np.clip(value, 0, 1)), np.float64)
@@ -89,7 +90,7 @@ def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
 
 
 def radius_squared(view: TracedView) -> NDArray[np.float64]:
-    """Squared distance (H, W) of pixels from the principal point, 1 in the farthest corner of the image."""
+    """Compute the squared distance (H, W) of pixels from the principal point, 1 in the farthest corner."""
     camera = view.camera
     x = np.arange(camera.width_px) + 0.5 - camera.cx_px
     y = np.arange(camera.height_px) + 0.5 - camera.cy_px
@@ -101,8 +102,8 @@ def radius_squared(view: TracedView) -> NDArray[np.float64]:
 class _Samples:
     """M observations of chosen surfels.
 
-    Indices of ``surfel`` and ``view``, squared image radius ``r2``, ``value`` (M, 3) relative to ``limit``
-    (M,), and the mask ``counts`` (M, 3) of usable channels.
+    ``surfel`` and ``view`` (M,): indices; ``r2`` (M,): squared image radius; ``value`` (M, 3), relative to
+    ``limit`` (M,); ``counts`` (M, 3): mask of usable channels.
     """
 
     surfel: NDArray[np.int64]
@@ -116,7 +117,7 @@ class _Samples:
 def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
     """Estimate the radiometric calibration from ``surfels`` that several ``views`` show.
 
-    The response is estimated only if the clipping limit of all photographs is known.
+    The response is estimated only if the clipping limits of all photographs are known.
     """
     samples = _samples(views, surfels)
     has_limit = all(view.limit is not None for view in views)
@@ -159,7 +160,7 @@ def _samples(views: Sequence[TracedView], surfels: Surfels) -> _Samples:
 
 
 def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
-    """Squared image radius (N,) of positions (N, 3) in a view, as in :func:`radius_squared`."""
+    """Compute the squared image radius (N,) of positions (N, 3) in a view, as in :func:`radius_squared`."""
     camera = view.camera
     matrix = camera.world_from_camera
     local = (position_m - matrix[:3, 3]) @ matrix[:3, :3]
@@ -173,9 +174,9 @@ def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
 def _solved(
     samples: _Samples, num_views: int, *, has_curve: bool
 ) -> tuple[NDArray[np.float64], float, float, float]:
-    """Estimate ln gains (V, 3), vignetting and curve by Gauss-Newton steps; returns them and the cost.
+    """Estimate ln gains (V, 3), vignetting and curve by Gauss-Newton steps; return them and the cost.
 
-    Residuals are those of recorded values, since a flat curve would minimise those of radiance.
+    Residuals are those of recorded values, since a flat response would minimise residuals of radiance.
     """
     channels = [_Channel.of(samples, channel) for channel in range(3)]
     last = 3 * num_views
@@ -204,8 +205,8 @@ def _solved(
 class _Channel:
     """M samples of a channel.
 
-    Indices of ``surfel`` (from 0) and ``view``, squared image radius ``r2``, ln of the ``shown`` value and of
-    the ``limit``, each (M,); ``radiance``: ln radiance of each surfel.
+    ``surfel`` (from 0) and ``view``: indices; ``r2``: squared image radius; ``shown`` and ``limit``: ln of
+    the recorded value and of the clipping limit; all (M,). ``radiance``: ln radiance of each surfel.
     """
 
     surfel: NDArray[np.int64]
@@ -226,19 +227,19 @@ class _Channel:
         return cls(surfel, samples.view[rows], samples.r2[rows], shown, limit, radiance)
 
     def predicted(self, state: NDArray, first: int, last: int) -> tuple[NDArray[np.float64], ...]:
-        """ln value of the samples and its derivatives (:func:`_log_shown`) for the unknowns ``state``."""
+        """Predict the ln value of the samples and its derivatives (:func:`_log_shown`) at ``state``."""
         fall_off = state[last] * self.r2
         arriving = self.radiance[self.surfel] + state[first + self.view] - fall_off - self.limit
         return _log_shown(arriving, state[last + 1])
 
     def cost(self, state: NDArray, first: int, last: int) -> float:
-        """Mean negative log likelihood of the residuals under Cauchy's distribution of the last scale."""
+        """Compute the mean negative log likelihood of the residuals under a Cauchy distribution."""
         rest = self.shown - self.predicted(state, first, last)[0]
         return float(np.log1p((rest / _SCALES[1]) ** 2).mean())
 
     def step(self, state: NDArray, first: int, last: int, scale: float) -> tuple[Any, ...]:
-        """Normal matrix and right-hand side for the cameras' unknowns, with the N surfels eliminated; also a
-        matrix (N, unknowns) and a vector (N,) for back-substitution of the surfels.
+        """Compute the normal matrix and right-hand side for the cameras' unknowns, with the N surfels
+        eliminated, and the matrix (N, unknowns) and vector (N,) for back-substitution of the surfels.
         """
         predicted, slope, by_curve = self.predicted(state, first, last)
         rest = self.shown - predicted
@@ -258,8 +259,8 @@ class _Channel:
 
 
 def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ...]:
-    """ln value for the ln radiance ``arriving`` (M,), both relative to the limit, and its derivatives by
-    ``arriving`` and ``curve``, each (M,).
+    """Compute the ln value for the ln radiance ``arriving`` (M,), both relative to the limit, and its
+    derivatives with respect to ``arriving`` and ``curve``, (M,) each.
     """
     if not curve:
         here, slope = arriving, np.ones_like(arriving)
@@ -270,7 +271,7 @@ def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ..
 
 
 def _group_medians(values: NDArray, group: NDArray) -> NDArray[np.float64]:
-    """Median (G,) of the ``values`` (N,) of each group, numbered from 0 in ``group`` (N,)."""
+    """Compute the median (G,) of the ``values`` (N,) of each group; ``group`` (N,) is numbered from 0."""
     order = np.lexsort((values, group))
     num = np.bincount(group)
     first = np.cumsum(num) - num

@@ -3,11 +3,11 @@
 
 At a surfel i below the limit, with the known light E_i and the contribution F_ik of source k at radiance 1,
 
-    ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k),
+    ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k).
 
-where the albedo D_g of a region is also unknown: the contrast within a region, between surfels with and
-without light of a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded below
-by the photographs, are estimated by least squares with Student's t weights and weak priors.
+The albedo D_g of a region is also unknown, so the contrast within a region, between surfels with and without
+light from a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded below by the
+photographs, are estimated by least squares with Student's t weights and weak priors.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 MAX_POINTS, RAYS = 2500, 576
-"""Maximum number of points, and rays per point; noise of a source's light biases its radiance downwards."""
+"""Maximum number of points, and rays per point; noise in a source's light biases its radiance downwards."""
 DOUBT_RAYS = 64
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
-"""Minimum number of views of a usable surfel, and minimum photographed share of its light."""
+"""Minimum number of views of a surfel for its use, and minimum photographed share of its light."""
 MAX_FACTOR = 3000.0
 """Maximum ratio of a source's radiance to its photographed radiance."""
 _SCALE = 0.15  # scale of Student's t, in ln L
 _FREEDOM = 2.0
-_EFFECTIVE = 1000.0  # number of independent points at most, since neighbours' errors are correlated
+_EFFECTIVE = 1000.0  # maximum number of independent points, since errors of neighbours are correlated
 _ALBEDO, _ALBEDO_SPREAD = np.log(0.4), 0.8  # prior of ln D_g
 _BRIGHTER, _BRIGHTER_SPREAD = np.log(5.0), 2.0  # prior of ln (Le / bound)
 _HUE_SPREAD = 1.0  # spread of ln Le among channels
@@ -51,11 +51,11 @@ _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 
 @dataclass(frozen=True)
 class Gathered:
-    """Light at P points.
+    """Light at P points from S sources and elsewhere.
 
-    ``radiance`` (P, 3): radiance that leaves them; ``known`` (P, 3): diffuse shading without the S sources;
-    ``form`` (P, S): diffuse shading by each source at radiance 1; ``group`` (P,): index of each point's group
-    of equal albedo.
+    ``radiance`` (P, 3): outgoing radiance; ``known`` (P, 3): diffuse shading without the sources; ``form``
+    (P, S): diffuse shading by each source at radiance 1; ``group`` (P,): index of each point's region of
+    uniform albedo.
     """
 
     radiance: NDArray[np.float64]
@@ -66,7 +66,7 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Recovered:
-    """The ``radiance`` (S, 3) of the sources, and the standard deviation ``spread`` (S,) of its logarithm."""
+    """The ``radiance`` (S, 3) of sources, and the standard deviation ``spread`` (S,) of its logarithm."""
 
     radiance: NDArray[np.float64]
     spread: NDArray[np.float64]
@@ -76,8 +76,8 @@ class Recovered:
 class Prior:
     """Normal priors for G regions and S sources.
 
-    ``albedo`` (G, 3) is the mean of ln D; ``brighter`` (S,) is the mean of ln (radiance / photographed lower
-    bound) in all channels. ``albedo_spread`` and ``brighter_spread`` are their standard deviations.
+    ``albedo`` (G, 3): mean of ln D; ``brighter`` (S,): mean of ln (radiance / photographed lower bound) in
+    all channels; ``albedo_spread`` and ``brighter_spread``: their standard deviations.
     """
 
     albedo: NDArray[np.float64]
@@ -87,7 +87,7 @@ class Prior:
 
 
 class SourceField:
-    """A captured room whose clipped sources get other radiances, and the light that results."""
+    """Light in a captured room for any radiance of its clipped sources."""
 
     def __init__(self, scene: mi.Scene, surfels: Surfels, emitters: Emitters, background: Background):
         self._scene, self.surfels = scene, surfels
@@ -97,11 +97,11 @@ class SourceField:
         self._area = 0.5 * np.linalg.norm(cross, axis=1)
 
     def colored(self, sources: Sources, radiance: NDArray) -> Colored:
-        """The room's radiance with ``radiance`` (S, 3) in the clipped channels of the sources."""
+        """Compute the room's radiance with ``radiance`` (S, 3) in the clipped channels of the sources."""
         return sources.colored(radiance, self._emitters, self._background, self.surfels)
 
     def alone(self, sources: Sources, radiance: NDArray) -> Colored:
-        """The radiance of the sources alone, ``radiance`` (S, 3); it is 0 elsewhere in the room."""
+        """Compute the room's radiance with ``radiance`` (S, 3) for the sources and 0 elsewhere."""
         whole = replace(sources, is_open=np.ones_like(sources.is_open))
         return whole.colored(
             radiance,
@@ -111,7 +111,7 @@ class SourceField:
         )
 
     def baker(self, colored: Colored) -> Baker:
-        """A baker of the light in a room with the radiance ``colored``."""
+        """Make a baker of the light in the room with the radiance ``colored``."""
         grid, emitters = self.surfels.grid, self._emitters
         power = self._area * (colored.emitters @ LUMINANCE_WEIGHTS)[emitters.of_face[emitters.triangles]]
         shining = replace(emitters, radiance=colored.emitters, power=power.astype(np.float32))
@@ -122,7 +122,7 @@ class SourceField:
         return Baker(field, grid.cell_m * CELLS_ACROSS)
 
     def forms(self, sources: Sources, position_m: NDArray, normal: NDArray) -> NDArray[np.float64]:
-        """Diffuse shading (P, S) at positions and normals (P, 3) by each source at radiance 1."""
+        """Compute the diffuse shading (P, S) at positions and normals (P, 3) by each source at radiance 1."""
         form = np.zeros((len(position_m), len(sources)))
         for first in range(0, len(sources), 3):  # three sources at a time, one per channel
             hues = np.zeros((len(sources), 3))
@@ -134,7 +134,7 @@ class SourceField:
 
 
 def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int32]) -> Gathered:
-    """Gather the light at usable surfels, without the sources and by each; groups are smooth regions."""
+    """Gather the light at usable surfels from each source and from elsewhere; groups are smooth regions."""
     surfels = field.surfels
     clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
     usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
@@ -159,7 +159,7 @@ def doubt_of(
 ) -> Callable[[NDArray, NDArray], NDArray[np.float32]]:
     """Make a function from positions and normals (N, 3) to the uncertain luminance (N,) of diffuse shading.
 
-    Each source contributes in proportion to the uncertainty of its radiance.
+    Each source contributes its light times the standard deviation of its ln radiance, at most 1.
     """
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
     return lambda position_m, normal: (
@@ -168,7 +168,7 @@ def doubt_of(
 
 
 def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) -> Recovered:
-    """Estimate the radiance of the sources in clipped channels; in others it is as photographed."""
+    """Estimate the radiance of the sources in clipped channels; it is as photographed in the others."""
     if prior is None:
         num_groups = int(gathered.group.max(initial=-1)) + 1
         prior = Prior(np.full((num_groups, 3), _ALBEDO), np.full(len(sources), _BRIGHTER))
@@ -181,8 +181,8 @@ def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) 
 def _fitted(
     gathered: Gathered, sources: Sources, bound: NDArray, prior: Prior, start: float
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Cost, ln (radiance / bound) (S, 3) and its standard deviation (S,), by damped Gauss-Newton steps from
-    the value ``start``.
+    """Compute the cost, ln (radiance / bound) (S, 3) and its standard deviation (S,) by damped Gauss-Newton
+    steps from the value ``start``.
     """
     num = len(sources)
     is_open = sources.is_open
@@ -211,7 +211,7 @@ def _fitted(
 def _derivatives(
     gathered: Gathered, is_open: NDArray, bound: NDArray, factor: NDArray, prior: Prior
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Cost, and its gradient (3 S,) and Hessian (3 S, 3 S) by ``factor``, with the albedos eliminated."""
+    """Compute the cost and its gradient (3 S,) and Hessian (3 S, 3 S) by ``factor``, without the albedos."""
     num, points, count = len(factor), max(len(gathered.group), 1), len(prior.albedo)
     brighter, brighter_spread = prior.brighter[:, None], np.reshape(prior.brighter_spread, (-1, 1))
     radiance = bound * np.exp(factor)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Finds sources that all photographs clip.
+"""Finds light sources that all photographs clip.
 
 Sources are clipped emitters, openings (connected parts of a face of the room's box with a clipped background)
-and patches of neighbouring surfels that are clipped in all views. A source has one radiance by channel, which
-is unknown in the clipped channels.
+and patches of neighbouring surfels that are clipped in all views. Each has one radiance by channel, which is
+unknown in the clipped channels.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 CLIPPED_SHARE = 0.5
-"""Clipped share of the pixels of an emitter or bin from which a channel is unknown."""
+"""Clipped share of the pixels of an emitter or background bin from which a channel is unknown."""
 SHUT = 0.9
 """Clipped share of a surfel's pixels from which it counts as clipped in all views."""
 MIN_CELLS = 4
-"""Minimum number of surfels of a patch."""
+"""Minimum number of surfels in a patch."""
 MIN_BINS, MIN_PIXELS = 8, 0.03
-"""Minimum number of background bins of an opening, and its minimum share of the clipped background pixels."""
+"""Minimum number of background bins in an opening, and its minimum share of the clipped background pixels."""
 MAX_SOURCES = 24
-"""Maximum number of sources of each kind; the smallest are joined to the last."""
+"""Maximum number of sources of each kind; further ones are merged into the last."""
 
 
 @dataclass(frozen=True)
 class Sources:
     """S clipped sources.
 
-    ``bound`` (S, 3) is the photographed radiance, a lower bound in the channels where ``is_open`` (S, 3) is
-    True. The other arrays are the index of the source of each emitter (K,), background bin (B,) and surfel
-    (N,), -1 for none.
+    ``bound`` (S, 3): photographed radiance, a lower bound in clipped channels; ``is_open`` (S, 3): mask of
+    clipped channels; ``of_emitter`` (K,), ``of_bin`` (B,) and ``of_surfel`` (N,): index of the source of each
+    emitter, background bin and surfel, -1 for none.
     """
 
     bound: NDArray[np.float64]
@@ -57,7 +57,7 @@ class Sources:
     def colored(
         self, values: NDArray, emitters: Emitters, background: Background, surfels: Surfels
     ) -> Colored:
-        """The room's radiance with ``values`` (S, 3) in the channels of the sources where ``is_open``."""
+        """Compute the room's radiance with ``values`` (S, 3) in the clipped channels of the sources."""
         return Colored(
             _put(emitters.radiance, self.of_emitter, values, self.is_open),
             _put(background.radiance, self.of_bin, values, self.is_open),
@@ -117,7 +117,7 @@ def find_sources(
 
 
 def _label_means(values: NDArray, label: NDArray, count: int) -> NDArray[np.float64]:
-    """Means (count, 3) of the ``values`` (N, 3) with each ``label`` (N,) from 0; -1 is ignored."""
+    """Compute the means (count, 3) of ``values`` (N, 3) by ``label`` (N,), numbered from 0; -1 is ignored."""
     found, mine = np.zeros((count, 3)), label >= 0
     num = np.maximum(np.bincount(label[mine], minlength=count), 1)
     for channel in range(3 if count else 0):
@@ -135,7 +135,7 @@ def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
 
 
 def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:
-    """Number of clipped pixels (B,) in each bin of the background."""
+    """Count the clipped pixels (B,) in each bin of the background."""
     total = np.zeros(NEAR.size, np.int64)
     for view in marked:
         clipped = (view.geometry.face < 0) & view.valid_mask & (view.color.max(axis=2) > 0)
@@ -147,10 +147,10 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 
 
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
-    """Index (B,) of each bin's opening, -1 for none, and the unchanged clipped ``share`` (B, 3) of the bins.
+    """Return the index (B,) of each bin's opening, -1 for none, and the unchanged clipped ``share`` (B, 3).
 
     An opening is a connected part of a face of the box with clipped bins. Openings with few clipped pixels,
-    counted per bin in ``seen`` (B,), are joined to the largest.
+    which ``seen`` (B,) counts by bin, are merged with the largest.
     """
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
     shape = 6, NEAR.places, NEAR.places, NEAR.directions
@@ -170,9 +170,9 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
 
 
 def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[NDArray[np.int64], NDArray]:
-    """Index (N,) of each surfel's patch, -1 for none, and its clipped channels (N, 3), 0 or 1.
+    """Return the index (N,) of each surfel's patch, -1 for none, and its clipped channels (N, 3), 0 or 1.
 
-    A patch consists of neighbouring surfels of one side that all views clip.
+    A patch consists of neighbouring surfels of one side that are clipped in all views.
     """
     clipped, total = np.zeros((len(surfels), 3)), np.zeros(len(surfels))
     for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
@@ -212,7 +212,7 @@ def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
 def source_of_pixels(
     view: TracedView, sources: Sources, emitters: Emitters, background: Background, surfel: NDArray
 ) -> NDArray[np.int64]:
-    """Index (P,) of the source that each pixel of a view shows, -1 for none, given its ``surfel`` (P,)."""
+    """Find the index (P,) of the source at each pixel, -1 for none, from the pixels' ``surfel`` (P,)."""
     face = view.geometry.face.ravel()
     found = np.full(len(face), -1, np.int64)
     on_mesh = np.flatnonzero(face >= 0)

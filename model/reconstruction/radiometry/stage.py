@@ -17,7 +17,7 @@ from model.reconstruction.stages import DoubtAt, Run
 def completed(traced: TracedCapture, run: Run) -> tuple[TracedCapture, DoubtAt | None]:
     """The capture with its views at one exposure and clipped pixels completed, and the uncertainty of light.
 
-    It is unchanged if an image has no clipping limit, as in renderings, which have one exposure.
+    It is unchanged if an image has no clipping limit, as in renderings.
     """
     if any(view.limit is None for view in traced.views):
         return traced, None
@@ -39,7 +39,7 @@ def completed(traced: TracedCapture, run: Run) -> tuple[TracedCapture, DoubtAt |
 
 
 def described(found: Completed) -> dict[str, Any]:
-    """The findings as data for the report: exposures, vignetting, response, and recovered sources."""
+    """Return exposures, vignetting, response and recovered sources as data for the report."""
     stops = np.log2(found.radiometry.gain)
     return {
         "exposure_stops": [round(float(value), 3) for value in stops.mean(axis=1)],
@@ -61,7 +61,7 @@ def described(found: Completed) -> dict[str, Any]:
 
 
 def notes_of(found: Completed) -> list[str]:
-    """Messages for the user about equalised exposures and clipped pixels."""
+    """Return messages for the user about equalised exposures and clipped pixels."""
     notes = []
     stops = np.log2(found.radiometry.gain).mean(axis=1)
     if found.radiometry.changes:
