@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An atlas: merged maps by texel, in memory or in memory-mapped files."""
+"""A merged atlas, whose maps by texel are in memory or in memory-mapped files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
-"""Number of channels of each merged map, in the order of the packed storage."""
+"""Number of channels of each merged map, in the order of the packed channels."""
 ATLAS_DTYPE = np.float16
 
 
@@ -22,10 +22,10 @@ ATLAS_DTYPE = np.float16
 class Atlas:
     """A merged atlas; row 0 is at v = 1.
 
-    ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name, 0 where ``count`` is 0 until they are filled. ``count``
-    (N, N): number of views in each texel's medians. ``face`` (N, N): index of the texel's triangle, or -1.
-    ``confidence`` (N, N, 3): confidence of D, S and R, 255 if from light alone, 0 if from a network alone;
-    None if unknown.
+    ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name, 0 at unobserved texels until they are filled; ``count``
+    (N, N): number of views merged in each texel; ``face`` (N, N): index of the texel's triangle, or -1;
+    ``confidence`` (N, N, 3): confidence of D, S and R from 0 (network alone) to 255 (light alone), None if
+    unknown.
     """
 
     maps: dict[str, NDArray]
@@ -40,7 +40,7 @@ class Atlas:
 
     @property
     def unseen_mask(self) -> NDArray[np.bool_]:
-        """Mask (N, N) of texels on the surface without an observation."""
+        """Mask (N, N) of unobserved texels on the surface."""
         return np.asarray((self.face >= 0) & (self.count == 0))
 
     def release(self) -> None:
@@ -57,7 +57,7 @@ def let_go(array: NDArray) -> None:
 
 
 def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool = False) -> Atlas:
-    """An empty atlas of ``size`` texels a side, in memory or in memory-mapped files in ``folder``."""
+    """Make an empty atlas of ``size`` texels a side, in memory or in memory-mapped files in ``folder``."""
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {
         name: ((size, size, channels), ATLAS_DTYPE) for name, channels in MAP_CHANNELS.items()
     }

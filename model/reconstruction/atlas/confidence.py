@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of an atlas's D, S and R by texel."""
+"""Sets the confidence of D, S and R at the texels of an atlas."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.atlas.texels import TexelSurface
 
 ConfidenceAt = Callable[[NDArray, NDArray], NDArray[np.uint8]]
-"""Confidence (..., 3) of D, S and R as bytes (255 for 1) at points and normals (..., 3)."""
+"""Function from points and normals (..., 3) to the confidence (..., 3) of D, S and R, 0 to 255."""
 TILE = 512
 """Side in texels of the squares that are processed at once."""
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Rasteriser for atlases: the triangle that covers each texel's centre, and the surface point there.
+"""Rasteriser for atlases that finds the triangle at each texel's centre, and the surface point there.
 
-The rasteriser works on any rectangle of the atlas. Edge functions are computed in float64 from the edge's
-ends in the same order for both adjacent triangles, so no texel falls between two triangles that share an
-edge. Row 0 of an atlas is at v = 1. Triangles are binned, so only those near a rectangle are tested.
+The rasteriser works on any rectangle of the atlas. Edge functions are computed in float64 from the ends of
+the edge in the same order for both adjacent triangles, so no texel is missed between two triangles that share
+an edge. Row 0 of an atlas is at v = 1. Triangles are binned, so only those near a rectangle are tested.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ BIN = 256
 
 
 class TexelSurface:
-    """The surface of an unwrapped mesh by texel of a ``size`` x ``size`` atlas.
+    """Surface of an unwrapped mesh, sampled at the texels of a ``size`` x ``size`` atlas.
 
-    ``normals`` (M, 3) are the triangles' unit normals.
+    ``normals`` (M, 3) are the unit normals of the triangles. Raises ValueError for a mesh without UVs.
     """
 
     def __init__(self, mesh: Mesh, normals: NDArray[np.float32], size: int):
@@ -52,7 +52,7 @@ class TexelSurface:
         *,
         is_highest: bool = True,
     ) -> NDArray[np.int32]:
-        """Index (height, width) of the triangle at each texel of a rectangle, or -1, sampled at ``offset``
+        """Find the triangle index (height, width), or -1, at each texel of a rectangle, sampled at ``offset``
         (x, y) in [0, 1] within the texel.
 
         Where triangles overlap, the index is the highest or, without ``is_highest``, the lowest.
@@ -63,8 +63,8 @@ class TexelSurface:
         return face
 
     def points(self, face: NDArray[np.int32], left: int, top: int) -> tuple[NDArray, NDArray]:
-        """World positions and normals (H, W, 3) at the texel centres of a rectangle with the corner ``left``,
-        ``top`` and the triangles ``face`` (H, W); 0 where ``face`` is -1.
+        """Compute world positions and normals (H, W, 3) at the texel centres of the rectangle at ``left``,
+        ``top`` with the triangles ``face`` (H, W); 0 where ``face`` is -1.
         """
         points = np.zeros((*face.shape, 3), np.float32)
         _surface_points(face, left, top, self.size, self.uv, self.vertices, self.positions, points)
@@ -72,7 +72,7 @@ class TexelSurface:
         return points, normals
 
     def overlap_mask(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
-        """Masks (size, size) of texels covered by any triangle, and by several, sampled at ``offset``."""
+        """Compute masks (size, size) of texels covered by at least one triangle and by several."""
         highest, lowest = (
             self.faces(0, 0, self.size, self.size, offset, is_highest=is_highest)
             for is_highest in (True, False)
@@ -82,13 +82,13 @@ class TexelSurface:
 
 @compiled
 def corner(uv: Any, vertex: Any, size: Any) -> Any:
-    """Position (x, y) of a vertex on an atlas of ``size`` texels, in texels from the upper left corner."""
+    """Compute the position (x, y) of a vertex on an atlas, in texels from the upper left corner."""
     return np.float64(uv[vertex, 0]) * size, (1.0 - np.float64(uv[vertex, 1])) * size
 
 
 @compiled
 def _span(a: Any, b: Any, c: Any, num_bins: Any) -> Any:
-    """First and last bin along an axis that overlap the range of three coordinates in texels."""
+    """Find the first and last bin along an axis that overlap the range of three coordinates in texels."""
     low, high = min(a, b, c), max(a, b, c)
     last = np.float64(num_bins - 1)
     return int(min(max(np.floor(low / BIN), 0.0), last)), int(min(max(np.floor(high / BIN), 0.0), last))
@@ -96,7 +96,7 @@ def _span(a: Any, b: Any, c: Any, num_bins: Any) -> Any:
 
 @compiled
 def _face_bins(uv: Any, vertices: Any, face: Any, size: Any, num_bins: Any) -> Any:
-    """First and last column, first and last row of the bins that a triangle's bounding box overlaps."""
+    """Find the first and last column and row of the bins that a triangle's bounding box overlaps."""
     ax, ay = corner(uv, vertices[face, 0], size)
     bx, by = corner(uv, vertices[face, 1], size)
     cx, cy = corner(uv, vertices[face, 2], size)
@@ -116,7 +116,7 @@ def _count_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, counts: Any) -
 
 @compiled
 def _fill_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, members: Any) -> None:
-    for face in range(len(vertices)):  # in ascending order, hence also within each bin
+    for face in range(len(vertices)):  # in ascending order, which also holds within each bin
         first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)
         for row in range(first_y, last_y + 1):
             for column in range(first_x, last_x + 1):
@@ -126,8 +126,8 @@ def _fill_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, memb
 
 @compiled
 def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
-    """(x, y, dx, dy, sign) of the edge ab with its ends in canonical order; ``sign`` is ``side``, negated if
-    the ends are swapped.
+    """Return (x, y, dx, dy, sign) of the edge ab with its ends in canonical order; ``sign`` is ``side``,
+    negated if the ends are swapped.
     """
     if ax < bx or (ax == bx and ay <= by):
         return ax, ay, bx - ax, by - ay, side
@@ -136,8 +136,8 @@ def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
 
 @compiled
 def _texel_range(a: Any, b: Any, c: Any, offset: Any, first: Any, last: Any) -> Any:
-    """First and last of the texels in [first, last] whose sample points, at texel + ``offset``, lie between
-    the smallest and largest of three coordinates; last < first if there are none.
+    """Find the first and last texel in [first, last] whose sample point, texel + ``offset``, is between the
+    smallest and largest of three coordinates; last < first if there is none.
     """
     low, high = np.ceil(min(a, b, c) - offset), np.floor(max(a, b, c) - offset)
     return int(max(low, np.float64(first))), int(min(high, np.float64(last)))
@@ -194,7 +194,7 @@ def _rasterise(
 
 @compiled
 def surface_point(face: Any, x: Any, y: Any, size: Any, uv: Any, vertices: Any, positions: Any) -> Any:
-    """World position (x, y, z) of the triangle ``face`` at the point (x, y) of the atlas, in texels."""
+    """Compute the world position (x, y, z) of the triangle ``face`` at (x, y) on the atlas, in texels."""
     i, j, k = vertices[face, 0], vertices[face, 1], vertices[face, 2]
     ax, ay = corner(uv, i, size)
     bx, by = corner(uv, j, size)

@@ -2,9 +2,9 @@
 """Approximates the lights of an asset by at most ``MAX_SOURCES`` points, which the page switches on and off.
 
 A source of radiance L, area A and vector area V (the sum of its triangles' areas times their normals) has the
-intensity L (max(V.w, 0) + (A - |V|) / 4) in direction w: exact for a rectangle, and for a closed convex
-surface on average over directions. It is at the centroid of its area. While there are too many sources, the
-two nearest are merged, which preserves A L. Environments, spots and suns are left out.
+intensity L (max(V.w, 0) + (A - |V|) / 4) in direction w, which is exact for a rectangle, and for a closed
+convex surface on average over directions. It is at the centroid of its area. If there are too many sources,
+the two nearest are merged repeatedly, with the same sum of A L. Environments, spots and suns are omitted.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from datagen.formats.lights import AreaLight, Light, PointLight, SphereLight
 from datagen.foundation.meshes.mesh import Mesh
 
 MAX_SOURCES = 8
-"""Maximum number of sources; equals the value in ``page/shadows.js``."""
-_POINT_RADIUS_M = 0.01  # of the sphere of equal intensity that replaces a point light, which has no area
+"""Maximum number of sources, which equals the value in ``page/shadows.js``."""
+_POINT_RADIUS_M = 0.01  # radius of the sphere of equal intensity that replaces a point light
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Source:
         return max(self.area_m2 - float(np.linalg.norm(self.vector_m2)), 0.0) / 4
 
     def merged(self, other: Source) -> Source:
-        """Merge two sources to one with the sums of A, V and A L, at the mean position weighted by A L."""
+        """Merge two sources into one with the sums of A, V and A L, at the mean position weighted by A L."""
         powers = [float(s.area_m2 * s.radiance.mean()) for s in (self, other)]
         area = self.area_m2 + other.area_m2
         flux = self.area_m2 * self.radiance + other.area_m2 * other.radiance
@@ -61,8 +61,8 @@ class Source:
 def page_sources(
     asset: EnvironmentAsset | ObjectAsset, slots: Mapping[str, Mesh]
 ) -> tuple[list[Source], int, list[str]]:
-    """Sources of the asset's lights and emissive materials, the number of lights before merging, and notes on
-    omitted lights; ``slots`` are the meshes by material.
+    """Return the sources of the asset's lights and emissive materials, the number of lights before merging,
+    and notes on omitted lights; ``slots`` are the meshes by material.
     """
     sources, notes = [], []
     for light in asset.lights:

@@ -2,8 +2,8 @@
 """Converts material channels to 8-bit images for the page, with at most ``max_side`` texels a side.
 
 A material has three images. D and S are sRGB-encoded. The third contains R in red, the state of the atlas in
-green (255 observed, 128 filled in; 255 if unknown), and the minimum confidence of D, S and R in blue (0 if
-unknown). Row 0 is at v = 1. Larger images are averaged down.
+green (255 observed or unknown, 128 filled), and the minimum confidence of D, S and R in blue (0 if unknown).
+Row 0 is at v = 1. Larger images are averaged down.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ KINDS = ("diffuse", "specular", "rough")
 
 @dataclass(frozen=True)
 class PageImage:
-    """An image (H, W, C) of a ``kind`` in :data:`KINDS`; ``original_side`` is the longer side in texels
-    before it was reduced.
+    """An image (H, W, C) of a ``kind`` in :data:`KINDS`; ``original_side`` is its longer side in texels
+    before any reduction.
     """
 
     kind: str
@@ -56,7 +56,7 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
 @dataclass(frozen=True)
 class AtlasState:
     """State of an atlas's texels: ``mask`` (N, N) as in ``mask.png``, and ``confidence`` (N, N), the minimum
-    of D, S and R; None if unknown.
+    over D, S and R; None if unknown.
     """
 
     mask: NDArray[np.uint8] | None = None
@@ -68,7 +68,7 @@ def material_images(
 ) -> Iterator[PageImage]:
     """Make the three images of a material; ``state`` describes the texels of its roughness texture.
 
-    Raises :class:`InputError` if an image cannot be read, or if the sizes of roughness and state differ.
+    Raises :class:`InputError` if an image cannot be read, or if roughness and state differ in size.
     """
     for kind, channel in (("diffuse", material.diffuse_albedo), ("specular", material.specular_albedo)):
         pixels, side = _color_bytes(package, channel, max_side)
@@ -112,7 +112,7 @@ def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], 
 def read_state(folder: Path) -> AtlasState:
     """Read the state of an atlas from the folder ``atlas`` of ``materials infer``, if present.
 
-    Raises :class:`InputError` if an image does not have 8 bits.
+    Raises :class:`InputError` if an image is not 8-bit.
     """
     mask, confidence = (_bytes_of(folder / name) for name in ("mask.png", "confidence.png"))
     return AtlasState(

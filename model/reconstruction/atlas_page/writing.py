@@ -32,7 +32,7 @@ from model.reconstruction.atlas_page.sources import page_sources
 from model.reconstruction.atlas_page.textures import AtlasState, material_images, read_state
 
 MAX_SIDE = 4096
-"""Default maximum side of images in texels; larger ones exceed the limits of many GPUs."""
+"""Default maximum side of images in texels, since larger ones exceed the limits of many GPUs."""
 PREVIEW_SIDE = 1024
 PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "controls.js", "view.js")
 
@@ -56,10 +56,10 @@ def write_view(
     max_side: int = MAX_SIDE,
     progress: Advance = no_advance,
 ) -> ViewResult:
-    """Write the page of an asset package, or of an output folder of ``materials infer``, into ``out``.
+    """Write the page of an asset package, or of an output folder of ``materials infer``, to ``out``.
 
     The mask of observed texels and the confidence are read from the folder ``atlas`` next to the package, if
-    present. Raises :class:`InputError` for other input, and if ``out`` contains other files.
+    present. Raises :class:`InputError` for other input, or if ``out`` contains other files.
     """
     package_path = source / "asset" if is_package(source / "asset") else source
     _check_out(out)
@@ -130,7 +130,7 @@ def _check_out(out: Path) -> None:
 
 
 def _meshes_by_material(package: Package, asset: EnvironmentAsset | ObjectAsset) -> dict[str, Mesh]:
-    """Mesh by material: all parts of the material, in the asset's frame, with normals and UVs."""
+    """Join all parts of each material into one mesh in the asset's frame, with normals and UVs."""
     parts: dict[str, list[Mesh]] = {}
     for part in asset.parts:
         mesh = read_ply(package.local_file(part.mesh)).transformed(np.array(part.asset_from_part))
@@ -160,7 +160,7 @@ def _bounds(meshes: list[Mesh]) -> list[list[float]]:
 
 
 def _cameras(asset: EnvironmentAsset | ObjectAsset) -> list[dict[str, Any]]:
-    """Name, vertical field of view in degrees, position and target (a point 1 m ahead) of each camera."""
+    """Return name, vertical field of view (degrees), position and target (1 m ahead) of each camera."""
     found = []
     for camera in getattr(asset, "cameras", ()):
         matrix = np.array(camera.asset_from_camera)

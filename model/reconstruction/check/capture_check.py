@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Checks whether the mesh of a capture fits its photographs.
 
-Per view: share, side and distance of the visible mesh; black or clipped photographs; whether the mesh's edges
-coincide with the photograph's, and their offset (``check.edges``). Over all views: whether a common offset
-and scale of the mesh explain the offsets (``check.registration``) and, if edges do not coincide at all,
-whether another up axis or unit fits better. Every warning names its views and a remedy.
+In each view, it checks the share, side and distance of the visible mesh, black or clipped photographs, and
+the shift between the edges of mesh and photograph (``check.edges``). Over all views, it checks whether a
+common offset and scale of the mesh explain the shifts (``check.registration``) and, if edges do not coincide
+at all, whether another up axis or unit fits better. Every warning names its views and a remedy.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from model.reconstruction.check.views import CheckReport, Look, view_warnings
 __all__ = ["CheckReport", "Look", "check_capture", "check_looks", "check_traced", "view_warnings"]
 _MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
-_MIN_FIT = 4.0  # minimum of median score without a shift times coverage for a mesh that fits
+_MIN_FIT = 4.0  # minimum of (median score without a shift) x coverage for a mesh that fits
 _BETTER = 1.5  # minimum ratio of the score in another frame to the score in the given one
 
 
@@ -57,7 +57,7 @@ def check_traced(
     out: Path | None = None,
     progress: Advance = no_advance,
 ) -> CheckReport:
-    """As :func:`check_capture`, for a capture that has been read and traced."""
+    """Check a capture that is already read and traced, as :func:`check_capture` does."""
     looks = [
         Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
         for view in traced.views
@@ -71,7 +71,7 @@ def check_looks(
     out: Path | None = None,
     progress: Advance = no_advance,
 ) -> CheckReport:
-    """As :func:`check_capture`, for views that have been read and traced in the selected Mitsuba variant."""
+    """Check views, read and traced with the selected Mitsuba variant, as :func:`check_capture` does."""
     if not any((look.geometry.face >= 0).any() for look in looks):
         raise _nothing_seen(capture, looks)
     sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
@@ -93,7 +93,7 @@ def check_looks(
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Look]) -> None:
-    """Add a warning that the mesh does not fit, with the up axis or unit, if any, that fits some views."""
+    """Add a warning that the mesh does not fit, and the up axis or unit, if any, that fits some views."""
     step = max(1, len(looks) // _MAX_TRIED_VIEWS)
     chosen = looks[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T
@@ -119,8 +119,8 @@ def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Loo
 
 
 def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]) -> float:
-    """Fit of the mesh transformed by ``linear`` (3, 3): the median over views of ``EdgeMatch.at_zero`` times
-    the share of pixels that show the mesh.
+    """Compute the fit of the mesh transformed by ``linear`` (3, 3): the median over views of
+    ``EdgeMatch.at_zero`` times the share of pixels that show the mesh.
     """
     matrix = np.eye(4)
     matrix[:3, :3] = linear

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Compares a mesh's edges with a photograph's, by a score for every shift of one against the other.
+"""Compares the edges of a mesh with those of a photograph by a score for every shift between them.
 
-Edges are fields of double angles (H, W, 2): vectors with the edge's strength as length and twice the angle of
-its normal as angle, so parallel edges agree (+1), perpendicular edges disagree (-1) and textures without
-direction cancel. The score of a shift is the mean agreement over the mesh's edges. A small rotation of the
-camera shifts the image by focal length x angle: the position of the scores' peak gives the camera's error,
-and its height above other scores the certainty. If the camera is rolled or too far forward, the peak is
-higher for an equally rotated or magnified mesh.
+Edges are fields of double angles (H, W, 2): the length of a vector is the edge's strength and its angle twice
+that of the edge's normal, so parallel edges agree (+1), perpendicular edges disagree (-1) and textures
+without direction cancel. The score of a shift is the mean agreement over the mesh's edges. A small rotation
+of the camera shifts the image by focal length x angle, so the position of the highest score gives the
+camera's error, and its height above other scores the certainty. If the camera is rolled or too far forward,
+the peak is higher for a mesh image that is rotated or magnified accordingly.
 
-R is the largest shift in pixels. Image axes: x right, y down; a shift (dx, dy) moves the mesh's edges onto
-the photograph's.
+R is the largest shift in pixels. Image axes are x right and y down; a shift (dx, dy) moves the mesh's edges
+onto the photograph's.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from datagen.foundation.color import luminance, srgb_from_linear
 from datagen.geometry.traced import ViewGeometry
 
 CREASE_RAD = np.radians(25.0)
-_JUMP = 0.03  # minimum distance from the neighbour's plane at a discontinuity, relative to the depth
+_JUMP = 0.03  # minimum distance from the neighbour's tangent plane at a discontinuity, relative to depth
 _BORDER_PX = 3
 _FLAT_LEVEL = 0.01  # gradients below this are noise of 8-bit images
 MIN_EDGE_PX = 60  # minimum number of edge pixels for a score
 _PEAK_RADIUS_PX = 4
-_NEARLY = 0.15  # shifts whose score is lower by less than this share of the peak's height count as equal
-_WARP_WIDTH_PX = 320  # about the width at which rotated and magnified fields are compared
+_NEARLY = 0.15  # scores below the peak by less than this share of its height count as equal
+_WARP_WIDTH_PX = 320  # approximate width at which rotated and magnified fields are compared
 _ROLLS_RAD = tuple(np.radians(k).item() for k in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0))
 _ZOOMS = (0.92, 0.95, 0.975, 1.025, 1.05, 1.08)
 
@@ -41,10 +41,10 @@ _ZOOMS = (0.92, 0.95, 0.975, 1.025, 1.05, 1.08)
 class EdgeMatch:
     """Best shift of a mesh's edges.
 
-    ``peak_px`` (dx, dy): the best shift; ``blur_px2``: covariance (dx^2, dx dy, dy^2) of the shifts with
-    similar scores about it, elongated if edges are mostly parallel. ``at_zero`` and ``at_peak``: scores
-    without a shift and at the best one, in standard deviations above the scores of other shifts.
-    ``num_edge_px``: number of pixels on mesh edges.
+    ``peak_px`` (dx, dy): the best shift; ``blur_px2``: covariance (dx^2, dx dy, dy^2) of shifts with similar
+    scores, elongated if edges are mostly parallel; ``at_zero`` and ``at_peak``: scores without a shift and at
+    the best one, in standard deviations above the scores of other shifts; ``num_edge_px``: number of pixels
+    on mesh edges.
     """
 
     peak_px: tuple[float, float]
@@ -54,7 +54,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Length of a ``shift`` in pixels minus the peak's standard deviation along it; at least 0."""
+        """Compute the length of ``shift`` in pixels minus the peak's deviation along it; at least 0."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
@@ -63,10 +63,10 @@ class EdgeMatch:
 
 @dataclass(frozen=True)
 class WarpMatch:
-    """Rotation (clockwise in the image) and magnification of the mesh's image about the camera's axis that
+    """Rotation (clockwise in the image) and magnification of the mesh's image about the optical axis that
     align it with the photograph.
 
-    A gain is the increase of the peak's score, in standard deviations; ``at_peak`` is the highest score.
+    Gains are increases of the peak score, in standard deviations; ``at_peak`` is the highest score.
     """
 
     roll_rad: float
@@ -77,7 +77,7 @@ class WarpMatch:
 
 
 def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
-    """Mask (H, W) of visible creases and depth discontinuities, as lines two pixels wide."""
+    """Compute the mask (H, W) of visible creases and depth discontinuities, as lines two pixels wide."""
     z = geometry.depth_z_m[..., 0].astype(np.float64)
     hit = geometry.face >= 0
     normal = geometry.normal_world.astype(np.float64) @ camera.world_from_camera[:3, :3]
@@ -109,7 +109,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Relative distance of a neighbour's depth ``other`` from a pixel's tangent plane along its ray."""
+    """Compute the relative distance of a neighbour's depth ``other`` from the pixel's tangent plane."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across
@@ -118,8 +118,8 @@ def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_
 
 
 def edge_field(edges: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Double angles (H, W, 2) of the lines in a mask ``edges`` (H, W), whose normals are the directions of
-    greatest curvature of the blurred mask.
+    """Compute double angles (H, W, 2) of the lines in a mask ``edges`` (H, W), whose normals are the
+    directions of greatest curvature of the blurred mask.
     """
     soft = cv2.GaussianBlur(edges.astype(np.float32), (0, 0), 1.5)
     xx, yy = cv2.Sobel(soft, cv2.CV_32F, 2, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 2)
@@ -132,7 +132,7 @@ def edge_field(edges: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def photograph_field(color: NDArray[np.float32], valid_mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Double angles (H, W, 2) of a linear photograph's gradients; lengths approach 1 for strong gradients."""
+    """Compute double angles (H, W, 2) of a linear photograph's gradients, with lengths of at most 1."""
     grey = luminance(np.maximum(color, 0))
     level = float(np.quantile(grey[valid_mask], 0.9)) if valid_mask.any() else 0.0
     shown = srgb_from_linear(np.clip(grey * (0.7 / max(level, 1e-6)), 0, 1))
@@ -149,8 +149,8 @@ def photograph_field(color: NDArray[np.float32], valid_mask: NDArray[np.bool_]) 
 def match_edges(
     edges: NDArray[np.bool_], photograph: NDArray[np.float32], radius_px: int
 ) -> EdgeMatch | None:
-    """Best shift of ``edges`` (H, W), of at most ``radius_px`` along each axis, onto the field ``photograph``
-    (H, W, 2); None with fewer than ``MIN_EDGE_PX`` edge pixels.
+    """Find the best shift of ``edges`` (H, W), of at most ``radius_px`` along each axis, onto the field
+    ``photograph`` (H, W, 2); None for fewer than ``MIN_EDGE_PX`` edge pixels.
     """
     num = int(edges.sum())
     if num < MIN_EDGE_PX:
@@ -169,7 +169,7 @@ def match_edges(
 
 
 def _scores_off_peak(scores: NDArray[np.float64]) -> tuple[float, float]:
-    """Median and standard deviation of the scores of shifts away from the best."""
+    """Compute the median and standard deviation of the scores of shifts far from the best."""
     peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
     rows, columns = np.indices(scores.shape)
     others = scores[np.hypot(rows - peak[0], columns - peak[1]) > _PEAK_RADIUS_PX]
@@ -181,8 +181,8 @@ def _scores_off_peak(scores: NDArray[np.float64]) -> tuple[float, float]:
 def match_warp(
     edges: NDArray[np.bool_], photograph: NDArray[np.float32], camera: Camera, radius_px: int
 ) -> WarpMatch | None:
-    """Rotation and magnification about the camera's axis for which ``edges`` (H, W) agree best, each at its
-    best shift, with the field ``photograph`` (H, W, 2); None with fewer than ``MIN_EDGE_PX`` edge pixels.
+    """Find the rotation and the magnification about the optical axis at which ``edges`` (H, W) best match the
+    field ``photograph`` (H, W, 2), each at its best shift; None for fewer than ``MIN_EDGE_PX`` edge pixels.
     """
     if int(edges.sum()) < MIN_EDGE_PX:
         return None
@@ -220,7 +220,9 @@ def _warped(
 
 
 def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
-    """The value in ``at``, or ``neutral`` of gain 0, of highest gain, refined by a parabola; and its gain."""
+    """Return the value in ``at``, or ``neutral`` (gain 0), of highest gain, refined by a parabola; and its
+    gain.
+    """
     values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
     order = np.argsort(values)
     values, heights = values[order], heights[order]
@@ -234,7 +236,7 @@ def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[fl
 
 
 def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
-    """Offset (2,) from the index ``peak`` (2,) to the vertices of parabolas through the scores around it."""
+    """Compute the offset (2,) from the index ``peak`` (2,) to the vertices of parabolas through scores."""
     found = np.zeros(2)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]
@@ -248,8 +250,8 @@ def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
 def shift_scores(
     mesh_field: NDArray[np.float32], photograph: NDArray[np.float32], radius_px: int
 ) -> NDArray[np.float64]:
-    """Mean agreement (2 R + 1, 2 R + 1) of the fields (H, W, 2) if that of the mesh is moved by (column - R,
-    row - R) pixels, with R = ``radius_px``.
+    """Compute the mean agreement (2 R + 1, 2 R + 1) of the fields (H, W, 2) for shifts of the mesh's field by
+    (column - R, row - R) pixels, with R = ``radius_px``.
     """
     height, width = mesh_field.shape[:2]
     shape = [cv2.getOptimalDFTSize(side + radius_px) for side in (height, width)]

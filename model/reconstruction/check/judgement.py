@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Derives warnings from the findings of the check: errors common to all views, or errors of single views."""
+"""Derives warnings from the results of the check: errors common to all views, and errors of single views."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from model.reconstruction.check.registration import Registration, SeenShift, common_mistake
 from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
 
-_LOST = 0.6  # score relative to SURE below which a view does not match, if others do
-_SURE_GAIN = 1.2  # in standard deviations; roll and zoom gain less in correct views
+_LOST = 0.6  # score relative to SURE below which a view does not match if others do
+_SURE_GAIN = 1.2  # minimum gain by roll or zoom in standard deviations; it is lower in correct views
 _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
 _MIN_VIEWS, _MAX_SPREAD = 4, 0.3  # minimum number and maximum relative spread of common magnifications
 
@@ -32,7 +32,7 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
             f"the mesh looks {factor:.3f} times too {size} in most views; the focal length, or the mesh's "
             "scale in the cameras' frame, is off by this factor; correct it and check again"
         )
-        return  # a wrong scale shifts the edges in all views, so shifts are no evidence of other errors
+        return  # a wrong scale shifts the edges in all views, so shifts do not indicate other errors
     pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
     mistake = common_mistake(
         [
@@ -66,7 +66,7 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
 
 
 def _common_zoom(report: CheckReport) -> float | None:
-    """The magnification of the mesh's image common to most views; None if there is none."""
+    """Find the magnification of the mesh's image that is common to most views; None if there is none."""
     warps = [view.warp for view in report.views if view.warp is not None and view.warp.at_peak >= SURE]
     zooms = np.array([warp.zoom - 1 for warp in warps if warp.zoom_gain >= _SURE_GAIN])
     if len(zooms) < max(_MIN_VIEWS, 0.5 * len(warps)):
@@ -77,7 +77,7 @@ def _common_zoom(report: CheckReport) -> float | None:
 
 
 def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registration | None) -> None:
-    """Add warnings to views whose camera is rolled, or too far forward or backward."""
+    """Add warnings to views whose cameras are rolled, or too far forward or backward."""
     zoomed = []
     for view, look in zip(report.views, looks, strict=True):
         warp = view.warp
@@ -108,9 +108,9 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
 
 
 def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
-    """Add a warning to a view whose edges are shifted too far, or do not match.
+    """Add a warning to a view whose edges are shifted too far or do not match.
 
-    ``left_px``: the shift (dx, dy) that the common error does not explain, None if edges are ambiguous.
+    ``left_px``: the shift (dx, dy) that the common error does not explain, None if the shift is ambiguous.
     """
     assert view.edges is not None
     is_lost = left_px is None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draws contact sheets of a check: every photograph with the mesh's edges, its name and its findings."""
+"""Draws contact sheets of a check: each photograph with the mesh's edges, its name and the result."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 def write_contact_sheets(
     out: Path, report: CheckReport, colors: Sequence[NDArray[np.float32]], edges: Sequence[NDArray[np.bool_]]
 ) -> list[Path]:
-    """Write ``sheet-01.png`` etc. with all views, from linear ``colors`` (H, W, 3); returns the paths.
+    """Write ``sheet-01.png`` etc. with all views, from linear ``colors`` (H, W, 3); return the paths.
 
     The masks ``edges`` (H, W) are drawn green if they fit, red if there is a warning, else yellow.
     """

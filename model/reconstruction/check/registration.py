@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Estimates whether a displacement and scale of the mesh explain the shifts of all views.
+"""Estimates whether a displacement and scale of the mesh explain the shifts in all views.
 
 If mesh points p are displaced to p + d + e (p - m), with m the cameras' mean position, a camera at c observes
 the displacement d + e (c - m); the remainder e (p - c) scales the room about the camera, which does not
-change its image. A view's edges are therefore shifted by f (d + e (c - m))_xy / z, in the camera's axes.
+change its image. The edges in a view are therefore shifted by f (d + e (c - m))_xy / z, in the camera's axes.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 
-# minimum offset and error of scale that are reported, and their minimum size in standard deviations
+# minimum reported offset and error of scale, and their minimum in standard deviations
 _OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0
 _MIN_VIEWS, _MIN_VIEWS_FOR_SCALE = 4, 8
-_FLOOR_PX2 = 0.25  # added to a peak's blur, since shifts are known to half a pixel at best
+_FLOOR_PX2 = 0.25  # added to a peak's covariance, since shifts are known to half a pixel at best
 _OUTLIER = 1.5  # standard deviations of the residual above which a view has less weight
-_EXPLAINED = 0.75  # maximum share of the median shift that may remain
+_EXPLAINED = 0.75  # maximum remaining share of the median shift
 
 
 @dataclass(frozen=True)
 class SeenShift:
-    """A view's camera, the mean depth of its edges, and ``peak_px`` and ``blur_px2`` of its ``EdgeMatch``."""
+    """A view's camera, mean edge depth, and ``peak_px`` and ``blur_px2`` of its ``EdgeMatch``."""
 
     camera: Camera
     depth_m: float
@@ -38,9 +38,9 @@ class SeenShift:
 class Registration:
     """A significant error of the mesh common to all views.
 
-    ``offset_m``: offset of the mesh relative to the cameras, None if insignificant. ``scale``: scale of the
-    mesh relative to the cameras, 1 if insignificant. ``left_px``: each view's remaining shift (dx, dy).
-    ``center_m`` (3,): the cameras' mean position.
+    ``offset_m``: offset of the mesh relative to the cameras, None if insignificant; ``scale``: scale of the
+    mesh relative to the cameras, 1 if insignificant; ``left_px``: remaining shift (dx, dy) of each view;
+    ``center_m`` (3,): mean position of the cameras.
     """
 
     offset_m: tuple[float, float, float] | None
@@ -49,13 +49,13 @@ class Registration:
     center_m: NDArray[np.float64]
 
     def moved_m(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apparent displacement (3,) of the mesh, in metres, for a camera at ``position_m`` (3,)."""
+        """Compute the apparent displacement (3,) of the mesh in metres for a camera at ``position_m``."""
         offset = np.zeros(3) if self.offset_m is None else np.array(self.offset_m)
         return offset + (self.scale - 1) * (position_m - self.center_m)
 
 
 def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
-    """Offset and scale of the mesh that best explain the shifts of all views; None if insignificant.
+    """Estimate the offset and scale of the mesh that best explain all shifts; None if insignificant.
 
     Least squares are robust to single wrong views. Scale is estimated from eight views or more.
     """
@@ -95,7 +95,7 @@ def _is_moved(offset_m: NDArray[np.float64], covariance: NDArray[np.float64]) ->
 def _robust(
     a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Robust solution (N,) of ``a`` (V, 2, N) x = ``b`` (V, 2), and its covariance (N, N)."""
+    """Solve ``a`` (V, 2, N) x = ``b`` (V, 2) robustly; return the solution (N,) and its covariance (N, N)."""
     weight = np.ones(len(a))
     found = np.zeros(a.shape[2])
     for _ in range(20):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views and findings of the check, per view and per capture."""
+"""Views and results of the check, per view and per capture."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from model.reconstruction.check.edges import (
 
 MIN_COVERAGE = 0.05  # minimum share of pixels that show the mesh
 MAX_CLIPPED = 0.5
-_NEAR_M, _MAX_NEAR = 0.05, 0.5  # a camera with a larger share of the mesh nearer than this is in a wall
-SEARCH_RAD = np.radians(3.5)  # largest rotation error of a camera that is searched
-_MIN_RADIUS_PX = 24  # gives enough other shifts to distinguish a peak from chance
+_NEAR_M, _MAX_NEAR = 0.05, 0.5  # a camera is in a wall if a larger share of the mesh is nearer
+SEARCH_RAD = np.radians(3.5)  # maximum rotation error of a camera in the search
+_MIN_RADIUS_PX = 24  # ensures enough other shifts to distinguish a peak from chance
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
 SURE = 5.0  # standard deviations above which a peak is significant
 
 
 @dataclass
 class ViewCheck:
-    """Findings of a view.
+    """Results of the check of a view.
 
     ``coverage``: share of pixels that show the mesh; ``back_share``: share of these that show its back;
-    ``nearest_m``: least depth; ``off_deg``: the shift as an angle of the camera, None without edges;
-    ``depth_m`` and ``zoom_depth_m``: mean depths of edges for shifts and for magnifications.
+    ``nearest_m``: minimum depth; ``off_deg``: shift as a rotation of the camera, None without edges;
+    ``depth_m`` and ``zoom_depth_m``: mean edge depths for shifts and for magnifications.
     """
 
     name: str
@@ -60,11 +60,11 @@ class ViewCheck:
 
 @dataclass
 class CheckReport:
-    """Findings per view and for the capture.
+    """Results of the check of a capture.
 
-    ``fit``: median over the views of the edges' score without a shift, in standard deviations; ``offset_m``:
-    apparent displacement of the mesh, None if unknown or negligible; ``scale``: its apparent scale in the
-    cameras' frame; ``better``: option or unit with which a mesh in the wrong frame fits, or empty.
+    ``fit``: median over views of the edge score without a shift, in standard deviations; ``offset_m``:
+    apparent displacement of the mesh, None if unknown or negligible; ``scale``: its apparent scale relative
+    to the cameras; ``better``: option or unit with which a mesh in the wrong frame fits, or empty.
     """
 
     name: str
@@ -82,12 +82,12 @@ class CheckReport:
         return [*self.warnings, *(warning for view in self.views for warning in view.warnings)]
 
     def table(self) -> dict[str, Any]:
-        """The content of ``check.json``."""
+        """Return the content of ``check.json``."""
         return {"format": "scene-materials/check", **asdict(self)}
 
 
 def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
-    """Warnings, each with a remedy, if a photograph of linear ``color`` (H, W, 3) hardly shows the mesh, is
+    """Return warnings, with remedies, if a photograph of linear ``color`` (H, W, 3) hardly shows the mesh, is
     black or is mostly clipped.
     """
     found = []
@@ -108,8 +108,8 @@ def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry)
 
 @dataclass
 class Look:
-    """A view that has been read and traced, with ``edges`` (H, W), the mask of the mesh's edges, and
-    ``field`` (H, W, 2), the photograph's edges as double angles.
+    """A view that is read and traced, with the mask ``edges`` (H, W) of the mesh's edges and the photograph's
+    edges ``field`` (H, W, 2) as double angles.
     """
 
     name: str
@@ -123,7 +123,7 @@ class Look:
 
     @property
     def radius_px(self) -> int:
-        """The largest shift to search, in pixels."""
+        """Largest shift that is searched, in pixels."""
         wanted = max(self.camera.fx_px * float(np.tan(SEARCH_RAD)), _MIN_RADIUS_PX)
         return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
 
@@ -165,15 +165,16 @@ class Look:
         return found
 
     def _zoom_depth_m(self, at: NDArray[np.bool_], depth: NDArray[np.floating]) -> float:
-        """Depth z0 such that a forward motion t of the camera magnifies the edges in a mask by 1 + t / z0.
+        """Compute the depth z0 for which a forward motion t of the camera magnifies masked edges by 1 + t /
+        z0.
 
-        An edge at distance r from the axis and depth z moves outwards by r t / z; one factor is fitted to
-        all edges by least squares.
+        An edge at distance r from the optical axis and depth z moves outwards by r t / z; one factor is
+        fitted to all edges by least squares.
         """
         centers = self.camera.pixel_centers()[at] - [self.camera.cx_px, self.camera.cy_px]
         squared = (centers**2).sum(axis=-1)
         return float(squared.sum() / (squared / depth[at]).sum())
 
     def tolerance_px(self) -> float:
-        """Shift of the edges, in pixels, up to which a view counts as correct."""
+        """Compute the shift of edges, in pixels, up to which a view counts as correct."""
         return max(_TOLERANCE_PX, self.camera.fx_px * float(np.tan(TOLERANCE_RAD)))

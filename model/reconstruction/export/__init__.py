@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Exports of an atlas: images, asset package, GLB, USDZ and Mitsuba scene."""
+"""Exports an atlas as images, asset package, GLB, USDZ and Mitsuba scene."""

@@ -2,7 +2,7 @@
 """Writes a reconstruction as an environment package for ``datagen``.
 
 The surface is one part with one material of three textures; every lamp is a separate part with its radiance.
-Windows are area lights or, if light from outside is distant, replaced by an image of the sky.
+Light from windows is exported as area lights or, if it comes from far away, as an image of the sky.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import Reconstruction, Slot, environment_exr, export_slots
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, FoundLights
 
-_REGION_MARGIN_M = 0.05  # a single camera would give an empty region
+_REGION_MARGIN_M = 0.05  # prevents an empty region for a single camera
 
 
 def write_asset(
@@ -38,8 +38,8 @@ def write_asset(
 ) -> Package:
     """Write the reconstruction as an environment package, with the capture's cameras and recovered lights.
 
-    Without recovered lights, the package has the capture's lights, except those with an image in another
-    package, which would make it incomplete.
+    Without recovered lights, the package contains the capture's lights, except those with an image in another
+    package, on which it would depend.
     """
     capture = reconstruction.capture
     files: dict[str, FileSource] = {
@@ -76,7 +76,7 @@ def write_asset(
 
 
 def _found_lights(found: FoundLights) -> tuple[Light, ...]:
-    """Area lights for the rectangles of panels and windows, and an environment light for the sky."""
+    """Convert rectangles of panels and windows to area lights, and the sky to an environment light."""
     areas = (
         AreaLight(
             name=f"{patch.slot}-{number}",

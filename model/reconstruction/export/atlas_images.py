@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Writes atlases as image files: 8-bit PNG for viewers and packages, EXR for exact values.
 
-Diffuse and specular albedo are stored sRGB-encoded in 8 bits (at most 1/510 off in encoded values), roughness
+PNG stores diffuse and specular albedo sRGB-encoded (error at most 1/510 in encoded values), roughness
 linearly. Row 0 is at v = 1. Integer arrays are made band by band, so a 16K atlas needs no float copy.
 """
 
@@ -26,18 +26,18 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
 _BAND = 1024
 MAX_TEXTURE = 4096
-"""Maximum side in texels of textures in a GLB or USDZ, a limit of most viewers; larger ones are reduced."""
+"""Maximum side of textures in a GLB or USDZ, in texels, a limit of most viewers; larger ones are reduced."""
 CONFIDENCE = "confidence"
 SEEN, FILLED, EMPTY = 255, 128, 0
-"""Values of the mask: observed surface, filled-in surface, no surface."""
+"""Values of the mask for observed surface, filled surface and no surface."""
 
 
 def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
-    """Quantise the map ``name`` (H, W, C) of half floats to 8 bits, sRGB-encoded if it has three channels."""
+    """Quantise the map ``name`` (H, W, C) to 8 bits, sRGB-encoded if it has three channels."""
     halves = np.arange(65536, dtype=np.uint32).astype(np.uint16).view(np.float16).astype(np.float32)
     values = np.nan_to_num(np.clip(halves, 0.0, 1.0))
     table = quantized_bytes(srgb_from_linear(values) if MAP_CHANNELS[name] == 3 else values)
-    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # B G R in memory, which the PNG writer does not copy
+    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # B G R in memory, so the PNG writer need not copy it
     for top in range(0, array.shape[0], _BAND):
         band = np.ascontiguousarray(array[top : top + _BAND], np.float16)
         stored[top : top + _BAND] = table[band.view(np.uint16)]
@@ -46,12 +46,12 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
 
 
 def texture_shrink(atlas: Atlas) -> int:
-    """Smallest divisor of the atlas's size that reduces it to at most :data:`MAX_TEXTURE` texels a side."""
+    """Return the smallest divisor of the atlas size that reduces it to at most :data:`MAX_TEXTURE` texels."""
     return next(k for k in range(-(-atlas.size // MAX_TEXTURE), atlas.size + 1) if atlas.size % k == 0)
 
 
 def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
-    """Means (H / shrink, W / shrink, C) of ``band`` (H, W, C) over squares of ``shrink`` texels a side."""
+    """Average ``band`` (H, W, C) over squares of ``shrink`` texels a side to (H / shrink, W / shrink, C)."""
     values = np.asarray(band, np.float32)
     if shrink == 1:
         return values
@@ -76,9 +76,9 @@ def write_atlas_images(
     has_exr: bool = True,
     progress: Advance = no_advance,
 ) -> list[Path]:
-    """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; returns the paths.
+    """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; return the paths.
 
-    If known, the confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B.
+    Any confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B.
     """
     folder.mkdir(parents=True, exist_ok=True)
 
@@ -122,7 +122,7 @@ def _write_exr(path: Path, half: NDArray) -> None:
             {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
         ) as file:
             file.write(str(temporary))
-    except RuntimeError as error:  # OpenEXR embeds the system's error in a sentence
+    except RuntimeError as error:  # OpenEXR embeds the system error in its message
         temporary.unlink(missing_ok=True)
         codes = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         code = next((code for code in codes if os.strerror(code) in str(error)), errno.EIO)

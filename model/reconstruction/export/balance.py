@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Estimates gains of the recovered lights that make the exported asset as bright as the photographs.
 
-A recovered light has the radiance photographed, or inferred, where it is emitted or enters. The brightness of
-other surfaces also depends on surfaces in no photograph, on the merged materials, and on windows that are
-exported as diffuse rectangles. Therefore the radiance of photographed pixels in the light of each source is
-path traced in the exported Mitsuba scene. The gains, one per light and channel, minimise a robust loss of the
-differences in log radiance from the photographs, including pixels that show a light.
+A recovered light has the radiance that was photographed or inferred where it is emitted or enters. The
+brightness of other surfaces also depends on unphotographed surfaces, on the merged materials, and on windows
+that are exported as diffuse rectangles. Therefore the radiance of photographed pixels in the light of each
+source is path traced in the exported Mitsuba scene. The gains, one per light and channel, minimise a robust
+loss of the differences in log radiance from the photographs, including pixels that show a light.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import SKY, Color, FoundLights, RadianceSamples, as_color
 
 PATHS, MAX_DEPTH = 256, 24
-"""Paths per sample and light, and their maximum number of segments."""
+"""Light paths per sample and light, and their maximum number of segments."""
 MAX_LIGHTS = 24
-"""Maximum number of gains; the least powerful lights share one."""
+"""Maximum number of gains; the least powerful lights share the last one."""
 NOISE, FLOOR = 0.3, 0.1
-"""Difference of ln radiance above which the loss is linear; radiance added before the logarithm, relative to
-the median."""
+"""Difference of ln radiance above which the loss is linear, and radiance that is added before the logarithm,
+relative to the median."""
 GAIN_SPREAD, COLOR_SPREAD = 2.0, 0.2
-"""Standard deviations of the prior: of ln gain, and of its deviation from the mean over the channels."""
+"""Prior standard deviations of ln gain and of its deviation from the mean over channels."""
 MIN_SAMPLES = 100
 _BATCH = 1 << 19  # paths
 
 
 @dataclass(frozen=True)
 class Balance:
-    """``lights`` multiplied by ``gains`` by slot, and the mean loss of held-out samples before and after."""
+    """Balanced ``lights``, ``gains`` by slot, and the mean loss of held-out samples before and after."""
 
     lights: FoundLights
     gains: dict[str, Color]
@@ -52,10 +52,10 @@ class Balance:
 
 
 def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balance | None:
-    """Balance the recovered lights of ``reconstruction`` to the photographed ``samples``.
+    """Balance the recovered lights of ``reconstruction`` against the photographed ``samples``.
 
-    None if no light emits, if there are fewer than :data:`MIN_SAMPLES` samples, or if gains from half of the
-    samples do not reduce the loss of the other half.
+    Returns None if no light emits, if there are fewer than :data:`MIN_SAMPLES` samples, or if gains from half
+    of the samples do not reduce the loss of the other half.
     """
     lights = reconstruction.shining_lights
     if lights is None or len(samples) < MIN_SAMPLES:
@@ -79,7 +79,7 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
 
 
 def _groups(lights: FoundLights) -> list[list[str]]:
-    """Groups of slots that share a gain: the sky with the windows, then lights by decreasing power."""
+    """Group the slots that share a gain: the sky with the windows, then lights by decreasing power."""
     powers = {lamp.slot: lamp.area_m2 * sum(lamp.radiance) for lamp in lights.lamps if lamp.is_lit}
     powers |= {patch.slot: patch.area_m2 * sum(patch.radiance) for patch in lights.sending}
     groups = [[slot] for slot in sorted(powers, key=lambda slot: (-powers[slot], slot))]
@@ -90,7 +90,7 @@ def _groups(lights: FoundLights) -> list[list[str]]:
 
 
 def _emitters(lights: FoundLights) -> dict[str, list[str]]:
-    """Names of the exported emitters by slot, without dark rectangles."""
+    """Return the names of the exported emitters by slot, without dark rectangles."""
     names = {lamp.slot: [lamp.slot] for lamp in lights.lamps if lamp.is_lit}
     for patch in lights.sending:
         is_lit = (max(rectangle.radiance) > 0 for rectangle in patch.rectangles)
@@ -101,7 +101,7 @@ def _emitters(lights: FoundLights) -> dict[str, list[str]]:
 def _transport(
     reconstruction: Reconstruction, samples: RadianceSamples, groups: Sequence[Sequence[str]]
 ) -> NDArray[np.float64]:
-    """Radiance (N, K, 3) of the samples in the light of each of K groups of emitters."""
+    """Compute the radiance (N, K, 3) of the samples in the light of each of K groups of emitters."""
     import drjit as dr
 
     with tempfile.TemporaryDirectory(prefix="lights-") as folder:
@@ -141,7 +141,7 @@ def _rays(samples: RadianceSamples, which: NDArray[np.int64]) -> Any:
 
 
 class _Emitters:
-    """Switches emitters of a scene on and off; ``names`` are ids of emissive shapes and of the sky."""
+    """Switches emitters of a scene on and off; ``names`` are the ids of emissive shapes and of the sky."""
 
     def __init__(self, scene: Any, names: Sequence[str]):
         import mitsuba as mi
@@ -162,14 +162,14 @@ class _Emitters:
 
 
 def _emission_keys(parameters: Any, name: str) -> tuple[str, str]:
-    """Names of an emitter's scene parameters for its emission and its weight in light sampling."""
+    """Return the names of the scene parameters for an emitter's emission and its weight in light sampling."""
     prefix = name if f"{name}.scale" in parameters else f"{name}.emitter"
     emission = "scale" if prefix == name else "radiance.value"
     return f"{prefix}.{emission}", f"{prefix}.sampling_weight"
 
 
 def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.float64]:
-    """Path-traced radiance (N, 3) of the samples in the light of the emitters that are on."""
+    """Path trace the radiance (N, 3) of the samples in the light of the emitters that are on."""
     import mitsuba as mi
 
     integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH // 2})
@@ -185,19 +185,19 @@ def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.flo
 
 
 def _differences(transport: NDArray, photographed: NDArray, floor: float, gains: NDArray) -> NDArray:
-    """ln(radiance + floor) of the asset minus that ``photographed``, (N, 3), for ``gains`` (K, 3) of the K
-    lights; ``transport`` (N, K, 3) is the radiance in each light at gain 1.
+    """Compute ln(radiance + floor) of the asset minus that of the photographs, (N, 3), for ``gains`` (K, 3)
+    of K lights; ``transport`` (N, K, 3) is the radiance in the light of each at gain 1.
     """
     return np.log((transport * gains).sum(axis=1) + floor) - np.log(photographed + floor)
 
 
 def _loss(differences: NDArray) -> NDArray[np.float64]:
-    """Pseudo-Huber loss: half the squared difference, linear above about :data:`NOISE`."""
+    """Compute the pseudo-Huber loss: half the squared difference, linear above about :data:`NOISE`."""
     return np.asarray(NOISE**2 * (np.sqrt(1 + (differences / NOISE) ** 2) - 1))
 
 
 def _solved(transport: NDArray, photographed: NDArray, floor: float) -> NDArray[np.float64]:
-    """Gains (K, 3) that minimise the loss and the deviations from their prior."""
+    """Compute the gains (K, 3) that minimise the loss plus the squared deviations from the prior."""
     from scipy.optimize import least_squares
 
     shape = transport.shape[1:]

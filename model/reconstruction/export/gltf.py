@@ -22,10 +22,10 @@ _FLOAT, _UINT = 5126, 5125
 
 
 def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
-    """Write a GLB with geometry (rotated to Y up) and textures; returns the error of the conversion.
+    """Write a GLB with geometry (rotated to Y up) and textures; return the error of the conversion.
 
     Recovered lamps, panels and windows become emissive surfaces; ``has_punctual`` adds point lights for small
-    lamps. The sky is left out, since glTF has none.
+    lamps. The sky is omitted, since glTF does not support it.
     """
     made = reconstruction.metallic
     writer = _Glb()
@@ -111,8 +111,8 @@ class _Glb:
         return len(self.views) - 1
 
     def array(self, rows: NDArray, kind: str, *, has_bounds: bool = False) -> int:
-        """Add an array (N, C) of vertex data (float32) or, of the type ``SCALAR``, of indices (uint32);
-        returns its accessor's index.
+        """Add an array (N, C) of vertex data (float32) or, if ``kind`` is ``SCALAR``, of indices (uint32);
+        return the index of its accessor.
         """
         is_index = kind == "SCALAR"
         stored = np.ascontiguousarray(rows, "<u4" if is_index else "<f4")
@@ -128,9 +128,9 @@ class _Glb:
         return len(self.accessors) - 1
 
     def mesh(self, mesh: Mesh, *, has_uv: bool) -> dict[str, Any]:
-        """Add a mesh; returns the JSON attributes and indices of its primitive."""
+        """Add a mesh; return the JSON attributes and indices of its primitive."""
         assert mesh.normals is not None and mesh.uv is not None
-        turn = Z_UP_FROM_Y_UP[:3, :3]  # multiplied from the right: the inverse rotation, Y up from Z up
+        turn = Z_UP_FROM_Y_UP[:3, :3]  # multiplication from the right applies the inverse, Y up from Z up
         attributes = {
             "POSITION": self.array(mesh.positions @ turn, "VEC3", has_bounds=True),
             "NORMAL": self.array(_unit(mesh.normals @ turn), "VEC3"),
@@ -140,12 +140,12 @@ class _Glb:
         return {"attributes": attributes, "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR")}
 
     def image(self, png: bytes) -> int:
-        """Add a PNG image; returns its index, which is also that of its texture."""
+        """Add a PNG image; return its index, which is also that of its texture."""
         self.images.append({"bufferView": self._view(png), "mimeType": "image/png"})
         return len(self.images) - 1
 
     def tables(self) -> dict[str, Any]:
-        """The JSON tables of the collected objects."""
+        """Return the JSON tables of the collected objects."""
         return {
             "images": self.images,
             "accessors": self.accessors,

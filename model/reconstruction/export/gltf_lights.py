@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Lights in glTF: emissive surfaces (KHR_materials_emissive_strength) and small lamps as point lights
-(KHR_lights_punctual).
+"""Converts lights to glTF: emissive surfaces (KHR_materials_emissive_strength), and small lamps also to point
+lights (KHR_lights_punctual).
 
 Emissive surfaces illuminate the scene in path tracers, but not in rasterising viewers. Path tracers would
-count a lamp twice if it were a point light as well; point lights are therefore optional.
+count the light of a lamp twice if it were also a point light, so point lights are optional.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from model.reconstruction.found_lights import Color
 
 PUNCTUAL, STRENGTH = "KHR_lights_punctual", "KHR_materials_emissive_strength"
 SMALL_M = 0.5
-"""Largest side in metres of the bounding box of a lamp that becomes a point light."""
+"""Maximum side, in metres, of the bounding box of a lamp that is exported as a point light."""
 LUMENS_A_WATT = 683.0
-"""Candela per W/sr in each channel, the factor by which Blender and other programs convert intensities."""
+"""Candela per W/sr in each channel, as Blender and other programs convert intensities."""
 
 
 def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
-    """Add emission of a ``radiance`` to a glTF material: a colour factor of at most 1 and a strength."""
+    """Add emission of ``radiance`` to a glTF material, as a colour factor of at most 1 and a strength."""
     peak = max(radiance)
     if peak <= 0:
         return material
@@ -33,10 +33,10 @@ def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
 
 
 def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """glTF point lights for small lamps, and the nodes that place them.
+    """Return glTF point lights for small lamps, and the nodes that position them.
 
-    A convex lamp of area A and radiance L has a mean intensity of L A / 4, since its mean projected area is a
-    quarter of its area.
+    A convex lamp of area A and radiance L has a mean intensity of L A / 4, since its mean projected area is A
+    / 4.
     """
     lights: list[dict[str, Any]] = []
     nodes: list[dict[str, Any]] = []

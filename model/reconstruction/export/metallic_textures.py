@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Converts D and S to metallic-roughness textures with a specular colour, and measures the error.
 
-In glTF, F0 = lerp(min(0.04 c, 1), base, m) with the specular colour c and the metalness m, and the diffuse
-albedo is base (1 - m). Surfaces of S up to 0.16 (an index of 2.3) become dielectrics, exactly: m = 0, base =
-D, c = S / 0.04. For larger S, m solves S (1 - m) = 0.16 (1 - m)^2 + D m in the mean over channels, so that
+In glTF, F0 = lerp(min(0.04 c, 1), base, m) with specular colour c and metalness m, and the diffuse albedo is
+base (1 - m). Surfaces with S up to 0.16 (refractive index 2.3) become dielectrics without error: m = 0, base
+= D, c = S / 0.04. For larger S, m solves S (1 - m) = 0.16 (1 - m)^2 + D m in the mean over channels, so
 viewers without the extension show metals as metals; c compensates for the remainder as far as possible.
 """
 
@@ -26,8 +26,8 @@ _BAND = 1024
 
 @dataclass(frozen=True)
 class ConversionError:
-    """Mean and maximum absolute errors of D and S as a glTF reader decodes them, over the texels with a
-    surface, and the textures' side in texels.
+    """Mean and maximum absolute errors of D and S as decoded by a glTF reader, over the texels with a
+    surface, and the side of the textures in texels.
     """
 
     diffuse_mean: float
@@ -58,15 +58,15 @@ def metallic_channels(
 
 
 def as_read(base: NDArray, metallic: NDArray, tint: NDArray) -> tuple[NDArray, NDArray]:
-    """D and S (..., 3) that a glTF reader decodes from the results of :func:`metallic_channels`."""
+    """Decode D and S (..., 3) as a glTF reader does, from the results of :func:`metallic_channels`."""
     m = metallic[..., None]
     return base * (1 - m), np.minimum(MAX_DIELECTRIC_F0 * tint, 1.0) * (1 - m) + base * m
 
 
 @dataclass(frozen=True)
 class MetallicTextures:
-    """PNG textures: base colour; ``orm``, occlusion (always 1), roughness and metalness as R, G and B; and
-    specular colour divided by its factor 4.
+    """PNG textures: base colour; ``orm``, which contains occlusion (always 1), roughness and metalness as R,
+    G and B; specular colour divided by its factor 4.
     """
 
     base_color: bytes
@@ -76,7 +76,7 @@ class MetallicTextures:
 
 
 def metallic_textures(atlas: Atlas) -> MetallicTextures:
-    """Convert an atlas to textures; their errors include quantisation."""
+    """Convert an atlas to textures; the reported error includes quantisation."""
     shrink = texture_shrink(atlas)
     bands: list[list[NDArray[np.uint8]]] = [[], [], []]
     sums, most, num = np.zeros(2), np.zeros(2), 0

@@ -28,11 +28,11 @@ _MATERIAL = "atlas"
 
 
 def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sensors: bool = True) -> Path:
-    """Write ``scene.xml``, its meshes and its textures to ``folder``, and return the path of ``scene.xml``.
+    """Write ``scene.xml``, its meshes and its textures to ``folder``; return the path of ``scene.xml``.
 
     Loading it requires ``mitsuba_plugins.register()``, which provides its BSDF. Sensors are the capture's
     cameras with their mean focal length, since Mitsuba's pixels are square. Lights are the recovered lights,
-    else the capture's point lights and constant sky, else a white sky. A shape's id is the name of its mesh.
+    else the capture's point lights and constant sky, else a white sky. Shape ids are the names of meshes.
     """
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)
@@ -85,7 +85,7 @@ def _add_emission(shape: ElementTree.Element, emission: Color | None) -> None:
 
 
 def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> None:
-    """Add rectangles of panels and windows, with zero reflectance, and the sky."""
+    """Add the rectangles of panels and windows, with zero reflectance, and the sky."""
     for name, (mesh, radiance) in patch_meshes(found.sending).items():
         shape = _add_mesh(scene, folder, name, mesh)
         _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Common parts of the exports: slots, namely the surface with the atlas's materials and the lamps, and meshes
-and images of lights."""
+"""Slots of the exports, which are the surface with the atlas's materials and the lamps, and meshes of lights."""
 
 from __future__ import annotations
 
@@ -22,16 +21,16 @@ from model.reconstruction.found_lights import Color, FoundLights, FoundPatch
 
 SURFACE = "surface"
 WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""World (Z up, the sky's centre column along +Y) from the frame of Mitsuba's and USD's skies (Y up, centre
-column along +Z)."""
+"""Transform (4, 4) to the world (Z up, the sky's centre column along +Y) from the frame of skies in Mitsuba
+and USD (Y up, centre column along +Z)."""
 
 
 @dataclass(frozen=True)
 class Reconstruction:
     """Input of the exports.
 
-    ``mesh`` is unwrapped and has the capture's order of faces; ``atlas`` is filled; ``images`` is the folder
-    written by ``write_atlas_images``; ``lights`` are None if not requested.
+    ``mesh`` is unwrapped, with faces in the order of the capture; ``atlas`` is filled; ``images`` is the
+    folder written by ``write_atlas_images``; ``lights`` is None if not requested.
     """
 
     capture: Capture
@@ -42,19 +41,19 @@ class Reconstruction:
 
     @cached_property
     def metallic(self) -> MetallicTextures:
-        """The atlas as metallic-roughness textures, for GLB and USDZ."""
+        """Metallic-roughness textures of the atlas, for GLB and USDZ."""
         return metallic_textures(self.atlas)
 
     @property
     def shining_lights(self) -> FoundLights | None:
-        """The recovered lights, which replace the capture's known lights; None if none of them emits."""
+        """Recovered lights, which replace the capture's known lights; None if none of them emits."""
         return None if self.lights is None or self.lights.is_dark else self.lights
 
 
 @dataclass(frozen=True)
 class Slot:
-    """Triangles with one material; ``emission`` is a lamp's radiance, ``has_material`` whether the material
-    uses the atlas's maps.
+    """Triangles with one material; ``emission`` is a lamp's radiance or None, ``has_material`` whether the
+    material uses the atlas's maps.
     """
 
     mesh: Mesh
@@ -63,7 +62,7 @@ class Slot:
 
 
 def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
-    """The triangles in the mask ``chosen`` (M,), with their vertices and normals, computed if missing."""
+    """Return the triangles in the mask ``chosen`` (M,) with their vertices; missing normals are computed."""
     mesh = with_normals(mesh)
     assert mesh.normals is not None
     faces = mesh.faces[chosen]
@@ -77,8 +76,8 @@ def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
 
 
 def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
-    """Slots by name: ``surface``; ``lamp-0``, ..., the emissive parts of the geometry, with their recovered
-    radiance if any light was recovered; and ``found-0``, ..., other surfaces that were found to emit.
+    """Return slots by name: ``surface``; ``lamp-0``, ... for emissive parts of the geometry, with recovered
+    radiance if any light was recovered; and ``found-0``, ... for other surfaces that were found to emit.
     """
     mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry
     found = reconstruction.shining_lights
@@ -104,13 +103,13 @@ def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
 
 
 def turned(mesh: Mesh) -> Mesh:
-    """The mesh with reversed winding and normals."""
+    """Return the mesh with reversed winding and normals."""
     faces = np.ascontiguousarray(mesh.faces[:, [0, 2, 1]])
     return Mesh(mesh.positions, faces, None if mesh.normals is None else -mesh.normals, mesh.uv)
 
 
 def patch_meshes(patches: Iterable[FoundPatch]) -> dict[str, tuple[Mesh, Color]]:
-    """Mesh and radiance of each rectangle of windows and panels, by name."""
+    """Return the mesh and radiance of each rectangle of windows and panels, by name."""
     meshes = {}
     for patch in patches:
         for number, rectangle in enumerate(patch.rectangles):
@@ -124,5 +123,5 @@ def patch_meshes(patches: Iterable[FoundPatch]) -> dict[str, tuple[Mesh, Color]]
 
 
 def environment_exr(environment: NDArray[np.float32]) -> bytes:
-    """Encode an image (H, W, 3) of the sky as EXR."""
+    """Encode a sky image (H, W, 3) as EXR."""
     return encode_view({"beauty": environment})

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Writes a reconstruction as one USDZ file: surfaces as UsdPreviewSurface, lights as UsdLux.
+"""Writes a reconstruction as one USDZ file, with surfaces as UsdPreviewSurface and lights as UsdLux.
 
-The root's variant set ``workflow`` has two variants. *metallic*, the default, is supported by every program:
-base colour, occlusion-roughness-metalness, and one index of refraction, from the mean S of non-metallic
-texels. *specular* has exact D, S and R, but is misread by some programs (Blender 4.5, AR Quick Look).
+The root's variant set ``workflow`` has two variants. *metallic*, the default, is supported by all programs
+and has base colour, occlusion-roughness-metalness, and one index of refraction, from the mean S of
+non-metallic texels. *specular* has exact D, S and R, but some programs misread it (Blender 4.5, AR Quick
+Look).
 
 The stage is in metres with Y up; one root transform rotates the capture's Z up, and everything below it is in
 the capture's frame. Emissive surfaces are mesh lights whose material shows the same radiance
-(``materialSyncMode`` independent); windows and panels are rectangle lights, the sky is a dome light. Needs
+(``materialSyncMode`` independent), windows and panels rectangle lights, and the sky a dome light. Requires
 ``usd-core`` (the extra ``usd``).
 """
 
@@ -45,9 +46,9 @@ _INPUTS = {
         "roughness": "orm.g",
     },
 }
-"""Inputs of the surface and the texture outputs connected to them, by workflow."""
+"""Texture outputs that are connected to the inputs of the surface shader, by workflow."""
 _BAND = 1024
-_FIRST_ZIP_TIME_S = 315532800  # 1980, in all files, so that equal content gives equal bytes
+_FIRST_ZIP_TIME_S = 315532800  # 1980; constant, so that equal content has equal bytes
 
 
 def require_usd() -> None:
@@ -62,8 +63,8 @@ def require_usd() -> None:
 def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
     """Write one USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels a side, and lights.
 
-    Lights are the recovered lights, else the capture's point, sphere, area and environment lights.
-    Raises :class:`InputError` without ``usd-core``.
+    Lights are the recovered lights, else the capture's point, sphere, area and environment lights. Raises
+    :class:`InputError` without ``usd-core``.
     """
     require_usd()
     from pxr import Sdf, UsdUtils
@@ -96,7 +97,7 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
 
 
 def mean_index(atlas: Atlas) -> float:
-    """Index of refraction whose F0 is the mean S of non-metallic texels; 1.5 if there are none."""
+    """Compute the index of refraction whose F0 is the mean S of non-metallic texels, 1.5 without any."""
     total, num = 0.0, 0
     for top in range(0, atlas.size, _BAND):
         specular = np.asarray(atlas.maps["specular_albedo"][top : top + _BAND], np.float32)
@@ -192,7 +193,7 @@ class _Stage:
         return material
 
     def _connect_textures(self, path: str, shader: Any) -> None:
-        """Connect the textures to the surface's shader, separately in each variant of the workflow."""
+        """Connect the textures to the surface shader, separately in each variant of the workflow."""
         from pxr import Sdf, UsdShade
 
         types = Sdf.ValueTypeNames
@@ -225,7 +226,7 @@ class _Stage:
                     )
 
     def known_light(self, light: Light) -> None:
-        """Add a light of the capture; unsupported kinds and images of other packages are left out."""
+        """Add a light of the capture; unsupported kinds and images in other packages are omitted."""
         if isinstance(light, PointLight):
             radiance = np.asarray(light.intensity) / (np.pi * POINT_RADIUS_M**2)
             self._sphere(light.name, light.position_m, POINT_RADIUS_M, radiance, is_point=True)
@@ -256,7 +257,7 @@ class _Stage:
         _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
 
     def dome(self, name: str, radiance: Color, image: str | None, world_from_environment: NDArray) -> None:
-        """Add a dome light with a constant radiance, times an image in the project's convention if given."""
+        """Add a dome light of constant radiance, times ``image`` in the project's convention if given."""
         from pxr import Sdf, UsdLux
 
         light = UsdLux.DomeLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
@@ -287,7 +288,7 @@ class _Stage:
 
 
 def _shine(light: Any, radiance: Color) -> None:
-    """Set a light's radiance, as a colour of at most 1 times an intensity."""
+    """Set the radiance of a light, as a colour of at most 1 times an intensity."""
     from pxr import Gf
 
     peak = float(max(radiance))
@@ -296,7 +297,7 @@ def _shine(light: Any, radiance: Color) -> None:
 
 
 def _identifier(name: str) -> str:
-    """``name`` with characters replaced that names of prims must not contain."""
+    """Replace the characters of ``name`` that are invalid in names of prims."""
     from pxr import Tf
 
     return str(Tf.MakeValidIdentifier(name))

@@ -2,15 +2,15 @@
 """Estimates the albedo scale from interreflection in a photographed room.
 
 Networks confuse a grey wall in a bright room with a white one in a dim room. Photographs of a whole room
-record the radiance L that leaves its surfaces, so rays from a point x give its irradiance E(x) and
+record the radiance L that leaves its surfaces, so rays from a point x determine its irradiance E(x) and
 reflectance (inverse global illumination, Yu et al. 1999):
 
     rho(x) = pi L(x) / E(x),   about D + S on a rough surface,
 
-independent of the exposure. Where unphotographed light falls (lamps behind the camera, sun through a window),
-rho is too large; D is therefore corrected per smooth region of the mesh, by the mode of ln(rho / (D + S))
-over a region's points, shrunk to the room's mode for regions with few points. Variation of D within a region
-remains as predicted. Figures: docs/measurements.md.
+independent of the exposure. Where unphotographed light arrives (lamps behind the camera, sun through a
+window), rho is too large; D is therefore corrected per smooth region of the mesh, by the mode of ln(rho / (D
++ S)) over the region's points, shrunk to the room's mode for regions with few points. Variation of D within a
+region remains as predicted. Measurements: docs/measurements.md.
 """
 
 from __future__ import annotations
@@ -30,35 +30,38 @@ from datagen.multiview.visibility import vectors_from_rows
 from model.reconstruction.level.radiance_cache import Floats, RadianceCache
 
 NUM_POINTS, NUM_RAYS = 4096, 400
-"""Number of surface points, distributed about evenly over the photographed surface, and of rays per point, a
-square number."""
+"""Number of surface points, distributed almost evenly over the photographed surface, and of rays per point,
+which is a square number."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
-"""Cosine-weighted share of a point's hemisphere with known radiance: the point has full weight above the
-first limit and none below the second."""
+"""Cosine-weighted share of a point's hemisphere with known radiance at which the point has full weight, and
+at which its weight is 0."""
 LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
-"""Uncertain share of a point's light: the point has full weight below the first limit and none above the
-second."""
+"""Uncertain share of a point's light at which the point has full weight, and at which its weight is 0."""
 MIN_POINTS, MIN_USED = 200, 0.4
-"""Minimum number of points and their minimum mean weight for a correction."""
+"""Minimum number of points, and minimum of their mean weight, for a correction."""
 MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
 """Maximum ``spread`` and ``impossible_share`` (:class:`LevelReport`) for a correction."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
 _MIN_RADIANCE = 1e-6  # relative to the median
-_POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # of Student's t of ln rho
+_POINT_SCALE, _REGION_SCALE, _FREEDOM = (
+    0.2,
+    0.3,
+    2.0,
+)  # scales and freedom of Student's t of ln rho
 _ROUNDS = 40
 _CHUNK = 512
 
 
 @dataclass(frozen=True)
 class LevelReport:
-    """Result and statistics of the albedo scale.
+    """Result and statistics of the estimation of the albedo scale.
 
-    ``gain``: the room's gain of D by channel, about which regions vary. ``coverage``: mean known share of the
-    points' hemispheres; ``used_share``: mean weight of the points, in [0, 1]. ``spread``: half the
-    interquartile range of ln(rho / (D + S)) of points about their region's mode, in green; ``region_spread``:
-    half the interquartile range of the regions' ln gains, weighted by points. ``impossible_share``: weighted
-    share of the points that reflect more than their incident light. ``clipped_share``: share of the
-    photographs' pixels that are clipped. ``reason``: why no correction is applied, or empty.
+    ``gain``: the room's gain of D by channel; ``coverage``: mean known share of the points' hemispheres;
+    ``used_share``: mean weight of the points, in [0, 1]; ``spread``: half the interquartile range of ln(rho /
+    (D + S)) of points about their region's mode, in green; ``region_spread``: half the interquartile range of
+    the regions' ln gains, weighted by points; ``impossible_share``: weighted share of points that reflect
+    more than their incident light; ``clipped_share``: share of clipped pixels in the photographs; ``reason``:
+    why no correction is applied, or empty.
     """
 
     is_applied: bool
@@ -76,14 +79,14 @@ class LevelReport:
 
 @dataclass(frozen=True)
 class AlbedoLevel:
-    """RGB ``gains`` (K, 3) of D for the K smooth regions of the mesh, and their report."""
+    """RGB ``gains`` (K, 3) of D for the K smooth regions of the mesh, and the report of their estimation."""
 
     gains: Floats
     report: LevelReport
 
     def corrected(self, diffuse_albedo: NDArray, region: NDArray) -> NDArray[np.float16]:
-        """Multiply a view's D (H, W, 3) by the gains of each pixel's ``region`` (H, W), clipped to [0, 1];
-        pixels off the mesh (region -1) are unchanged.
+        """Multiply a view's D (H, W, 3) by the gains of each pixel's ``region`` (H, W), -1 for unchanged
+        pixels off the mesh, and clip it to [0, 1].
         """
         found = diffuse_albedo.astype(np.float16)
         on_mesh = region >= 0
@@ -101,9 +104,9 @@ def find_level(
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
     progress: Advance = no_advance,
 ) -> AlbedoLevel:
-    """Estimate the albedo scale of the views' ``maps``; gains are 1 if the evidence is too weak.
+    """Estimate the albedo scale of the views' ``maps``; gains are 1 if the evidence is insufficient.
 
-    ``region_of_face`` (M,) is each triangle's smooth region. ``doubt_at`` returns the uncertain luminance
+    ``region_of_face`` (M,) is each triangle's smooth region; ``doubt_at`` returns the uncertain luminance
     (N,) of diffuse shading at positions and normals (N, 3).
     """
     num_regions = int(region_of_face.max(initial=-1)) + 1
@@ -129,10 +132,10 @@ def fit_level(
     clipped_share: float,
     sure: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Fit gains to the ``irradiance`` (N, 3) of points from known directions, whose cosine-weighted share of
-    the hemisphere is ``coverage`` (N,). ``sure`` (N,) in [0, 1] is a further weight of the points.
+    """Fit gains to the ``irradiance`` (N, 3) of points from known directions, which cover the cosine-weighted
+    share ``coverage`` (N,) of the hemisphere. ``sure`` (N,) in [0, 1] is a further weight of the points.
     """
-    # assumes the mean radiance of the known directions in the others
+    # unknown directions are assumed to have the mean radiance of known ones
     arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]
     weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * sure
     leaving = points.radiance @ LUMINANCE_WEIGHTS
@@ -172,7 +175,7 @@ def fit_level(
 
 
 def clipped_share(views: Sequence[TracedView]) -> float:
-    """Share of all photographs' pixels of which a channel is clipped."""
+    """Compute the share of the pixels of all photographs in which a channel is clipped."""
     masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
     return sum(int(mask.any(axis=2).sum()) for mask in masks) / max(
         sum(view.valid_mask.size for view in views), 1
@@ -202,7 +205,7 @@ def _draw_points(
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
 ) -> Points:
-    """Draw at most one pixel per cube, so points are distributed by area, not by number of views."""
+    """Draw at most one pixel per cube, so that points are distributed by area, not by number of views."""
     pixels, random = cache.pixels, np.random.default_rng(0)
     is_surface = np.zeros(len(pixels.view), dtype=bool)
     for index, view in enumerate(views):
@@ -229,8 +232,8 @@ def _irradiance(
     normal: Floats,
     progress: Advance,
 ) -> tuple[Floats, Floats]:
-    """Irradiance (N, 3) of points from directions of known radiance, and the cosine-weighted share (N,) of
-    these directions in the hemisphere.
+    """Compute the irradiance (N, 3) of points from directions of known radiance, and the cosine-weighted
+    share (N,) of these directions in the hemisphere.
     """
     random = np.random.default_rng(1)
     irradiance, coverage = np.zeros_like(position_m), np.zeros(len(position_m))
@@ -251,7 +254,7 @@ def _irradiance(
 
 
 def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
-    """Stratified, cosine-distributed directions (N * NUM_RAYS, 3) about ``normal`` (N, 3)."""
+    """Sample stratified, cosine-distributed directions (N * NUM_RAYS, 3) about ``normal`` (N, 3)."""
     side = int(np.sqrt(NUM_RAYS))
     cell = np.arange(NUM_RAYS)
     u = (cell // side + random.random((len(normal), NUM_RAYS))) / side
@@ -270,7 +273,7 @@ def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
 
 
 def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Distance (N,) to the first hit, Inf for misses, and the normal (N, 3) on the ray's side of the mesh."""
+    """Return the distance (N,) of each ray's first hit, Inf for misses, and the normal (N, 3) on its side."""
     import drjit as dr
     import mitsuba as mi
 
@@ -287,9 +290,9 @@ def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tup
 def _modes(
     values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
 ) -> tuple[float, Floats]:
-    """Mode of the room and modes (num_regions,) of its regions, of points' ``values`` (N,) with ``weight``.
+    """Compute the mode of the room and the modes (num_regions,) of its regions for ``values`` (N,) of points.
 
-    They have maximum likelihood under Student's t of points about their region and of regions about the room.
+    They maximise the likelihood under Student's t of points about their region and of regions about the room.
     """
     num = np.bincount(region, weight, num_regions)
     room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unphotographed light can only increase it
@@ -305,18 +308,18 @@ def _modes(
 
 
 def _precision(residual: Floats, scale: float) -> Floats:
-    """Weight of each residual in an iteration of reweighted least squares for Student's t."""
+    """Compute the weight of each residual in reweighted least squares for Student's t."""
     return (_FREEDOM + 1) / (_FREEDOM + (residual / scale) ** 2) / scale**2
 
 
 def weighted_quantiles(values: Floats, weight: Floats, levels: tuple[float, ...]) -> Floats:
-    """Weighted quantiles (L,) of ``values`` (N,) at ``levels`` in [0, 1]."""
+    """Compute weighted quantiles (L,) of ``values`` (N,) at ``levels`` in [0, 1]."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weight[order])
     return values[order][np.searchsorted(total, np.array(levels) * total[-1])]
 
 
 def interquartile_range(values: Floats, weight: Floats) -> float:
-    """Weighted interquartile range of ``values`` (N,)."""
+    """Compute the weighted interquartile range of ``values`` (N,)."""
     low, high = weighted_quantiles(values, weight, (0.25, 0.75))
     return float(high - low)

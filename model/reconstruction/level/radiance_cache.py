@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Radiance of every photographed surface of a room, and of rays that miss its mesh.
+"""Caches the radiance of all photographed surfaces of a room, and of rays that miss its mesh.
 
-Surfaces: pixels are grouped by cubes of space and the signed axis nearest to their normal, which separates
-the two sides of a wall. The radiance of a cube is the median over views of each view's mean. Background: the
-outside may be near, so a ray gets the radiance of the photographed background ray that is nearest in position
-and direction where it leaves the surfaces' bounding box. Rays without a near one have no known radiance.
+Pixels on surfaces are grouped by cubes of space and the signed axis nearest to their normal, which separates
+the two sides of a wall. The radiance of a cube is the median over views of each view's mean. The background
+may be near, so a ray gets the radiance of the photographed background ray that is nearest in direction and in
+the position where it leaves the surfaces' bounding box. Rays without a near one have no known radiance.
 
-Colours are linear and of one exposure; radiance is in the same unit.
+Colours are linear and at one exposure; radiance has the same unit.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from datagen.geometry.views import TracedView
 Floats = NDArray[np.float64]
 
 MAX_PIXELS = 4_000_000
-"""Maximum number of pixels of all views; of more, only every k-th along both axes is used."""
+"""Maximum number of pixels of all views, above which only every k-th pixel along both axes is used."""
 CUBES_ACROSS = 150
-"""Number of cubes along the diagonal of the photographed box: cubes of 5 cm in a room of 7 m."""
+"""Number of cubes along the diagonal of the photographed box, 5 cm a side in a room of 7 m."""
 _MAX_BACKGROUND = 20_000
-_REACH_CUBES = 2.0  # maximum distance to the nearest cube with a radiance
-_POSITION_WEIGHT = 2.25  # weight of a shift by the diagonal, relative to 1 rad of direction
+_REACH_CUBES = 2.0  # maximum distance to the nearest cube of known radiance, in cubes
+_POSITION_WEIGHT = 2.25  # weight of a distance of one diagonal, relative to 1 rad of direction
 _BACKGROUND_REACH = 1.0
 
 
 @dataclass(frozen=True)
 class SeenPixels:
-    """P pixels on the mesh: index of the view (P,), flat index in the view (P,), world position and normal
-    (P, 3), and index of the cube (P,) in the :class:`RadianceCache`.
+    """P pixels on the mesh: view index (P,), flat index in the view (P,), world position and normal (P, 3),
+    and cube index (P,) in the :class:`RadianceCache`.
     """
 
     view: NDArray[np.int64]
@@ -48,7 +48,7 @@ class SeenPixels:
 class RadianceCache:
     """Radiance of the surfaces and background in ``views``.
 
-    Raises :class:`ValueError` if these show no extended surface.
+    Raises :class:`ValueError` if the views show no extended surface.
     """
 
     def __init__(self, views: Sequence[TracedView]):
@@ -72,7 +72,7 @@ class RadianceCache:
         self._set_background(views, step)
 
     def cubes(self, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-        """Index (N,) of the cube of each point and normal (N, 3); points outside the grid get its border."""
+        """Compute the cube index (N,) of points and normals (N, 3), clamped to the border of the grid."""
         at = ((position_m - self._low) / self.cube_m).astype(np.int64) + 1
         at = np.clip(at, 0, self._shape - 1)
         axis = np.abs(normal).argmax(axis=1)
@@ -91,7 +91,7 @@ class RadianceCache:
         order = np.argsort(cube * num_views + view, kind="stable")
         keys, starts = np.unique((cube * num_views + view)[order], return_index=True)
         num = np.diff(np.append(starts, len(order)))
-        of_view = np.add.reduceat(color[order], starts) / num[:, None]  # mean of a view in a cube
+        of_view = np.add.reduceat(color[order], starts) / num[:, None]  # mean of each view in each cube
         cube_of_run = keys // num_views
         self._keys, first = np.unique(cube_of_run, return_index=True)
         count = np.diff(np.append(first, len(cube_of_run)))
@@ -106,8 +106,8 @@ class RadianceCache:
         self._tree = cKDTree(np.concatenate([place, facing * self.cube_m], axis=1))
 
     def at(self, position_m: Floats, normal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) of surface points with ``normal`` towards the viewer, and mask (N,) where it is
-        known: in the point's cube or, failing that, in a cube at most two cubes away.
+        """Look up the radiance (N, 3) of surface points with ``normal`` towards the viewer, and the mask (N,)
+        where it is known: in the point's cube, or else in a cube at most two cubes away.
         """
         wanted = self.cubes(position_m, normal)
         index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
@@ -134,8 +134,8 @@ class RadianceCache:
         self._rays = cKDTree(ray[chosen]) if len(chosen) else None
 
     def _leaving(self, origin: Floats, direction: Floats) -> Floats:
-        """Rays as points (N, 6): where they leave the surfaces' bounding box, in weighted diagonals, and
-        their direction.
+        """Represent rays as points (N, 6): the position where they leave the surfaces' bounding box, in
+        weighted diagonals, and their direction.
         """
         safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
         distance = np.maximum((np.where(safe > 0, self._high, self._low) - origin) / safe, 0.0).min(axis=1)
@@ -143,7 +143,7 @@ class RadianceCache:
         return np.concatenate([place, direction], axis=1)
 
     def beyond(self, origin: Floats, direction: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) along rays that miss the mesh, and mask (N,) where it is known."""
+        """Look up the radiance (N, 3) along rays that miss the mesh, and the mask (N,) where it is known."""
         if self._rays is None or not len(origin):
             return np.zeros((len(origin), 3)), np.zeros(len(origin), dtype=bool)
         distance, nearest = self._rays.query(
@@ -155,14 +155,14 @@ class RadianceCache:
 
 
 def _grid(view: TracedView, step: int) -> NDArray[np.int64]:
-    """Flat indices of every ``step``-th pixel along both axes."""
+    """Return the flat indices of every ``step``-th pixel along both axes."""
     height, width = view.valid_mask.shape
     rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
     return (rows[:, None] * width + columns).ravel()
 
 
 def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
-    """View index (P,), flat index (P,), position, normal and colour (P, 3) of the pixels on the mesh."""
+    """Return view index (P,), flat index (P,), position, normal and colour (P, 3) of pixels on the mesh."""
     depth = view.geometry.depth_z_m.ravel()
     pixel = _grid(view, step)
     pixel = pixel[depth[pixel] > 0]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Fills unseen texels of an atlas.
+"""Fills unobserved texels of an atlas.
 
-In a partly observed chart, unseen texels get the value of the nearest observed texel of the chart; triangles
-of unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
-value of the nearest texel with a surface, which avoids artefacts of filtering at seams and in mip levels.
+In a partly observed chart, they get the value of the nearest observed texel of the chart; triangles of
+unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
+value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
 ``count`` remains 0 at filled texels.
 """
 
@@ -25,18 +25,18 @@ from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces
 
 BAND = 1024
-"""Number of rows processed at a time."""
+"""Number of rows that are processed at once."""
 GUTTER = 128
-"""Number of rows above and below a band from which its texels may be filled."""
-MAX_CHARTS = 20_000  # more charts are so small that filling by triangle is as good
-_LARGE_WINDOW = 2**22  # number of texels of a chart above which memory is released after it
+"""Number of rows above and below a band from which its gutters may be filled."""
+MAX_CHARTS = 20_000  # more charts are so small that filling by triangle suffices
+_LARGE_WINDOW = 2**22  # memory is released after charts with more texels
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh, progress: Advance = no_advance) -> None:
-    """Fill all texels that are not observed, also between charts; ``mesh`` is the unwrapped mesh."""
+    """Fill all unobserved texels, including those between charts; ``mesh`` is the unwrapped mesh."""
 
     def part(number: int) -> Advance:
-        """The progress of one of the four parts, in percent of it."""
+        """Make the progress callback of one of the four parts."""
         return lambda done, total: progress(100 * number + 100 * done // total, 400)
 
     means, num_seen = _face_means(atlas, len(mesh.faces), part(0))
@@ -55,7 +55,7 @@ def fill_unseen(atlas: Atlas, mesh: Mesh, progress: Advance = no_advance) -> Non
 
 
 def _bands(atlas: Atlas, progress: Advance) -> Iterator[slice]:
-    """Row ranges, band after band; finished bands are released from memory."""
+    """Yield the row range of each band; finished bands are released from memory."""
     for top in range(0, atlas.size, BAND):
         bottom = min(top + BAND, atlas.size)
         yield slice(top, bottom)
@@ -64,14 +64,14 @@ def _bands(atlas: Atlas, progress: Advance) -> Iterator[slice]:
 
 
 def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
-    """Views of rows of the maps as 16-bit integers, with which half floats are copied faster."""
+    """Return rows of the maps as views of 16-bit integers, which are copied faster than half floats."""
     return [array[rows].view(np.uint16) for array in atlas.maps.values()]
 
 
 def _face_means(
     atlas: Atlas, num_faces: int, progress: Advance
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Mean (M, 7) of each triangle's observed texels, and their number (M,)."""
+    """Compute the mean (M, 7) of each triangle's observed texels, and their number (M,)."""
     sums, num_seen = np.zeros((num_faces, NUM_CHANNELS)), np.zeros(num_faces, np.int64)
     for rows in _bands(atlas, progress):
         face, count = atlas.face[rows], atlas.count[rows]
@@ -111,7 +111,7 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """Mean (M, 7) of each triangle or, if it has no observed texel, of the nearest triangle with one."""
+    """Select the mean (M, 7) of each triangle or, if it is unobserved, of the nearest observed triangle."""
     from scipy.spatial import cKDTree
 
     centroids = mesh.triangles().mean(axis=1)
@@ -123,7 +123,7 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 def _fill_charts(
     atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, progress: Advance
 ) -> NDArray[np.bool_]:
-    """Fill partly observed charts; returns a mask (C,) of the charts that need no other filling."""
+    """Fill partly observed charts; return the mask (C,) of charts that are complete."""
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
     seen_in_chart = np.bincount(charts, num_seen, num_charts) > 0
@@ -157,7 +157,7 @@ def _fill_charts(
 
 @compiled
 def _split_chart(face_of: Any, count: Any, charts: Any, chart: Any, seen: Any, unseen: Any) -> Any:
-    """Set the masks ``seen`` and ``unseen`` of a chart's texels; returns whether both have texels."""
+    """Set the masks ``seen`` and ``unseen`` of a chart's texels; return whether both are non-empty."""
     num_seen, num_unseen = 0, 0
     for row in range(face_of.shape[0]):
         for column in range(face_of.shape[1]):
@@ -177,15 +177,15 @@ def _span(low: float, high: float, size: int) -> tuple[int, int]:
 def _copy_nearest(
     atlas: Atlas, window: tuple[slice, slice], source: NDArray[np.bool_], target: NDArray[np.bool_]
 ) -> None:
-    """Copy to each texel in the mask ``target`` of a window the value of the nearest one in ``source``."""
+    """Copy the value of the nearest texel in ``source`` to each texel in ``target``, within a window."""
     labels, places = nearest_labels(source)
     for array in atlas.maps.values():
         _copy_labelled(array.view(np.uint16)[window], labels, places, target)
 
 
 def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Label (H, W) of the nearest True pixel of each pixel, by approximate Euclidean distance, and flat index
-    (L,) of the True pixel with each label. At least one pixel of ``source`` (H, W) must be True.
+    """Return the label (H, W) of the True pixel nearest to each pixel, by approximate Euclidean distance, and
+    the flat index (L,) of the True pixel of each label. At least one pixel of ``source`` (H, W) must be True.
     """
     import cv2
 

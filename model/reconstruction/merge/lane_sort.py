@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Sorts many short lists at once, one per lane of vector instructions, by Batcher's odd-even merge sort,
-whose comparisons do not depend on the values.
+whose sequence of comparisons does not depend on the values.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from datagen.multiview.compiled import compiled
 LANES = 64
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
 STEP = 4
-"""A list is sorted by the network for its length rounded up to a multiple of this number."""
+"""Lists are sorted by the network for their length rounded up to a multiple of this number."""
 
 
 @compiled
 def networks(most: int) -> tuple[Any, Any]:
-    """Batcher's sorting networks for lists of k * STEP values, k = 0, 1, ..., up to at least ``most`` values.
+    """Build Batcher's sorting networks for lists of k * STEP values, k = 0, 1, ..., up to at least ``most``.
 
     Returns the comparisons (C, 2), pairs of rows, of all networks, and the first comparison (K + 1,) of each.
     """
@@ -57,7 +57,7 @@ def sort_lanes(values: Any, network: Any) -> None:
 
 @compiled
 def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
-    """Like :func:`sort_lanes`, and permute ``weights`` (R, LANES) with the values."""
+    """Sort as :func:`sort_lanes` does, and permute ``weights`` (R, LANES) with the values."""
     for index in range(len(network)):
         i, k = network[index, 0], network[index, 1]
         a, b, light, heavy = values[i], values[k], weights[i], weights[k]
@@ -72,7 +72,7 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 
 @compiled
 def middle_mean(values: Any, weights: Any, lane: Any, num: Any) -> Any:
-    """Mean of the middle half by weight of the first ``num`` values, which are sorted, in a lane.
+    """Compute the mean of the middle half, by weight, of the first ``num`` sorted values of a lane.
 
     A value is weighted by the part of its weight between a quarter and three quarters of the cumulative
     weight. Outliers are ignored as by the median, but the result is continuous in the weights.

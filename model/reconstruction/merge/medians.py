@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The compiled loop of the merge: medians over views by texel.
+"""The compiled loop of the merge, which computes medians over views for each texel.
 
 Texels are processed in squares of 8 x 8, whose covered texels are the lanes of vector instructions. For each
-view whose frustum may contain a square's bounding sphere, all lanes are projected and tested (visibility as
+view whose frustum may intersect a square's bounding sphere, all lanes are projected and tested (visibility as
 in ``datagen.multiview``), and visible values are appended to the lanes' lists. The lists of a square are
-sorted together (``lane_sort``), padded with Inf to equal length. Weights, if any, are permuted with the
+padded with Inf to equal length and sorted together (``lane_sort``), and any weights are permuted with the
 values.
 """
 
@@ -20,38 +20,38 @@ from model.reconstruction.atlas.texels import surface_point
 from model.reconstruction.merge.lane_sort import LANES, STEP, middle_mean, sort_lanes, sort_weighted_lanes
 
 SIDE = 8
-"""Side in texels of the squares, which have one texel for each of the LANES."""
+"""Side in texels of the squares, which have LANES texels."""
 NUM_CHANNELS = 7
 PACKET = 8
-"""Floats per pixel: D (3), S (3), R, and its smooth region."""
+"""Floats per pixel: D (3), S (3), R (1) and the index of the smooth region (1)."""
 CAMERA = 19
-"""Floats per camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height, maximum
+"""Floats per camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height and maximum
 visible depth."""
 _X, _Y, _Z, _NX, _NY, _NZ, _U, _V, _DEPTH, _LIMIT, _COSINE, _REGION = (row * LANES for row in range(12))
 _ROWS = 12
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _INFINITY = np.float32(np.inf)
 MIN_WEIGHT = np.float32(1e-3)  # division by a smaller weight would amplify rounding
-_MIN_COSINE = np.float32(1e-3)  # a weight of 0 would drop a view that shows the texel
+_MIN_COSINE = np.float32(1e-3)  # a weight of 0 would discard a view that shows the texel
 
 
 class ViewArrays(NamedTuple):
-    """The pixels of all V views, concatenated, for the loop."""
+    """Concatenated pixels of all V views, P in total."""
 
     cameras: NDArray[np.float32]
-    """(V, CAMERA)."""
+    """(V, CAMERA): parameters of each camera."""
     first_pixel: NDArray[np.int64]
-    """(V,) index of each view's first pixel."""
+    """(V,): index of each view's first pixel."""
     depth: NDArray[np.float32]
-    """(P,) depth along z in metres, 0 at pixels without a value."""
+    """(P,): depth along z in metres, 0 at pixels without a value."""
     packets: NDArray[np.float32]
-    """(P, PACKET)."""
+    """(P, PACKET): values of each pixel."""
     weight: NDArray[np.float32]
-    """(P, 3) weights of each pixel's D, S, R, or (0, 3) if all are equal."""
+    """(P, 3): weights of each pixel's D, S and R, or (0, 3) if all are equal."""
 
 
 class Rules(NamedTuple):
-    """Parameters of :class:`datagen.multiview.visibility.VisibilityOptions` and of the views' weights."""
+    """Parameters of :class:`datagen.multiview.visibility.VisibilityOptions` and of the weights of values."""
 
     depth_tolerance: np.float32
     slope_tolerance_px: np.float32
@@ -82,7 +82,7 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
     r20, r21, r22, cx, cy, cz = camera[6], camera[7], camera[8], camera[9], camera[10], camera[11]
     fx, fy, px, py, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
     tolerance, slope_px, slope_limit = rules.depth_tolerance, rules.slope_tolerance_px, rules.slope_limit
-    for lane in range(LANES):  # a fixed number, which vector instructions need
+    for lane in range(LANES):  # vector instructions require a constant number
         x, y, z = state[_X + lane] - cx, state[_Y + lane] - cy, state[_Z + lane] - cz
         nx, ny, nz = state[_NX + lane], state[_NY + lane], state[_NZ + lane]
         facing = -(nx * x + ny * y + nz * z)
@@ -103,7 +103,7 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
 
 @compiled
 def may_see(camera: Any, x: Any, y: Any, z: Any, radius: Any) -> Any:
-    """Whether a sphere about (x, y, z) may intersect a view's frustum up to its maximum visible depth."""
+    """Return whether a sphere about (x, y, z) may intersect a view's frustum up to its maximum depth."""
     dx, dy, dz = x - camera[9], y - camera[10], z - camera[11]
     depth = camera[6] * dx + camera[7] * dy + camera[8] * dz
     if depth + radius <= _ZERO or depth - radius > camera[18]:
@@ -134,9 +134,9 @@ def _append_view(
     found: Any,
     values: Any,
 ) -> None:
-    """Append a view's values to the lists of the lanes that it shows, in ``values`` (lists * V, LANES).
+    """Append the values of a view to the lists of the lanes visible in it, in ``values`` (lists * V, LANES).
 
-    Pixels of another smooth region and, if interpolated, of another depth are ignored.
+    Pixels of another smooth region and, with interpolation, of a different depth are ignored.
     """
     camera, first, depths, packets = views.cameras[view], views.first_pixel[view], views.depth, views.packets
     width, height, num_views = int(camera[16]), int(camera[17]), len(views.first_pixel)
@@ -215,10 +215,10 @@ def merge_tile(
     medians: Any,
     counts: Any,
 ) -> None:
-    """Fill ``medians`` (H, W, 7) and ``counts`` (H, W) of a tile with the triangles ``face_of`` (H, W).
+    """Set ``medians`` (H, W, 7) and ``counts`` (H, W) of a tile with the triangles ``face_of`` (H, W).
 
     ``traced`` (V, H, W): visibility of texels in views, used if ``rules.is_traced``; ``comparisons`` and
-    ``starts`` are :func:`networks` for V values.
+    ``starts``: result of :func:`networks` for V values.
     """
     height, width = face_of.shape
     num_views = len(views.first_pixel)

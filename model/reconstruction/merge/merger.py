@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Merges the maps of all views into one atlas: for each texel, the exact median over the views that show it,
-or the weighted mean of the middle half.
+"""Merges the maps of all views into one atlas: each texel is the exact median over the views that show it, or
+the weighted mean of the middle half.
 
-For each covered texel, the point and normal at its centre are projected into every view; views in which it is
-visible (``datagen.multiview.visibility``) contribute their D, S and R, and each channel gets the median (for
-even counts, the mean of the middle two) or, with weights, the mean of the middle half
-(``lane_sort.middle_mean``). Values are gathered, not scattered, so an atlas may have more texels than the
-views have pixels. Threads process tiles; only the views' maps and a few tiles need memory, since a large
-atlas is on disk. The loop is in ``medians``.
+The point and normal at the centre of each covered texel are projected into every view. Views in which it is
+visible (``datagen.multiview.visibility``) contribute D, S and R, and each channel is the median (for even
+counts, the mean of the middle two) or, with weights, the mean of the middle half (``lane_sort.middle_mean``).
+Values are gathered, not scattered, so an atlas may have more texels than the views have pixels. Threads
+process tiles; a large atlas is on disk, so memory contains only the views' maps and a few tiles. The loop is
+in ``medians``.
 """
 
 from __future__ import annotations
@@ -50,10 +50,11 @@ DEFAULT_TILE = 512
 
 @dataclass(frozen=True)
 class MapView:
-    """A view's maps in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3) and ``roughness`` (H, W, 1).
+    """Maps of a view in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3) and ``roughness`` (H, W,
+    1).
 
     ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W):
-    index of each pixel's triangle; ``confidence`` (H, W, 3): optional weights of its D, S and R.
+    index of each pixel's triangle; ``confidence`` (H, W, 3): optional weights of D, S and R.
     """
 
     camera: Camera
@@ -64,7 +65,7 @@ class MapView:
     confidence: NDArray | None = None
 
     def problems(self) -> list[Problem]:
-        """All faults in shape and values of the arrays."""
+        """Return all faults in shape and values of the arrays."""
         shape = (self.camera.height_px, self.camera.width_px)
         found = []
         for name, channels in MAP_CHANNELS.items():
@@ -104,10 +105,10 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
 class MergeOptions:
     """Options of the merge.
 
-    ``fetch``: whether values are interpolated between pixels of about the same depth, or taken from the
-    nearest pixel; ``tile``: side of a tile in texels. ``weights`` of the views: distance to the borders of
-    their footprints, cosine of the angle of incidence, pixels per square metre facing the view ("distance"),
-    confidence, or the product of all four.
+    ``fetch``: whether values are interpolated between pixels of similar depth or taken from the nearest
+    pixel; ``tile``: side of a tile in texels; ``weights``: weights of pixels by distance to borders, cosine
+    of the angle of incidence ("angle"), pixels per square metre facing the view ("distance"), confidence, or
+    the product of all four.
     """
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
@@ -137,9 +138,9 @@ class MergeOptions:
 
 
 class MapMerger:
-    """Merges the maps of ``views``; ``region_of_face`` (M,) separates the smooth regions of the mesh.
+    """Merges the maps of ``views``, separately for smooth regions if ``region_of_face`` (M,) is given.
 
-    ``scene`` is needed for visibility by shadow rays. Raises :class:`InputError` for maps that do not fit
+    ``scene`` is required for visibility by shadow rays. Raises :class:`InputError` for maps that do not match
     their cameras, and for missing views, scene or confidence.
     """
 
@@ -182,7 +183,7 @@ class MapMerger:
         )
         starts = range(0, atlas.size, self.options.tile)
         total, done = len(starts) ** 2, 0
-        # one thread only casts Mitsuba's rays, which use all processors
+        # Mitsuba's rays already use all processors
         with ThreadPoolExecutor(1 if self._rules.is_traced else num_threads()) as pool:
             for top in starts:
                 row = [
@@ -223,7 +224,7 @@ class MapMerger:
             first += channels
 
     def _trace(self, points: NDArray, normals: NDArray, is_covered: NDArray) -> NDArray[np.bool_]:
-        """Visibility (V, H, W) of a tile's covered texels in the views, by shadow rays."""
+        """Compute the visibility (V, H, W) of a tile's covered texels in the views by shadow rays."""
         import drjit as dr
         import mitsuba as mi
 
@@ -247,7 +248,7 @@ class MapMerger:
 def _view_arrays(
     views: Sequence[MapView], region_of_face: NDArray | None, options: MergeOptions
 ) -> ViewArrays:
-    """Pack the views into arrays for the loop; a pixel's region is 0 if there are no regions.
+    """Pack the views into arrays for the loop; all pixels have region 0 if ``region_of_face`` is None.
 
     Raises ValueError for too many regions.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Chooses the size of an atlas whose texels are as fine as the views' pixels on the surface."""
+"""Chooses the atlas size at which texels are as fine as the views' pixels on the surface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _GRAZING_COSINE = 0.1  # bounds the footprints of grazing views
 
 
 def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: float = 0.1) -> float | None:
-    """Side in metres of a fine pixel's footprint on the surface; None if no view shows the surface.
+    """Compute the side in metres of a fine pixel's footprint on the surface; None if no surface is visible.
 
     The result is the ``quantile`` over pixels of z / f / sqrt(cos), with depth z, focal length f in pixels
     and cosine of the angle of incidence.
@@ -34,7 +34,7 @@ def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: fl
 
 
 def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:
-    """Side in texels of an atlas with texels of ``footprint_m`` a side: a multiple of 256 in [256, 16384]."""
+    """Compute the side in texels, a multiple of 256 in [256, 16384], for texels of ``footprint_m``."""
     if footprint_m is None:
         return MIN_SIZE
     return int(np.clip(np.ceil(metres_per_side / footprint_m / 256) * 256, MIN_SIZE, MAX_SIZE))

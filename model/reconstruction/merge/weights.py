@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names of the weights of views in the merge (:class:`~model.reconstruction.merge.merger.MergeOptions`)."""
+"""Names of the pixel weights of the merge (:class:`~model.reconstruction.merge.merger.MergeOptions`)."""
 
 from typing import Literal
 

@@ -26,16 +26,16 @@ from model.reconstruction.captures.colmap import read_sights
 from model.reconstruction.photos.sparse_mesh import sparse_surface
 
 MAX_IMAGE_PX = 2400
-"""Longer side in pixels to which larger photographs are scaled down for features."""
+"""Maximum longer side of photographs for feature extraction, in pixels; larger ones are scaled down."""
 MAX_POINT_ERROR_PX = 2.0
-"""Maximum mean reprojection error of the sparse points on the mesh."""
+"""Maximum mean reprojection error, in pixels, of sparse points from which the mesh is made."""
 _OVERLAP = "take more photographs that overlap, sharp and large, from different positions; see the log"
 _TAIL = 400  # characters of the log in an error
 
 
 @dataclass(frozen=True)
 class Step:
-    """Commands that run as one step; ``clears`` lists files and folders to clear before them."""
+    """Commands that run as one step; ``clears`` lists files and folders that are cleared first."""
 
     name: str
     commands: tuple[tuple[str, ...], ...]
@@ -43,7 +43,7 @@ class Step:
 
 
 def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...]:
-    """Steps that compute features, matches and cameras on the CPU; ``program`` is the COLMAP executable."""
+    """Return the steps that compute features, matches and cameras on the CPU with COLMAP's ``program``."""
     database = ("--database_path", str(work / "database.db"))
     images = ("--image_path", str(photographs))
     features = (
@@ -64,7 +64,7 @@ def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...
 
 
 def dense_step(program: str, photographs: Path, work: Path) -> Step:
-    """Step that computes the depth of every photograph and a Poisson surface; COLMAP needs CUDA for it."""
+    """Return the step that computes depth maps and a Poisson surface, for which COLMAP needs CUDA."""
     dense, points = str(work / "dense"), str(work / "dense" / "fused.ply")
     return Step(
         "dense",
@@ -80,7 +80,7 @@ def dense_step(program: str, photographs: Path, work: Path) -> Step:
 
 
 def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
-    """Text of the shell commands that install and run COLMAP and then run the command ``rest``."""
+    """Return the shell commands that install and run COLMAP and then run the command ``rest``."""
     found, largest = work / "found", work / "sparse" / "0"
     return "\n".join(
         [
@@ -102,12 +102,12 @@ class ColmapRun:
 
     @property
     def has_cameras(self) -> bool:
-        """Whether the folder of the cameras exists."""
+        """Whether the folder with the cameras exists."""
         return self.model.is_dir()
 
     @property
     def model(self) -> Path:
-        """Folder of the model with the cameras."""
+        """Folder of the COLMAP model with the cameras."""
         return self.work / "sparse" / "0"
 
     def cameras(self) -> Path:
@@ -129,9 +129,9 @@ class ColmapRun:
         return self.model
 
     def mesh(self) -> Path:
-        """Compute a mesh in the cameras' frame, from dense points if COLMAP has a GPU, and return its path.
+        """Compute a mesh in the cameras' frame, from dense points if COLMAP can use a GPU; return its path.
 
-        Raises :class:`InputError` if there is no surface through the sparse points.
+        Raises :class:`InputError` if the sparse points do not define a surface.
         """
         mesh = self.work / "mesh.ply"
         if (self.work / "mesh.done").is_file() or (self.work / "dense.done").is_file():
@@ -184,7 +184,7 @@ class ColmapRun:
 
 
 def _size(model: Path) -> int:
-    """Size in bytes of a model's file of images; 0 if there is no model."""
+    """Return the size in bytes of a model's image file, or 0 if there is no model."""
     for name in ("images.bin", "images.txt"):
         if (model / name).is_file():
             return (model / name).stat().st_size

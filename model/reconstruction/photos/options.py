@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of ``materials photos``, which import nothing heavy."""
+"""Options of ``materials photos``, without slow imports."""
 
 from __future__ import annotations
 

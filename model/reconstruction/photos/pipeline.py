@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """``materials photos``: photographs → cameras and mesh → asset → turntable, in one folder.
 
-OUT/photos.json     identity of the work: photographs, options and checkpoint
-OUT/colmap/         cameras and mesh by COLMAP, if the photographs have none (``colmap_run``)
+OUT/photos.json     record of the photographs, options and checkpoint
+OUT/colmap/         cameras and mesh from COLMAP, unless the input has cameras (``colmap_run``)
 OUT/...             output of ``materials infer``
-OUT/turntable.gif   animation of a camera that turns in the room under the recovered lights
+OUT/turntable.gif   animation along a path through the room under the recovered lights
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ TURNTABLE = "turntable.gif"
 
 @dataclass(frozen=True)
 class Made:
-    """The report of the inference, None if the asset existed before, and the path of the turntable."""
+    """Report of the inference, None if the asset existed before, and path of the turntable."""
 
     report: InferReport | None
     turntable: Path
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """The photographs in a folder, sorted by name.
+    """List the photographs in a folder, sorted by name.
 
     Raises :class:`InputError` for fewer than three, and for raw photographs and unsupported formats.
     """
@@ -68,10 +68,10 @@ def make_asset(
     tell: Progress,
     say: Callable[[str], None],
 ) -> Made:
-    """Make an asset in ``out`` of the photographs or capture ``folder``, without repeating finished steps.
+    """Make an asset in ``out`` from the photographs or capture ``folder``, without repeating finished steps.
 
-    Raises :class:`InputError` if the input is invalid, a program is missing or fails, or ``out`` contains
-    other work.
+    Raises :class:`InputError` if the input is invalid, a program is missing or fails, or ``out`` contains the
+    results of other photographs.
     """
     has_own = has_cameras(folder)
     photographs = [] if has_own else photographs_in(folder)
@@ -91,7 +91,7 @@ def make_asset(
         if reading.up == "auto":
             reading = replace(reading, up="cameras")
         if options.reading.mesh is None:
-            # a surface through COLMAP's points is in the cameras' frame, but has few of the room's edges
+            # a surface through COLMAP's points is in the cameras' frame, but lacks most edges of the room
             inference = replace(inference, is_checked=False)
     report = None
     if not (out / "report.json").is_file():
@@ -112,7 +112,7 @@ def make_asset(
 def _claim(
     out: Path, folder: Path, photographs: list[Path], source: MapSource, options: PhotosOptions
 ) -> None:
-    """Assign ``out`` to ``photographs``; if other options were used, remove the report and turntable.
+    """Assign ``out`` to ``photographs``; if other options were used before, remove the report and turntable.
 
     Raises :class:`InputError` if ``out`` is assigned to other photographs.
     """

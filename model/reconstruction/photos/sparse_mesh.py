@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Computes a closed surface through the sparse points of structure from motion, without dense depth.
 
-Labatut, Pons and Keriven (2007): a minimum cut divides Delaunay tetrahedra of the points into free and solid
-ones. A line of sight from a camera to a point is evidence that the tetrahedra that it crosses are free and
-that the one behind the point is solid. The surface separates free from solid tetrahedra; wide triangles
-bridge areas without points. COLMAP's mesher of this kind needs CGAL, which Debian's COLMAP lacks.
+A minimum cut divides Delaunay tetrahedra of the points into free and solid ones (Labatut, Pons and Keriven,
+2007). A line of sight from a camera to a point indicates that the tetrahedra along it are free and that the
+one behind the point is solid. The surface separates free from solid tetrahedra; wide triangles bridge areas
+without points. COLMAP's Delaunay mesher needs CGAL, which Debian's COLMAP lacks.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from datagen.multiview.compiled import compiled
 from model.reconstruction.captures.colmap import Sights
 
 SMOOTHNESS = 0.3
-"""Cost of each triangle of the surface, in lines of sight that cross it."""
+"""Cost of each triangle of the surface, as a number of lines of sight that cross it."""
 SPREAD_QUANTILE = 0.25
-"""Quantile of the edges' lengths that is used as the standard deviation of the points."""
-_UNITS = 256  # integer capacity of a cost of 1
-_OUTSIDE = 1.0  # margin of the tetrahedra around the box of points, relative to its longest side
-_FACETS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # opposite of each corner
+"""Quantile of edge lengths that is used as the standard deviation of the points."""
+_UNITS = 256  # integer capacity per unit of cost
+_OUTSIDE = 1.0  # margin of the tetrahedra around the points' box, relative to its longest side
+_FACETS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # the facet opposite each corner
 
 
 def sparse_surface(sights: Sights) -> Mesh:
-    """Compute the surface as a mesh whose triangles face free space; it is empty if there are no points."""
+    """Compute the surface as a mesh whose triangles face free space; it is empty without points."""
     from scipy.spatial import Delaunay
 
     if not len(sights.points):
@@ -69,8 +69,8 @@ def _cross(
     spread: Any,
     crossed: Any,
 ) -> None:
-    """Add the lines of sight through each facet of T tetrahedra to ``crossed`` (T, 4), with less weight near
-    their points, whose positions are inexact.
+    """Add the number of lines of sight through each facet of T tetrahedra to ``crossed`` (T, 4), with less
+    weight near their points, whose positions are inexact.
     """
     for ray in range(len(origin)):
         tetrahedron = start[ray]
@@ -78,7 +78,7 @@ def _cross(
             if tetrahedron < 0:
                 break
             leaving, facet = np.inf, -1
-            last_at, last_step = 1.0, 0.0  # of the last barycentric coordinate: 1 minus the others
+            last_at, last_step = 1.0, 0.0  # the last barycentric coordinate is 1 minus the others
             for k in range(4):
                 at, step = last_at, last_step
                 if k < 3:
@@ -100,7 +100,7 @@ def _cross(
 
 
 def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray) -> NDArray[np.bool_]:
-    """Mask (T,) of the free tetrahedra, on the cameras' side of the minimum cut."""
+    """Compute the mask (T,) of free tetrahedra, which are on the cameras' side of the minimum cut."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
@@ -113,7 +113,7 @@ def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray)
     ends = np.flatnonzero(solid)
     rows = np.concatenate([tetrahedron, np.full(len(cameras), source), ends])
     columns = np.concatenate([neighbors[tetrahedron, facet], cameras, np.full(len(ends), sink)])
-    most = np.iinfo(np.int32).max // (2 * max(len(cameras), 1))  # more than all lines of sight can carry
+    most = np.iinfo(np.int32).max // (2 * max(len(cameras), 1))  # above the capacity of all lines of sight
     values = np.concatenate([_UNITS * cost, np.full(len(cameras), most), _UNITS * solid[ends]])
     graph = coo_matrix((np.round(values).astype(np.int32), (rows, columns)), (num + 2, num + 2)).tocsr()
     rest = graph - maximum_flow(graph, source, sink).flow
@@ -127,11 +127,11 @@ def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray)
 def _boundary(
     vertices: NDArray, simplices: NDArray, neighbors: NDArray, is_free: NDArray[np.bool_], num_points: int
 ) -> Mesh:
-    """Mesh of the facets between free and solid tetrahedra, without those at the corners of the box."""
+    """Make a mesh of the facets between free and solid tetrahedra, without facets at corners of the box."""
     tetrahedron, facet = np.nonzero(is_free[:, None] & (neighbors >= 0) & ~is_free[neighbors])
     faces = simplices[tetrahedron[:, None], _FACETS[facet]]
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    inward = vertices[simplices[tetrahedron, facet]] - a  # to the corner in free space
+    inward = vertices[simplices[tetrahedron, facet]] - a  # vector to the corner in free space
     is_turned = (np.cross(b - a, c - a) * inward).sum(axis=1) < 0
     faces[is_turned] = faces[is_turned][:, ::-1]
     faces = faces[(faces < num_points).all(axis=1)]

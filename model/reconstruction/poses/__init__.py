@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Correction of camera poses: ``mending`` finds the poses, ``stage`` applies them to a capture."""
+"""Correction of camera poses: ``mending`` estimates the poses, ``stage`` applies them to a capture."""

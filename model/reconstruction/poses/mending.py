@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Corrects small errors of camera poses by agreement with other views.
 
-Points of the mesh in a view, away from depth edges and where its image varies, are looked up in the views
-with the largest overlap; the view's pose is fitted to the median of their values by Gauss-Newton, with Cauchy
-weights and a normal prior (:data:`SPREAD_M`, :data:`SPREAD_DEG`). All poses are updated at once, in a few
-rounds. A common translation of all cameras is undetermined: their mean position is kept.
+Points on the mesh in a view, away from depth edges and where the image varies, are projected into the views
+with the largest overlap. The view's pose is fitted to the median of the values there by Gauss-Newton steps
+with Cauchy weights and a normal prior (:data:`SPREAD_M`, :data:`SPREAD_DEG`). All poses are updated at once,
+in several rounds. The common translation of all cameras is undetermined, so their mean position is kept.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from datagen.geometry.views import TracedView
 
 ROUNDS = 6
 MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
-"""Points per view; maximum and minimum number of views in which they are looked up; and minimum number of
-points for a correction of a view."""
+"""Maximum number of points per view, maximum and minimum number of other views in which they are looked up,
+and minimum number of points for the correction of a view."""
 SPREAD_M, SPREAD_DEG = 0.01, 0.3
-"""Prior standard deviations per axis of a pose's translation in metres and rotation in degrees."""
+"""Prior standard deviations of a pose per axis: translation in metres and rotation in degrees."""
 EDGE = 0.03
-"""Range of depth within three pixels, relative to the depth, above which a pixel counts as an edge."""
+"""Range of depth within three pixels, relative to the depth, above which a pixel is at a depth edge."""
 SAME_DEPTH = 0.02
-"""Largest relative difference of depth at which two views show the same point."""
+"""Maximum relative difference of depth at which two views show the same point."""
 MIN_GAIN = 0.1
-"""Minimum relative reduction of the residual for the corrections to be used; without it, correct poses would
-move by half a pixel."""
-_STEP = 0.8  # damps Gauss-Newton, since all views move at once
+"""Minimum relative reduction of the residual for which corrections are applied; without it, correct poses
+would move by half a pixel."""
+_STEP = 0.8  # damping of Gauss-Newton steps, since all views move at once
 _CORRELATED = 25.0  # number of neighbouring points with correlated errors
 
 
@@ -41,9 +41,9 @@ _CORRELATED = 25.0  # number of neighbouring points with correlated errors
 class MendedPoses:
     """Cameras with corrected poses.
 
-    ``cameras`` are in the views' order, unchanged if the residual decreases by less than :data:`MIN_GAIN`;
-    ``moved_mm`` and ``turned_deg`` (V,) are the lengths of the corrections in mm and degrees; ``residual`` is
-    the median of |ln luminance - median over the other views| before and after the correction.
+    ``cameras``: in the order of the views, unchanged if the residual decreases by less than :data:`MIN_GAIN`;
+    ``moved_mm`` and ``turned_deg`` (V,): lengths of the corrections in mm and degrees; ``residual``: median
+    of |ln luminance - median over the other views| before and after the correction.
     """
 
     cameras: tuple[Camera, ...]
@@ -59,8 +59,8 @@ class MendedPoses:
 
 @dataclass(frozen=True)
 class _Look:
-    """A view's ln luminance (H, W), its derivatives by x and y per pixel, its depth in metres (H, W), and
-    points (N, 3) on the surfaces that it shows.
+    """Ln luminance (H, W) of a view, its derivatives by x and y per pixel, depth in metres (H, W), and points
+    (N, 3) on the visible surfaces.
     """
 
     image: NDArray[np.float32]
@@ -101,7 +101,7 @@ def _center(camera_from_world: NDArray) -> NDArray[np.float64]:
 
 
 def _transform(step: NDArray) -> NDArray[np.float64]:
-    """Rigid transform (4, 4) of ``step`` (6,), a rotation vector in radians and a translation in metres."""
+    """Make the rigid transform (4, 4) of ``step`` (6,), a rotation vector (radians) and a translation (m)."""
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
     matrix[:3, 3] = step[3:]
@@ -134,7 +134,7 @@ def _look(view: TracedView, number: int) -> _Look:
 
 
 def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:
-    """Points (N, 3) in the camera's frame, and their pixel coordinates x and y (N,), integers at centres."""
+    """Project points (N, 3) to camera coordinates (N, 3) and pixels x and y (N,), integers at centres."""
     local = points @ pose[:3, :3].T + pose[:3, 3]
     z = np.maximum(local[:, 2], 1e-6)
     x = lens.fx_px * local[:, 0] / z + lens.cx_px - 0.5
@@ -142,7 +142,7 @@ def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np
 
 
 def _sampled(image: NDArray, x: NDArray, y: NDArray) -> NDArray[np.float64]:
-    """Bilinearly interpolated values (N,) of an image (H, W) at pixels ``x`` and ``y`` (N,)."""
+    """Interpolate an image (H, W) bilinearly at pixels ``x`` and ``y`` (N,), to values (N,)."""
     left = np.clip(np.floor(x).astype(np.int64), 0, image.shape[1] - 2)
     top = np.clip(np.floor(y).astype(np.int64), 0, image.shape[0] - 2)
     u, v = np.clip(x - left, 0, 1), np.clip(y - top, 0, 1)
@@ -158,8 +158,8 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 def _expected(
     looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
-    """Median ln luminance (N,) of a view's points in the other views; NaN where fewer than ``MIN_OTHERS``
-    views show a point.
+    """Compute the median ln luminance (N,) of a view's points in the other views; NaN where fewer than
+    ``MIN_OTHERS`` views show a point.
     """
     points, found = looks[index].points, []
     for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
@@ -189,8 +189,8 @@ def _step(
     given: Sequence[NDArray],
     index: int,
 ) -> tuple[NDArray[np.float64], float]:
-    """Gauss-Newton step (6,) of a view's pose, a rotation vector and a translation, and the median absolute
-    residual.
+    """Compute the Gauss-Newton step (6,) of a view's pose, a rotation vector and a translation, and the
+    median absolute residual.
     """
     look, lens = looks[index], lenses[index]
     local, x, y = _projected(lens, poses[index], look.points)
@@ -199,7 +199,7 @@ def _step(
     if used.sum() < MIN_POINTS:
         return np.zeros(6), 0.0
     local, x, y, rest = local[used], x[used], y[used], rest[used]
-    rest -= np.median(rest)  # the remaining difference of exposure
+    rest -= np.median(rest)  # removes the remaining difference in exposure
     spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-3)
     weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _CORRELATED
     gx, gy = _sampled(look.gradient[0], x, y), _sampled(look.gradient[1], x, y)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stage of ``materials infer --mend-poses``."""
+"""The stage of ``materials infer --mend-poses`` that corrects camera poses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from model.reconstruction.stages import Run
 
 
 def mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with corrected poses, traced again, or unchanged if its views would not agree better."""
+    """Correct the capture's poses and trace it again; it is unchanged if views would not agree better."""
     with run.stage("poses"):
         found = mended_poses(traced.views)
         before, after = found.residual

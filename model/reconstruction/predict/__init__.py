@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Maps of views: predictions of a checkpoint, ground truth, or given maps."""
+"""Maps of views from a checkpoint's predictions, the ground truth, or other sources."""

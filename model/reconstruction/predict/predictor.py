@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Predicts maps of views by a checkpoint: inputs by name, predictions in batches, then the bilateral solver.
+"""Predicts maps of views with a checkpoint, in batches, and filters them with the bilateral solver.
 
-All views of a capture share one exposure, which maps the 95th percentile of the luminance of all their
-surface pixels to 0.9, so a surface has the same brightness in every view.
+All views of a capture have one exposure, which scales the 95th percentile of luminance over all surface
+pixels to 0.9, so a surface has the same brightness in every view.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from model.confidence import FILTERED_MAPS, filter_maps
 from model.networks import encode_color
 
 Precision = Literal["auto", "float32", "bfloat16"]
-_EXPOSURE_STEP = 5  # every fifth pixel is enough for a percentile
+_EXPOSURE_STEP = 5  # every fifth pixel suffices for a percentile
 
 
 @dataclass(frozen=True)
 class PredictOptions:
     """Options of prediction.
 
-    ``precision``: "auto" is bfloat16 if the device supports it natively, else float32. ``batch``: number of
-    views at a time. ``is_filtered``: whether to run the bilateral solver, if the checkpoint has confidence
-    networks. ``has_confidence``: whether to return the output of the confidence networks as well.
+    ``precision``: "auto" is bfloat16 if the device supports it natively, else float32; ``batch``: number of
+    views per batch; ``is_filtered``: whether the bilateral solver runs if the checkpoint has confidence
+    networks; ``has_confidence``: whether the output of the confidence networks is also returned.
     """
 
     precision: Precision = "auto"
@@ -45,7 +45,7 @@ class PredictOptions:
 
 
 def has_fast_bfloat16(device: str) -> bool:
-    """Whether the device has native bfloat16 instructions."""
+    """Return whether the device has native bfloat16 instructions."""
     if device.startswith("cuda"):
         return torch.cuda.is_bf16_supported(including_emulation=False)
     flags = torch.backends.cpu.get_cpu_capability()
@@ -53,7 +53,7 @@ def has_fast_bfloat16(device: str) -> bool:
 
 
 def capture_exposure(views: Sequence[StatisticsView]) -> float:
-    """The factor for all views that brings the 95th percentile of their surfaces' luminance to 0.9."""
+    """Compute the factor for all views that scales the 95th percentile of surface luminance to 0.9."""
     samples = []
     for view in views:
         color = view.color.reshape(-1, 3)[::_EXPOSURE_STEP]
@@ -67,7 +67,7 @@ def view_tensors(
     statistics: dict[str, NDArray[np.float32]],
     light: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> dict[str, Tensor]:
-    """Network inputs (1, C, H, W) of a view by name; normals are in camera space, 0 off the surface.
+    """Make the network inputs (1, C, H, W) of a view by name; normals are in camera space, 0 off the surface.
 
     ``statistics`` are the view's buffers ``color_min`` etc. by name; ``light`` are the buffers of
     :class:`~datagen.light.view_light.ViewLight`.
@@ -88,7 +88,7 @@ def view_tensors(
 
 
 class Predictor:
-    """A checkpoint prepared for a capture; ``exposure`` is the result of :func:`capture_exposure`.
+    """A checkpoint that is prepared for a capture; ``exposure`` is the result of :func:`capture_exposure`.
 
     Raises :class:`InputError` if confidence is requested from a checkpoint without confidence networks.
     """
@@ -116,8 +116,8 @@ class Predictor:
 
     @torch.no_grad()
     def predict(self, batch: Sequence[dict[str, Tensor]]) -> list[dict[str, NDArray[np.float32]]]:
-        """Predict maps (H, W, 3 or 1) in [0, 1] of views of one size from their :func:`view_tensors`; with
-        ``has_confidence`` also ``confidence`` (H, W, 3) in [0, 1] of D (always 1), S and R.
+        """Predict maps (H, W, 3 or 1) in [0, 1] of equally large views from their :func:`view_tensors`; with
+        ``has_confidence``, also ``confidence`` (H, W, 3) in [0, 1] of D (always 1), S and R.
         """
         device = self.options.device
         names = list(batch[0])

@@ -27,7 +27,7 @@ class CheckpointMaps:
 
     @property
     def identity(self) -> str:
-        """The file's SHA-256. Raises :class:`InputError` if it cannot be read."""
+        """SHA-256 of the checkpoint file. Raises :class:`InputError` if it cannot be read."""
         try:
             return hashlib.sha256(self.path.read_bytes()).hexdigest()
         except OSError as error:
@@ -43,8 +43,8 @@ class CheckpointMaps:
         parse_device(options.device)
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Read the stored maps of an earlier run, and predict those of all other views."""
-        # torch, which other sources do not need
+        """Read the maps that an earlier run stored, and predict those of the other views."""
+        # imports torch, which other sources do not need
         from model.reconstruction.predict.view_maps import predicted_maps
 
         return predicted_maps(traced, self.path, run)
@@ -52,14 +52,14 @@ class CheckpointMaps:
 
 @dataclass(frozen=True)
 class GivenMaps:
-    """Maps from another source: ``read`` returns those of every view, in the capture's order."""
+    """Maps from another source; ``read`` returns those of every view, in the capture's order."""
 
     identity: str
     read: Callable[[TracedCapture], list[Maps]]
     is_predicted: bool = False
 
     def prepare(self, options: InferOptions) -> None:
-        """Do nothing: given maps need no preparation."""
+        """Do nothing, since given maps need no preparation."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
         """Read the given maps."""
@@ -76,4 +76,4 @@ def _truth(view: CaptureView) -> Maps:
 
 
 TRUTH = GivenMaps("truth", lambda traced: [_truth(view) for view in traced.capture.views])
-"""The ground truth of a rendered capture, for tests of the later stages alone."""
+"""Ground truth of a rendered capture, for tests of the later stages alone."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Predicts the maps of a capture's views and stores them by view, so that an interrupted run resumes."""
+"""Predicts the maps of a capture's views and stores them by view, so interrupted runs can resume."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from model.reconstruction.predict.predictor import PredictOptions, Predictor, ca
 from model.reconstruction.stages import Maps, Run
 
 USUAL_PIXELS = 640 * 384
-"""Views with more pixels are processed in smaller batches, which bounds a batch's memory."""
+"""Number of pixels above which views are processed in smaller batches, to bound the memory of a batch."""
 
 
 def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> list[Maps]:
-    """The maps of all views: stored ones are read, missing ones are predicted and stored."""
+    """Return the maps of all views; stored maps are read, missing ones are predicted and stored."""
     capture, views, options, report = traced.capture, traced.statistics, run.options, run.report
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
@@ -79,7 +79,8 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
 
 
 def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Indices of consecutive views of one size in batches of at most ``size``, or fewer for large views.
+    """Group indices of consecutive views of equal size into batches of at most ``size``, less for large
+    views.
 
     Batches do not depend on stored maps, since convolutions round differently for other batch sizes.
     """
@@ -96,7 +97,7 @@ def _batches(capture: Capture, size: int) -> list[list[int]]:
 
 
 def _paths(out: Path, view: CaptureView) -> tuple[Path, Path]:
-    """Files of a view's maps and of their confidence."""
+    """Return the paths of a view's maps and of their confidence."""
     return out / "views" / f"{view.name}.exr", out / "views" / f"{view.name}.confidence.npy"
 
 

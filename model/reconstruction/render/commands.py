@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommands ``render`` and ``view`` of ``materials``, which defer heavy imports."""
+"""The subcommands ``render`` and ``view`` of ``materials``, which defer slow imports."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LightWords:
-    """Options for lights, inserted objects and samples as text."""
+    """Options for lights, inserted objects and samples, as text."""
 
     sky: Annotated[
         str | None, typer.Option(help="Instead of the asset's lights: an environment map (EXR) or R,G,B.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of an asset's animation."""
+"""Options of the animation of an asset."""
 
 from __future__ import annotations
 

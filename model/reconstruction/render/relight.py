@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Renders an asset from its own cameras, under its own or other light, with inserted objects.
+"""Renders an asset from its cameras, under its lights or others, optionally with inserted objects.
 
-The package becomes a configuration for ``datagen``'s renderer.
+The package is converted to a configuration for ``datagen``'s renderer.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 
 SKY_ID = "relight-sky"
-_DARK = 1e-3  # mean luminance of a view, relative to the sky's, below which it counts as unlit
+_DARK = 1e-3  # mean luminance of an unlit view, relative to the sky's
 
 
 @dataclass(frozen=True)
 class Insertion:
-    """An object package to place at ``position_m``, rotated about the vertical by ``yaw_rad``."""
+    """An object package that is placed at ``position_m`` and rotated about the vertical by ``yaw_rad``."""
 
     package: Path
     position_m: tuple[float, float, float]
@@ -59,9 +59,9 @@ class Lamp:
 class RelightOptions:
     """Options for rendering an asset.
 
-    ``sky``, an environment map (EXR) or a constant radiance, and ``lamps`` replace the asset's lights.
+    ``sky`` (an environment map in EXR, or a constant radiance) and ``lamps`` replace the asset's lights.
     ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace the asset's cameras and are
-    named ``frame-000``, .... ``compensation`` is a factor of the exposure of PNG images and animations.
+    named ``frame-000``, .... ``compensation`` multiplies the exposure of PNG images and animations.
     """
 
     sky: Path | tuple[float, float, float] | None = None
@@ -78,7 +78,7 @@ class RelightOptions:
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """A rendered view: its name, and its linear image (H, W, 3)."""
+    """Name and linear image (H, W, 3) of a rendered view."""
 
     name: str
     color: NDArray[np.float32]
@@ -170,7 +170,7 @@ def _configuration(
 
 @contextmanager
 def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path | None]:
-    """A temporary package with the environment map, since configurations refer only to images in packages."""
+    """Make a temporary package with the environment map, since configurations only refer to packages."""
     if not isinstance(sky, Path):
         yield None
         return
@@ -194,10 +194,10 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
 def lit_images(
     path: Path, options: RelightOptions, warn: Callable[[str], None] = lambda text: None
 ) -> Iterator[RenderedImage]:
-    """The images of :func:`render_asset`, with other lights if the room would be dark.
+    """Render as :func:`render_asset` does, with other lights if the room would be dark.
 
     If no light from the sky reaches the first view, the asset's lights replace the sky. An asset without
-    lights gets a lamp in the middle of its cameras. ``warn`` is called with an explanation in either case.
+    lights gets a lamp in the middle of its cameras. ``warn`` is called with an explanation in both cases.
     """
     with open_package(path) as package:
         asset = package.asset
@@ -224,7 +224,7 @@ _OWN_LAMP = "a lamp in the middle of its cameras is used (--lamp X,Y,Z sets othe
 
 
 def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path) -> RelightOptions:
-    """The options with a lamp in the middle of the cameras. Raises :class:`InputError` without cameras."""
+    """Add a lamp in the middle of the cameras to the options. Raises :class:`InputError` without cameras."""
     if not asset.cameras:
         raise input_error(path, "lights", "none", "a light", "give one with --lamp or --sky")
     x, y, z = (float(v) for v in np.mean([c.camera().position_m for c in asset.cameras], axis=0))
@@ -232,7 +232,7 @@ def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path)
 
 
 def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
-    """Whether the only light is a sky and a view with the radiance ``color`` (H, W, 3) is almost black."""
+    """Return whether the only light is a sky and a view of radiance ``color`` (H, W, 3) is almost black."""
     if options.sky is None or options.lamps:
         return False
     return float(luminance(color).mean()) < _DARK * _sky_luminance(options.sky)
@@ -252,11 +252,11 @@ def write_renders(
     warn: Callable[[str], None] = lambda text: None,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Path]:
-    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all with the first view's exposure) in
-    the folder ``out``; returns the paths. ``warn`` is called if lights are replaced (:func:`lit_images`).
+    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, at the first view's exposure) in the
+    folder ``out``; return the paths. ``warn`` is called if lights are replaced (:func:`lit_images`).
     """
     options = options or RelightOptions()
-    with open_package(path) as package:  # before the folder is made, in case the file is unreadable
+    with open_package(path) as package:  # an unreadable file raises before the folder is made
         total = len(options.views or getattr(package.asset, "cameras", ()))
     out.mkdir(parents=True, exist_ok=True)
     written = []

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Renders an animation of an asset from cameras on a path through it, as a GIF or a video.
 
-The path ``orbit`` is an ellipse about the middle of the asset's cameras, at their mean height; its cameras
-look across the room if most of the asset's do, else outwards. The path ``cameras`` passes through the asset's
-cameras in order and returns. Both end at their start, so the animation can loop.
+The path ``orbit`` is an ellipse about the middle of the asset's cameras, at their mean height; cameras on it
+look across the room if most of the asset's cameras do, else outwards. The path ``cameras`` passes through the
+asset's cameras in order and returns. Both paths are closed, so the animation can loop.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def write_turntable(
     progress: Progress | None = None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> list[Camera]:
-    """Render an environment package along a path to the file ``out`` (.gif or .mp4); returns the cameras.
+    """Render an environment package along a path to the file ``out`` (.gif or .mp4); return the cameras.
 
-    MP4 files contain VP9, which browsers and common players support. All frames have the first frame's
-    exposure. Raises :class:`InputError` for other suffixes, invalid packages and missing lights.
+    MP4 files contain VP9, which browsers and common players support. All frames have the exposure of the
+    first one. Raises :class:`InputError` for other suffixes, invalid packages and missing lights.
     """
     options = options or TurntableOptions()
     if out.suffix.lower() not in FILM_SUFFIXES:
@@ -76,9 +76,10 @@ def write_turntable(
 
 
 def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:
-    """Cameras of the frames on the path ``options.way``, with the median field of view of ``cameras``.
+    """Make the cameras of the frames on the path ``options.way``, with the median field of view of
+    ``cameras``.
 
-    Width and height are even, as video requires, and have about the first camera's aspect ratio.
+    Width and height are even, as video requires; the aspect ratio is about that of the first camera.
     """
     lens = cameras[0]
     scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
@@ -93,7 +94,7 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
     forward = np.array([camera.forward for camera in cameras])
     center = 0.5 * (eyes.min(axis=0) + eyes.max(axis=0))
     center[2] = eyes[:, 2].mean()
-    # the cameras' bounding box may have empty corners; an ellipse of their spread stays among them
+    # an ellipse of the cameras' spread avoids the corners of their bounding box, which may be empty
     radii = np.maximum(np.sqrt(2) * eyes[:, :2].std(axis=0), MIN_RADIUS_M)
     is_across = float(((center - eyes)[:, :2] * forward[:, :2]).sum()) >= 0
     slope = float(np.mean(forward[:, 2] / np.maximum(np.linalg.norm(forward[:, :2], axis=1), 0.2)))
@@ -109,7 +110,7 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
 
 
 def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
-    """Poses on a closed spline through the cameras' positions and directions, equally spaced in time."""
+    """Compute poses on a closed spline through the cameras' poses, at equal steps of its parameter."""
     from scipy.interpolate import CubicSpline
 
     keys = np.array([np.concatenate([c.position_m, c.forward]) for c in cameras])

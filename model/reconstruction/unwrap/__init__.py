@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Unwraps meshes: UVs for an atlas."""
+"""Unwraps meshes to UVs for an atlas."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs Blender's Smart UV Project in a separate process, for pieces of a mesh on which xatlas fails.
 
-``python -m model.reconstruction.unwrap.blender_process IN.npz OUT.npz``: files as for ``xatlas_process``.
-Needs the Python module bpy; the exit code is 3 if it is not installed.
+``python -m model.reconstruction.unwrap.blender_process IN.npz OUT.npz`` has the files of ``xatlas_process``.
+It needs the Python module bpy; the exit code is 3 if it is not installed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _ANGLE_RAD = 1.15  # Blender's own default, 66 degrees
 
 
 def main(source: str, target: str) -> None:
-    """Unwrap the mesh of the file ``source``, and write the result to the file ``target``."""
+    """Unwrap the mesh in the file ``source`` and write the result to the file ``target``."""
     try:
         import bpy
     except ImportError:

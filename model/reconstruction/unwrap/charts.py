@@ -10,7 +10,7 @@ from datagen.foundation.meshes.mesh import Mesh
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
-    """Index (M,) of each triangle's chart; triangles that share a vertex, hence its UV, are in one chart."""
+    """Compute each triangle's chart index (M,); triangles that share a vertex, hence a UV, share a chart."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Makes UVs for an atlas: the mesh's UVs if they are a valid unwrap, else new UVs by xatlas.
+"""Makes UVs for an atlas: those of the mesh if they are a valid unwrap, else new ones by xatlas.
 
-UVs are valid if all are inside the unit square, none is missing and no two triangles cover one texel. xatlas
-runs in separate processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped
-by Blender's Smart UV Project, if bpy is installed; if that fails too, its triangles are placed individually.
+UVs are valid if all are inside the unit square, none is missing and no two triangles overlap. xatlas runs in
+separate processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped by
+Blender's Smart UV Project, if bpy is installed; if that fails too, its triangles are placed individually.
 Pieces are packed at the same scale.
 """
 
@@ -35,7 +35,7 @@ BLENDER_PROCESS = "model.reconstruction.unwrap.blender_process"
 MIN_PADDING_TEXELS = 1
 _MAX_PADDING, _MAX_CHART_FACES = 8, 1_000_000
 _CHECK_SIZE = 1024
-_CHECK_OFFSET = (0.5123, 0.4871)  # avoids samples on edges, which two triangles cover
+_CHECK_OFFSET = (0.5123, 0.4871)  # avoids samples on edges, where two triangles meet
 _MAX_OVERLAP = 0.002  # share of the covered area; tolerates a few texels along touching charts
 _MAX_UNMAPPED = 0.001  # share of the surface with degenerate UVs
 _RANGE_SLACK = 1e-5
@@ -46,10 +46,10 @@ class UvReport:
     """Quality of an unwrap.
 
     ``source``: origin of the UVs; ``rejected``: fault of the mesh's UVs, or ''; ``coverage``: share of the
-    atlas with a surface; ``metres_per_side``: median length of the atlas's side on the surface; ``stretch``:
-    ratio of the 95th to the 5th percentile of the texel density by area, ideally 1; ``padding_texels``: see
-    :func:`padding_texels`; ``num_blender_faces``: triangles unwrapped by Blender after xatlas failed;
-    ``num_fallback_faces``: triangles placed individually.
+    atlas with a surface; ``metres_per_side``: median length on the surface that corresponds to the atlas
+    side; ``stretch``: ratio of the 95th to the 5th percentile of texel density by area, ideally 1;
+    ``padding_texels``: see :func:`padding_texels`; ``num_blender_faces``: triangles unwrapped by Blender
+    after xatlas failed; ``num_fallback_faces``: triangles placed individually.
     """
 
     source: Literal["mesh", "xatlas"]
@@ -79,7 +79,7 @@ class UvReport:
 
 
 def unwrapped(mesh: Mesh, jobs: int = 2, progress: Advance = no_advance) -> tuple[Mesh, UvReport]:
-    """The mesh with UVs for an atlas; triangles keep their order and corners, but vertices may be split."""
+    """Return the mesh with UVs for an atlas; triangles keep their order, but vertices may be split."""
     fault = "" if mesh.uv is None else own_uv_fault(mesh)
     if mesh.uv is not None and not fault:
         return mesh, _report(mesh, "mesh", "")
@@ -88,7 +88,7 @@ def unwrapped(mesh: Mesh, jobs: int = 2, progress: Advance = no_advance) -> tupl
 
 
 def own_uv_fault(mesh: Mesh) -> str:
-    """Message why the mesh's UVs are not a valid unwrap; '' if they are."""
+    """Return the reason why the mesh's UVs are not a valid unwrap, or '' if they are."""
     assert mesh.uv is not None
     used = mesh.uv[np.unique(mesh.faces)]
     low, high = float(used.min()), float(used.max())
@@ -112,8 +112,8 @@ def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def padding_texels(mesh: Mesh) -> int | None:
-    """Number of texels between the two nearest charts on an atlas of 1024 texels a side, at most 8; None for
-    meshes of over a million triangles.
+    """Compute the texels between the two nearest charts on an atlas of 1024 texels a side, at most 8; None
+    for meshes of over a million triangles.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -181,14 +181,14 @@ def _unwrap(mesh: Mesh, jobs: int, progress: Advance) -> tuple[Mesh, int, int]:
 
 
 def _pieces(mesh: Mesh) -> list[NDArray[np.int64]]:
-    """Indices of triangles in groups of at most ``PIECE_FACES``, in the order of smooth regions."""
+    """Group triangle indices into pieces of at most ``PIECE_FACES``, in the order of smooth regions."""
     order = np.argsort(smooth_regions(mesh), kind="stable")
     return [order[first : first + PIECE_FACES] for first in range(0, len(order), PIECE_FACES)]
 
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Layout of a piece: triangles' corners (M, 3, 2) and size (2,) in metres, and the numbers of triangles
+    """Layout of a piece: triangle corners (M, 3, 2) and size (2,) in metres, and the numbers of triangles
     placed by Blender and individually.
     """
 
@@ -222,8 +222,8 @@ def _unwrap_piece(positions: NDArray[np.float32], faces: NDArray[np.int64], stem
 def _run(
     module: str, source: Path, target: Path
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Unwrap the file ``source`` by a process: corners, size and mask of placed triangles, as described in
-    ``xatlas_process``; None if it failed or placed none.
+    """Unwrap the file ``source`` in a process; return corners, size and mask of placed triangles, as
+    described in ``xatlas_process``, or None if it failed or placed none.
     """
     command = [sys.executable, "-m", module, str(source), str(target)]
     root = Path(__file__).resolve().parents[3]
@@ -242,7 +242,7 @@ def _run(
 def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lay out separate, undistorted triangles in rows along their longest edges.
 
-    Returns the corners (M, 3, 2) and the size of the layout (2,) in metres.
+    Returns the corners (M, 3, 2) and size (2,) of the layout in metres.
     """
     p = positions.astype(np.float64)[faces]
     lengths = np.stack([np.linalg.norm(p[:, (k + 1) % 3] - p[:, k], axis=1) for k in range(3)], axis=1)
@@ -266,8 +266,8 @@ def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float
 
 
 def shelf_packed(boxes: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Pack boxes of sizes (N, 2) in rows by decreasing height; returns their lower left corners (N, 2) and
-    the side of the square around them.
+    """Pack boxes of sizes (N, 2) in rows by decreasing height; return their lower left corners (N, 2) and the
+    side of the square around them.
     """
     order = np.argsort(-boxes[:, 1], kind="stable")
     best: tuple[NDArray[np.float64], float] | None = None

@@ -2,11 +2,11 @@
 """Runs xatlas in a separate process, since it may crash on large or broken meshes.
 
 ``python -m model.reconstruction.unwrap.xatlas_process IN.npz OUT.npz``: IN contains ``positions`` (N, 3) and
-``faces`` (M, 3); OUT contains ``corners`` (M, 3, 2), the triangles' corners on a sheet in metres, its size
-``size_m`` (2,), and ``is_placed`` (M,), the mask of triangles that were unwrapped.
+``faces`` (M, 3); OUT contains ``corners`` (M, 3, 2), the triangle corners on a sheet in metres, the sheet's
+size ``size_m`` (2,), and ``is_placed`` (M,), the mask of triangles that were unwrapped.
 
-xatlas drops edges shorter than 1e-4 and triangles smaller than 1.2e-7 in its units; in metres, these are all
-triangles of finely tessellated objects. The mesh is therefore passed in units of the median edge.
+xatlas discards edges shorter than 1e-4 and triangles smaller than 1.2e-7 in its units; in metres, finely
+tessellated objects would vanish. The mesh is therefore passed in units of the median edge length.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PACK_RESOLUTION, PADDING = 1024, 2
 
 
 def main(source: str, target: str) -> None:
-    """Unwrap the mesh of the file ``source``, and write the result to the file ``target``."""
+    """Unwrap the mesh in the file ``source`` and write the result to the file ``target``."""
     import xatlas
 
     with np.load(source) as data:
@@ -47,7 +47,7 @@ def main(source: str, target: str) -> None:
 
 
 def _median_edge_m(positions: np.ndarray, faces: np.ndarray) -> float:
-    """Median length of the triangles' edges; 1 if all are zero."""
+    """Compute the median length of the triangles' edges in metres; 1 if it is 0."""
     corners = positions[faces]
     median = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     return median if median > 0 else 1.0
