@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Slots of the exports, which are the surface with the atlas's materials and the lamps, and meshes of lights."""
+"""Slots of the exports (the surface with the atlas's materials, and lamps), and meshes of lights."""
 
 from __future__ import annotations
 
