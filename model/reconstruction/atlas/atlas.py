@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A merged atlas, whose maps by texel are in memory or in memory-mapped files."""
+"""The merged atlas, which is in memory or in memory-mapped files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
-"""Number of channels of each merged map, in the order of the packed channels."""
+"""Number of channels of each merged map, in the order in which maps are packed."""
 ATLAS_DTYPE = np.float16
 
 

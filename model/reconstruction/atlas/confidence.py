@@ -21,7 +21,7 @@ TILE = 512
 
 
 def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
-    """Set the atlas's ``confidence`` at observed texels. Raises :class:`ValueError` if it is None."""
+    """Set ``confidence`` of the atlas at observed texels. Raises :class:`ValueError` if it is None."""
     target = atlas.confidence
     if target is None:
         raise ValueError("expected an atlas with confidence")

@@ -39,9 +39,7 @@ PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "
 
 @dataclass(frozen=True)
 class ViewResult:
-    """A written page: its path, the numbers of triangles, materials and bytes in its folder, and notes on
-    omitted or reduced data.
-    """
+    """A written page: its path, numbers of triangles, materials and bytes, and notes on omitted data."""
 
     page: Path
     num_triangles: int

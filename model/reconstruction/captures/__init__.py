@@ -7,7 +7,7 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Import ``read_capture`` lazily: commands import ``options`` at start, without the readers."""
+    """Import ``read_capture`` on first use, since commands import ``options`` without the readers."""
     if name == "read_capture":
         from model.reconstruction.captures.read import read_capture
 

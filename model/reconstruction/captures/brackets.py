@@ -3,8 +3,7 @@
 
 A pixel is the mean of the photographs in which it is not clipped, weighted by exposure: for photon noise,
 this estimator has the least variance (Hanji, Zhong and Mantiuk, "Noise-aware merging of high dynamic range
-image stacks without camera calibration", ECCV workshops 2020). A pixel clipped in all of them remains
-clipped.
+image stacks without camera calibration", ECCV workshops 2020). A pixel clipped in all of them stays clipped.
 """
 
 from __future__ import annotations
@@ -67,8 +66,7 @@ def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
 
 
 def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
-    """Replace each bracket in ``views`` by one view, named after its first photograph; return the views and
-    notes for the user.
+    """Replace each bracket in ``views`` by one view, named after its first photograph; also return notes.
 
     Photographs with one pose and equal exposures are not merged, since their exposures may be unrecorded.
     """

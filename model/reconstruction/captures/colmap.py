@@ -36,8 +36,8 @@ _UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and 
 
 @dataclass(frozen=True)
 class Sights:
-    """K lines of sight from V cameras at ``centers`` (V, 3) to N ``points`` (N, 3); ``camera`` (K,) and
-    ``point`` (K,) are the indices of their ends.
+    """K lines of sight from V cameras at ``centers`` (V, 3) to N ``points`` (N, 3), whose indices are
+    ``camera`` (K,) and ``point`` (K,).
     """
 
     points: NDArray[np.float64]

@@ -3,8 +3,9 @@
 
 Photographers hold cameras upright, so up is the axis within 30 degrees of the cameras' mean up direction. In
 arbitrary frames, such as those of structure from motion, up is the direction most nearly perpendicular to the
-rows of all images, regardless of the cameras' tilt. A room is 1 m to 100 m across (the diagonal of its
-bounding box); a larger one is in millimetres or centimetres, whichever makes it closer to 8 m.
+rows of all images, regardless of the cameras' tilt. A room is assumed to be 1 m to 100 m across (diagonal of
+the bounding box); if it is larger, the unit is the millimetre or centimetre, whichever makes it closer to 8
+m.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from datagen.foundation.meshes.mesh import Mesh, joined
 
 
 def read_gltf(path: Path, budget: Budget) -> Mesh:
-    """Read the triangles of all nodes in the frame of the scene; v points up. Raises :class:`InputError`."""
+    """Read the triangles of all nodes in the scene's frame, with v upwards. Raises :class:`InputError`."""
     meshes: list[Mesh] = []
     with GltfFile(path, budget) as file:
         nodes = list(file.placed_nodes())

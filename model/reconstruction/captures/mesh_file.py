@@ -42,8 +42,7 @@ def find_mesh(path: Path) -> Path:
 
 
 def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
-    """Transform a mesh to world space, without degenerate and repeated triangles; return it and notes on its
-    faults.
+    """Transform a mesh to world space without degenerate and repeated triangles; also return notes on faults.
 
     Raises :class:`InputError`, which names ``path``, for an unusable mesh.
     """

@@ -14,8 +14,7 @@ from datagen.foundation.encodings import Encoding
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Exposure = Literal["auto", "common", "exif"]
-"""Relative exposures of photographs: all equal (common), from EXIF (exif), or from EXIF if all have it
-(auto)."""
+"""Source of relative exposures: none (common), EXIF (exif), or EXIF if all photographs have it (auto)."""
 DEFAULT_MAX_WIDTH_PX = 640
 
 

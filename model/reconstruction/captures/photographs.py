@@ -109,8 +109,7 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """Return the image (H, W, C) as stored or, if only the upright one has the camera's aspect ratio,
-    upright.
+    """Return the stored image (H, W, C), or rotate it upright if only then it has the camera's aspect ratio.
 
     Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
     image has the camera's aspect ratio.
@@ -145,7 +144,7 @@ def undistorted(
     camera: Camera,
     clipped: NDArray[np.bool_] | None = None,
 ) -> ColorImage:
-    """Resample a ``linear`` image (H, W, 3) of the ``calibrated`` lens, and its mask ``clipped`` (H, W, 3),
+    """Resample a ``linear`` image (H, W, 3) and its mask ``clipped`` (H, W, 3) from the ``calibrated`` lens
     to the pinhole ``camera``.
 
     The image is first resized to the camera's size, by area averaging if it shrinks, to prevent aliasing.

@@ -71,7 +71,7 @@ class ImageFinder:
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
-        """Find the image ``name`` in the folder, else the only image below it with that file name; None if
+        """Find the image ``name`` in the folder, or else the only image below it with that file name; None if
         there is none.
         """
         name = name.replace("\\", "/")
@@ -204,8 +204,8 @@ def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray
 def polynomial(
     radial: tuple[float, float, float, float], tangential: tuple[float, float]
 ) -> Distortion | None:
-    """Make the distortion with ``radial`` k1 ... k4 (of r^2 ... r^8) and OpenCV's ``tangential`` p1, p2; None
-    if all are 0.
+    """Make the distortion with ``radial`` k1 ... k4 (of r^2 ... r^8) and OpenCV's ``tangential`` p1 and p2;
+    None if all coefficients are 0.
     """
     k1, k2, k3, k4 = radial
     coefficients = (k1, k2, *tangential, k3, k4)

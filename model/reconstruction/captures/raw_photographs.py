@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Reads raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 at the camera's white
-balance.
+"""Reads raw photographs by libraw (``rawpy``, the extra ``raw``) as linear Rec.709, white-balanced as
+recorded.
 
 Black and white levels are the file's; values are not brightened, and no curve is applied. Channels are scaled
 so that the weakest channel in white light reaches 1 at the sensor's limit. Pixels interpolated from a sensor

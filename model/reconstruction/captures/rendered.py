@@ -57,8 +57,8 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """Open a shard's library: ``paths`` and the dataset's rooms, or the dataset's library, or the bundled
-    one.
+    """Open a shard's library: ``paths`` with the dataset's rooms, or the library of the dataset or, without
+    one, the bundled library.
     """
     folder = DatasetFolder(shard.parent.parent)
     if paths:

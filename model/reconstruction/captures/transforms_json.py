@@ -50,7 +50,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> list[PosedImage]:
-    """Read every frame; images are searched next to the file and in ``folder``, and get absolute paths.
+    """Read every frame with the absolute path of its image, which is next to the file or in ``folder``.
 
     Raises :class:`InputError` with all faults of the file.
     """

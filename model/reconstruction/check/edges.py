@@ -54,7 +54,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Compute the length of ``shift`` in pixels minus the peak's deviation along it; at least 0."""
+        """Compute the length of ``shift`` in pixels, minus its standard deviation, at least 0."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
@@ -63,8 +63,7 @@ class EdgeMatch:
 
 @dataclass(frozen=True)
 class WarpMatch:
-    """Rotation (clockwise in the image) and magnification of the mesh's image about the optical axis that
-    align it with the photograph.
+    """Rotation (clockwise) and magnification about the optical axis that align the mesh with the photograph.
 
     Gains are increases of the peak score, in standard deviations; ``at_peak`` is the highest score.
     """
@@ -220,9 +219,7 @@ def _warped(
 
 
 def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
-    """Return the value in ``at``, or ``neutral`` (gain 0), of highest gain, refined by a parabola; and its
-    gain.
-    """
+    """Find the value of highest gain in ``at`` or ``neutral`` (gain 0), refined by a parabola; also its gain."""
     values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
     order = np.argsort(values)
     values, heights = values[order], heights[order]

@@ -128,9 +128,7 @@ class Look:
         return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
 
     def checked(self, sides: NDArray[np.float32]) -> ViewCheck:
-        """Check the view; ``sides`` (M,) are the outer sides of the triangles, 1 for the front, -1 for the
-        back.
-        """
+        """Check the view; ``sides`` (M,): outer side of each triangle, 1 for its front, -1 for its back."""
         hit = self.geometry.face >= 0
         depth = self.geometry.depth_z_m[..., 0]
         is_back = self.geometry.is_front[hit] != (sides[self.geometry.face[hit]] > 0)
@@ -165,8 +163,7 @@ class Look:
         return found
 
     def _zoom_depth_m(self, at: NDArray[np.bool_], depth: NDArray[np.floating]) -> float:
-        """Compute the depth z0 for which a forward motion t of the camera magnifies masked edges by 1 + t /
-        z0.
+        """Compute the depth z0 at which a forward camera motion t magnifies masked edges by 1 + t / z0.
 
         An edge at distance r from the optical axis and depth z moves outwards by r t / z; one factor is
         fitted to all edges by least squares.

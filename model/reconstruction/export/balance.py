@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Estimates gains of the recovered lights that make the exported asset as bright as the photographs.
 
-A recovered light has the radiance that was photographed or inferred where it is emitted or enters. The
-brightness of other surfaces also depends on unphotographed surfaces, on the merged materials, and on windows
-that are exported as diffuse rectangles. Therefore the radiance of photographed pixels in the light of each
-source is path traced in the exported Mitsuba scene. The gains, one per light and channel, minimise a robust
-loss of the differences in log radiance from the photographs, including pixels that show a light.
+A recovered light has the radiance that was photographed or inferred where it is emitted or enters the room.
+The brightness of other surfaces also depends on unphotographed surfaces, on the merged materials, and on
+windows that are exported as diffuse rectangles. Therefore the radiance of photographed pixels in the light of
+each source is path traced in the exported Mitsuba scene. The gains, one per light and channel, minimise a
+robust loss of the differences in log radiance from the photographs, including pixels that show a light.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ relative to the median."""
 GAIN_SPREAD, COLOR_SPREAD = 2.0, 0.2
 """Prior standard deviations of ln gain and of its deviation from the mean over channels."""
 MIN_SAMPLES = 100
-_BATCH = 1 << 19  # paths
+_BATCH = 1 << 19  # paths traced at once
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,8 @@ class Reconstruction:
 
 @dataclass(frozen=True)
 class Slot:
-    """Triangles with one material; ``emission`` is a lamp's radiance or None, ``has_material`` whether the
-    material uses the atlas's maps.
+    """Triangles with one material, which uses the atlas if ``has_material``; ``emission`` is a lamp's
+    radiance.
     """
 
     mesh: Mesh

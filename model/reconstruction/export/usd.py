@@ -3,7 +3,7 @@
 
 The root's variant set ``workflow`` has two variants. *metallic*, the default, is supported by all programs
 and has base colour, occlusion-roughness-metalness, and one index of refraction, from the mean S of
-non-metallic texels. *specular* has exact D, S and R, but some programs misread it (Blender 4.5, AR Quick
+non-metallic texels. *specular* has exact D, S and R, which some programs misread (Blender 4.5, AR Quick
 Look).
 
 The stage is in metres with Y up; one root transform rotates the capture's Z up, and everything below it is in

@@ -30,24 +30,20 @@ from datagen.multiview.visibility import vectors_from_rows
 from model.reconstruction.level.radiance_cache import Floats, RadianceCache
 
 NUM_POINTS, NUM_RAYS = 4096, 400
-"""Number of surface points, distributed almost evenly over the photographed surface, and of rays per point,
-which is a square number."""
+"""Number of points, almost evenly distributed over photographed surfaces, and of rays per point (a square
+number)."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
-"""Cosine-weighted share of a point's hemisphere with known radiance at which the point has full weight, and
-at which its weight is 0."""
+"""Range of the cosine-weighted known share of a point's hemisphere over which its weight decreases from 1 to
+0."""
 LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
-"""Uncertain share of a point's light at which the point has full weight, and at which its weight is 0."""
+"""Range of the uncertain share of a point's light over which its weight decreases from 1 to 0."""
 MIN_POINTS, MIN_USED = 200, 0.4
 """Minimum number of points, and minimum of their mean weight, for a correction."""
 MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
 """Maximum ``spread`` and ``impossible_share`` (:class:`LevelReport`) for a correction."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
 _MIN_RADIANCE = 1e-6  # relative to the median
-_POINT_SCALE, _REGION_SCALE, _FREEDOM = (
-    0.2,
-    0.3,
-    2.0,
-)  # scales and freedom of Student's t of ln rho
+_POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # Student's t distributions of ln rho
 _ROUNDS = 40
 _CHUNK = 512
 
@@ -85,8 +81,8 @@ class AlbedoLevel:
     report: LevelReport
 
     def corrected(self, diffuse_albedo: NDArray, region: NDArray) -> NDArray[np.float16]:
-        """Multiply a view's D (H, W, 3) by the gains of each pixel's ``region`` (H, W), -1 for unchanged
-        pixels off the mesh, and clip it to [0, 1].
+        """Multiply D (H, W, 3) by the gains of the pixels' ``region`` (H, W), and clip it to [0, 1]; pixels
+        off the mesh (region -1) are unchanged.
         """
         found = diffuse_albedo.astype(np.float16)
         on_mesh = region >= 0
@@ -188,9 +184,7 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 @dataclass(frozen=True)
 class Points:
-    """N points on non-emitting surfaces: position, normal, radiance and predicted D + S (N, 3), and smooth
-    region (N,).
-    """
+    """N points on surfaces: position, normal, radiance and predicted D + S (N, 3), and smooth region (N,)."""
 
     position_m: Floats
     normal: Floats
@@ -295,7 +289,7 @@ def _modes(
     They maximise the likelihood under Student's t of points about their region and of regions about the room.
     """
     num = np.bincount(region, weight, num_regions)
-    room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unphotographed light can only increase it
+    room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unphotographed light only increases values
     offset = np.zeros(num_regions)
     for _ in range(_ROUNDS):
         of_point = weight * _precision((values - room - offset[region]), _POINT_SCALE)

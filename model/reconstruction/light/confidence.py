@@ -18,20 +18,19 @@ IMPOSSIBLE = (0.1, 0.3)
 """Range of the local share of surfels that reflect more than their incident light, over which the confidence
 of D, S and R decreases to 0."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
-"""Range of the same share over the whole room; below it, the local share does not reduce confidence."""
+"""Range of the room's share of surfels that reflect more than their incident light; below it, local shares do
+not reduce confidence."""
 DARK_ROOM = (0.2, 0.4)
-"""Range of the same share over the whole room, over which all confidence decreases to 0, since most light
-sources are not photographed."""
+"""Range of the room's share of surfels that reflect more than their incident light, over which all confidence
+decreases to 0, since most light sources are not photographed."""
 IMPOSSIBLE_SURFACE = (0.4, 0.8)
-"""Range of the local share over which the confidence of D decreases to 0 in any room."""
+"""Like :data:`IMPOSSIBLE`, for the confidence of D in any room."""
 MIN_OBSERVATIONS = 50.0
-"""Number of observations at which a block's or region's own share is weighted by half
-(:func:`_shrunk_share`)."""
+"""Number of observations at which a share has the same weight as the share to which it is shrunk."""
 BLOCK_CELLS = 25
 """Side in cells of the blocks over which shares are computed: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
-"""Range of the uncertain share of a surfel's diffuse shading, over which its confidence decreases from 1 to
-0."""
+"""Range of the uncertain share of a surfel's diffuse shading, over which confidence decreases to 0."""
 HIDDEN_LIGHT = (0.3, 0.5)
 """Range of the share of a smooth region's light that comes from unphotographed lamps, over which the
 confidence of D, S and R decreases from 1 to 0."""
@@ -44,13 +43,12 @@ reflects in wrong directions; an exact mesh is curved only at some objects."""
 _BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # the latter: minimum cosine between normals of one surface
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
-"""Ranges of the photographed share of a surfel's hemisphere, over which the confidence of D and of S and R
-increases from 0 to 1."""
+"""Ranges of the photographed share of a hemisphere over which confidence, of D and of S and R, rises from 0
+to 1."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
-    """Compute the confidence (N, 3) of D, S and R from the share (N,) of each surfel's hemisphere that is
-    photographed.
+    """Compute the confidence (N, 3) of D, S and R from the ``photographed`` share (N,) of hemispheres.
 
     The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose prior
     already has more weight where evidence is weak.
@@ -149,9 +147,7 @@ def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
 
 
 def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
-    """Compute the factor (N,) of the confidence of R from the result ``spread`` (N,) of
-    :func:`normal_spread`.
-    """
+    """Compute the factor (N,) of the confidence of R from the :func:`normal_spread` (N,) of surfels."""
     of_room = _ramp(float(np.median(spread)), BUMPY_ROOM)
     return (1 - (1 - BUMPY_TRUST) * of_room * _ramp(spread, BUMPY)).astype(np.float32)
 

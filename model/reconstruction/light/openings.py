@@ -116,9 +116,7 @@ def found_windows(
 
 @dataclass(frozen=True)
 class _Plane:
-    """A plane parallel to a face of the box, ``depth_m`` inside it, divided into the same squares as the
-    face.
-    """
+    """A plane parallel to a face of the box, ``depth_m`` inside it, with the same squares as the face."""
 
     box: Background
     face: int

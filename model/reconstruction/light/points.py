@@ -20,16 +20,16 @@ from model.reconstruction.light.solve import (
 )
 
 EVIDENCE_POWER = 3
-"""Exponent of a segment's evidence; the weights of priors are inversely proportional to the power."""
+"""Weights of priors are divided by a segment's evidence to this power."""
 HALF_EVIDENCE_VIEWS = 1.0
-"""Number of views of a surfel at which its evidence is half of that with many views: in few views, other
-materials may resemble metal."""
+"""Number of views at which a surfel has half of the full evidence; in few views, other materials may resemble
+metal."""
 MIN_VIEWS, MIN_LIGHT = 3, 0.6
-"""Number of views and known share of light from which a surfel is preferred."""
+"""Minimum number of views and known share of light of preferred surfels."""
 _MIN_WEIGHT = 0.1  # preferred minimum weight of an observation
 _QUOTA_STEP = 8
 UNSEEN_WEIGHT = 0.05
-"""Weight of an observation whose specular lobe is not photographed, relative to one whose lobe is."""
+"""Weight added to the photographed share of an observation's specular lobe, which may be 0."""
 
 
 @dataclass(frozen=True)

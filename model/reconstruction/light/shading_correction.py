@@ -2,15 +2,14 @@
 """Corrects the diffuse shading Ld where the incident light is not photographed.
 
 Missing or wrongly estimated light affects a whole neighbourhood, so the error of Ld is smooth over a surface,
-regardless of texture. The logarithm u (N, 3) of the factor that corrects the albedo rho = pi L / E minimises,
-over the surfels,
+regardless of texture. The correction u (N, 3) of ln rho, with the albedo rho = pi L / E, minimises, over
+surfels,
 
     c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
 
 with c the confidence in the light, D_p the network's albedo at the scale of the confident surfels, and D_r
 the mean albedo of the confident surfels of the same smooth region. The weight of each prior is the inverse
-square of its spread among the confident surfels; Huber weights make both robust. Texture remains as
-photographed.
+square of its spread among the confident surfels; Huber weights make both robust. Texture is preserved.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
 """Standard deviations of ln D that are added in quadrature to the spreads."""
 SCALE_SUPPORT = 0.05
-"""Mean confidence in the light at which the network's albedo is scaled by half, in ln, of its offset from the
-confident surfels."""
+"""Mean confidence in the light at which half of the confident surfels' ln offset is applied to the network's
+albedo."""
 MIN_SUPPORT = 10.0
-"""Number of confident surfels from which a region has a prior; the prior has full weight from ten times this
-number."""
+"""Number of confident surfels from which a region's prior has weight; full weight requires ten times as
+many."""
 _NEIGHBOURS = 9
 _BLOCK = 5  # in cells
 _ROUNDS = 3  # iterations of reweighting
@@ -51,8 +50,7 @@ def shading_correction(
     confidence: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Compute the correction u (N, 3): the corrected albedo is exp(u) ``albedo`` (N, 3), the corrected
-    diffuse shading exp(-u) Ld.
+    """Compute u (N, 3): the corrected albedo is exp(u) ``albedo`` (N, 3), the corrected shading exp(-u) Ld.
 
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
     ``confidence`` (N,): confidence in the light, in [0, 1]; ``is_diffuse`` (N,): mask of lit surfels that are
@@ -87,11 +85,10 @@ def shading_correction(
 
 
 def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> NDArray[np.float32]:
-    """Compute the RGB factor (3,) that scales the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N,
-    3) of surfels in known light.
+    """Compute the RGB factor (3,) from the network's albedo ``predicted`` to ``albedo``, both (N, 3).
 
-    ``confident`` (N,) is the confidence in their light, 0 for metals. The factor tends to 1 if little light
-    is known (:data:`SCALE_SUPPORT`).
+    ``confident`` (N,) is the confidence in the surfels' light, 0 for metals. The factor tends to 1 if little
+    light is known (:data:`SCALE_SUPPORT`).
     """
     support = float(confident.mean())
     offset, _ = _network_offset(_log(albedo) - _log(predicted), confident)
@@ -99,8 +96,8 @@ def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> ND
 
 
 def _network_offset(difference: NDArray, confident: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Compute the robust mean (3,) and standard deviation of the ``difference`` (N, 3) in ln D, weighted by
-    ``confident`` (N,).
+    """Compute the robust mean (3,) and standard deviation of ``difference`` (N, 3), weighted by ``confident``
+    (N,).
     """
     offset, spread, _ = _grouped_spread(difference, confident, np.zeros(len(confident), np.int64))
     return offset[0], float(spread[0])
@@ -113,8 +110,7 @@ def _log(albedo: NDArray) -> NDArray[np.float64]:
 def _minimised(
     matrix: sparse.csr_matrix, right: NDArray, blocks: sparse.csr_matrix, start: NDArray
 ) -> NDArray:
-    """Solve ``matrix`` (N, N) x = ``right`` (N, 3) by preconditioned conjugate gradients from ``start`` (N,
-    3).
+    """Solve ``matrix`` (N, N) x = ``right`` (N, 3) by conjugate gradients from ``start`` (N, 3).
 
     The preconditioner, Jacobi plus a coarse solve with one unknown per block, speeds up smooth long-range
     corrections; ``blocks`` (N, K) is the membership. Raises ArithmeticError if it does not converge.
@@ -149,8 +145,8 @@ def _blocks(surfels: Surfels) -> sparse.csr_matrix:
 def _grouped_spread(
     values: NDArray, weight: NDArray, group: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Compute the robust mean (N, 3), standard deviation (N,) and total weight (N,) of each row's group in
-    ``values`` (N, 3).
+    """Compute the robust mean (N, 3), standard deviation (N,) and total weight (N,) of the group of each row
+    of ``values`` (N, 3).
 
     The deviation follows from mean absolute deviations, clipped at 1. The mean is that of values clipped at
     twice the deviation from the median, since the median of a checkerboard would be one of its two colours.

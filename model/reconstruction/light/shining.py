@@ -4,7 +4,7 @@
 Their surfels have several times the maximum radiance that they could reflect, in nearly all views (a mirror
 reflects a lamp in some views only), and several times that of the surrounding surface (the light of a hidden
 lamp decreases gradually). Neighbouring cells of one side are clustered and exported as rectangles
-perpendicular to the side's axis, just in front of the surface, since a ceiling's triangles extend beyond its
+perpendicular to the side's axis, just in front of the surface, since triangles of a ceiling extend beyond its
 lamp.
 """
 
@@ -29,8 +29,7 @@ EXCESS = 2.5
 FAINTEST, MIN_VIEWS = 0.2, 3
 """Share of the views in which a lamp may be fainter, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
-"""Minimum photographed share of a surfel's hemisphere; irradiance near unphotographed lamps is
-underestimated."""
+"""Minimum photographed share of a surfel's hemisphere, since hidden lamps make irradiance too low."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
 """Minimum number of cells of a lamp, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16

@@ -51,7 +51,8 @@ noise slightly better."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels from which its other segments may become metal."""
 MIN_ADVANTAGE = -0.05
-"""Lower bound on the advantage of metal in a region's mean, so that few dark segments do not dominate it."""
+"""Lower bound on each segment's advantage of metal in a region's mean, so that few dark segments do not
+dominate."""
 METAL_TOLERANCE = 0.005
 """Maximum excess cost of metal over a dielectric at which a segment of a metal region becomes metal."""
 
@@ -179,9 +180,10 @@ def decide(
 
 
 def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Compute the means (G,) of S, R and R^2 over the glossy hypotheses of ``cost`` (G, levels, nonzero
-    speculars), weighted by likelihood, since means have a lower squared error than the most likely
-    hypothesis.
+    """Compute the means (G,) of S, R and R^2 over glossy hypotheses of ``cost`` (G, levels, nonzero
+    speculars), weighted by likelihood.
+
+    Means have a lower squared error than the most likely hypothesis.
     """
     weight = softmax(-cost.reshape(len(cost), -1), axis=1).reshape(cost.shape)
     of_level = weight.sum(axis=2)

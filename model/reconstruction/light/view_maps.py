@@ -29,11 +29,10 @@ from model.reconstruction.light.solve import MAX_ALBEDO
 SIMILAR = 0.35
 """Difference in ln reflectance from the pixel at which a surfel's S and R are weighted by exp(-1/2)."""
 WHITE_PAINT = 0.85
-"""Maximum D in uncertain light; surfels of the development rooms above it in such light have a true D of 0.78
-to 0.91."""
+"""Maximum D in uncertain light; where estimates exceeded it in the development rooms, the true D was 0.78 to
+0.91."""
 MAX_EXCESS = 1.5
-"""Maximum of the network's D relative to L / Ld, the D of a surface without specular reflection; it exceeds 1
-to allow for errors of Ld."""
+"""Maximum of the network's D relative to the physical limit L / Ld, with a margin for errors of Ld."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Fills unobserved texels of an atlas.
 
-In a partly observed chart, they get the value of the nearest observed texel of the chart; triangles of
+In a partly observed chart, such texels get the value of the nearest observed texel of the chart; triangles of
 unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
 value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
 ``count`` remains 0 at filled texels.

@@ -4,8 +4,7 @@
 Texels are processed in squares of 8 x 8, whose covered texels are the lanes of vector instructions. For each
 view whose frustum may intersect a square's bounding sphere, all lanes are projected and tested (visibility as
 in ``datagen.multiview``), and visible values are appended to the lanes' lists. The lists of a square are
-padded with Inf to equal length and sorted together (``lane_sort``), and any weights are permuted with the
-values.
+padded with Inf to equal length and sorted together (``lane_sort``); any weights are permuted with the values.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ NUM_CHANNELS = 7
 PACKET = 8
 """Floats per pixel: D (3), S (3), R (1) and the index of the smooth region (1)."""
 CAMERA = 19
-"""Floats per camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height and maximum
-visible depth."""
+"""Floats per camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height, maximum
+depth."""
 _X, _Y, _Z, _NX, _NY, _NZ, _U, _V, _DEPTH, _LIMIT, _COSINE, _REGION = (row * LANES for row in range(12))
 _ROWS = 12
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
@@ -92,7 +91,7 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
         is_inside = (depth > _ZERO) & (facing > _ZERO)
         is_inside = is_inside & (u >= _ZERO) & (v >= _ZERO) & (u < width) & (v < height)
         step = abs(r00 * nx + r01 * ny + r02 * nz) / fx + abs(r10 * nx + r11 * ny + r12 * nz) / fy
-        slope = slope_px * step * depth / facing  # Inf at grazing angles, which min() bounds
+        slope = slope_px * step * depth / facing  # Inf at grazing angles, bounded by slope_limit
         slope = slope if slope < slope_limit else slope_limit
         state[_U + lane] = u
         state[_V + lane] = v

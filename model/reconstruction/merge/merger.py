@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Merges the maps of all views into one atlas: each texel is the exact median over the views that show it, or
-the weighted mean of the middle half.
+"""Merges the maps of all views into one atlas by the median of each texel over views, or a weighted mean.
 
 The point and normal at the centre of each covered texel are projected into every view. Views in which it is
 visible (``datagen.multiview.visibility``) contribute D, S and R, and each channel is the median (for even
@@ -50,8 +49,7 @@ DEFAULT_TILE = 512
 
 @dataclass(frozen=True)
 class MapView:
-    """Maps of a view in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3) and ``roughness`` (H, W,
-    1).
+    """Maps of a view in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3), ``roughness`` (H, W, 1).
 
     ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W):
     index of each pixel's triangle; ``confidence`` (H, W, 3): optional weights of D, S and R.

@@ -2,11 +2,11 @@
 """Runs COLMAP to compute cameras and a mesh from a folder of photographs; each step runs only once.
 
 WORK/database.db    features and matches
-WORK/found/         the models of the mapper
-WORK/sparse/0/      the largest of them
+WORK/found/         all models of the mapper
+WORK/sparse/0/      the largest model
 WORK/dense/         undistorted photographs and depth, if there is a suitable GPU
 WORK/mesh.ply       a Poisson surface of the dense points, else a Delaunay surface of the sparse ones
-WORK/STEP.done      marker of each finished step; WORK/STEP.log: output of COLMAP
+WORK/STEP.done      mark of a finished step; WORK/STEP.log: output of COLMAP in it
 """
 
 from __future__ import annotations

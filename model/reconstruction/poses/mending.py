@@ -31,8 +31,8 @@ EDGE = 0.03
 SAME_DEPTH = 0.02
 """Maximum relative difference of depth at which two views show the same point."""
 MIN_GAIN = 0.1
-"""Minimum relative reduction of the residual for which corrections are applied; without it, correct poses
-would move by half a pixel."""
+"""Minimum relative reduction of the residual for corrections; without it, correct poses move by half a
+pixel."""
 _STEP = 0.8  # damping of Gauss-Newton steps, since all views move at once
 _CORRELATED = 25.0  # number of neighbouring points with correlated errors
 
@@ -60,7 +60,7 @@ class MendedPoses:
 @dataclass(frozen=True)
 class _Look:
     """Ln luminance (H, W) of a view, its derivatives by x and y per pixel, depth in metres (H, W), and points
-    (N, 3) on the visible surfaces.
+    (N, 3) on its surfaces.
     """
 
     image: NDArray[np.float32]

@@ -13,7 +13,7 @@ from model.reconstruction.stages import Run
 
 
 def mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """Correct the capture's poses and trace it again; it is unchanged if views would not agree better."""
+    """Correct the capture's poses and trace it again; it is unchanged if agreement would not improve."""
     with run.stage("poses"):
         found = mended_poses(traced.views)
         before, after = found.residual

@@ -79,8 +79,8 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
 
 
 def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Group indices of consecutive views of equal size into batches of at most ``size``, less for large
-    views.
+    """Group consecutive views of equal size into batches of at most ``size`` indices, fewer if they are
+    large.
 
     Batches do not depend on stored maps, since convolutions round differently for other batch sizes.
     """

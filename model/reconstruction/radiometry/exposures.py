@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Estimates exposure and white balance of each photograph, vignetting and response from common surfaces.
 
-A surfel i of radiance L_i is recorded in view v at the squared image radius r2 (1 in the corners) as the
-value
+A surfel i of radiance L_i is recorded in view v, at the squared image radius r2 (1 in the corners), as
 
     f(exp(ln L_i + g_v - vignetting r2)),    f(x) = linear(e - c sin(2 pi e)),  e = sRGB(x),
 
@@ -36,8 +35,7 @@ ignored, since highlights alone can cause such values."""
 MIN_EXPLAINED = 0.02
 """Minimum relative reduction of the cost for which a response curve is accepted."""
 MIN_SPREAD = 0.1
-"""Minimum standard deviation of ln gains for a response curve, whose estimation requires different
-exposures."""
+"""Minimum standard deviation of ln gains for a response curve, which requires different exposures."""
 _ROUNDS = 10
 _SCALES = (0.5, 0.06)  # first and last scale of Cauchy's distribution, in ln L
 _PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05

@@ -36,7 +36,7 @@ MAX_POINTS, RAYS = 2500, 576
 """Maximum number of points, and rays per point; noise in a source's light biases its radiance downwards."""
 DOUBT_RAYS = 64
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
-"""Minimum number of views of a surfel for its use, and minimum photographed share of its light."""
+"""Minimum number of views of a surfel, and minimum photographed share of its light, for its use."""
 MAX_FACTOR = 3000.0
 """Maximum ratio of a source's radiance to its photographed radiance."""
 _SCALE = 0.15  # scale of Student's t, in ln L

@@ -2,8 +2,8 @@
 """Finds light sources that all photographs clip.
 
 Sources are clipped emitters, openings (connected parts of a face of the room's box with a clipped background)
-and patches of neighbouring surfels that are clipped in all views. Each has one radiance by channel, which is
-unknown in the clipped channels.
+and patches of neighbouring surfels that are clipped in all views. The radiance of a source is constant and
+unknown in its clipped channels.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stage of ``materials infer`` that equalises exposures and completes clipped pixels."""
+"""The stage of ``materials infer`` that equalises exposures and estimates clipped pixels."""
 
 from __future__ import annotations
 

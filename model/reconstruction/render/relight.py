@@ -170,7 +170,7 @@ def _configuration(
 
 @contextmanager
 def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path | None]:
-    """Make a temporary package with the environment map, since configurations only refer to packages."""
+    """Make a temporary package with the environment map, since configurations refer only to packages."""
     if not isinstance(sky, Path):
         yield None
         return

@@ -25,7 +25,7 @@ from datagen.foundation.progress import Progress
 from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
 from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
 
-MIN_RADIUS_M = 0.15  # radius of a small circle for a capture from one position
+MIN_RADIUS_M = 0.15  # minimum radius of the orbit, for captures from one position
 _GIF_COLORS = 255
 
 
