@@ -37,7 +37,7 @@ def is_package(path: Path) -> bool:
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """Read a capture that consists of the package's cameras with a photograph.
+    """Read a capture that consists of the package's cameras that have a photograph.
 
     ``images`` is by default the folder ``photographs`` or ``images`` in the package or next to it. Raises
     :class:`InputError` if no camera has a photograph.

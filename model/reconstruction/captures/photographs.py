@@ -96,7 +96,7 @@ def relative_exposure(path: Path) -> float | None:
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Rotate and flip ``pixels`` (H, W, C) with the EXIF ``orientation`` (1 to 8) upright."""
+    """Rotate and flip ``pixels`` (H, W, C) upright according to their EXIF ``orientation`` (1 to 8)."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.transpose(1, 0, 2)
     flips = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}.get(orientation, ())

@@ -219,7 +219,7 @@ def _warped(
 
 
 def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
-    """Find the value of highest gain in ``at`` or ``neutral`` (gain 0), refined by a parabola; also its gain."""
+    """Find the value of highest gain, of ``at`` and ``neutral`` (gain 0), by a parabola, and its gain."""
     values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
     order = np.argsort(values)
     values, heights = values[order], heights[order]

@@ -35,7 +35,8 @@ HIDDEN_LIGHT = (0.3, 0.5)
 """Range of the share of a smooth region's light that comes from unphotographed lamps, over which the
 confidence of D, S and R decreases from 1 to 0."""
 INFERRED_LIGHT = (0.02, 0.08)
-"""Like :data:`HIDDEN_LIGHT`, for lamps declared by the geometry and the confidence of S and R."""
+"""Range of the share of a smooth region's light from unphotographed lamps that the geometry declares, over
+which the confidence of S and R decreases from 1 to 0."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
 """Ranges of the spread of normals around a surfel and of its median over the room, in radians, over which the
 confidence of R decreases to the factor :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere and
@@ -43,8 +44,8 @@ reflects in wrong directions; an exact mesh is curved only at some objects."""
 _BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # the latter: minimum cosine between normals of one surface
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
-"""Ranges of the photographed share of a hemisphere over which confidence, of D and of S and R, rises from 0
-to 1."""
+"""Ranges of the photographed share of a surfel's hemisphere over which the confidence of D, and that of S and
+R, increases from 0 to 1."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:

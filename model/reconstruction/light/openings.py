@@ -33,7 +33,8 @@ PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
 """Number of candidate planes per face of the box, maximum depth of a plane relative to the box, and minimum
 share of an opening's rays that start on the inner side of its plane."""
 MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
-"""Maximum number of openings, found in decreasing order of size, and minimum share of all leaving rays."""
+"""Maximum number of openings, found in decreasing order of size, and minimum share of leaving rays in
+each."""
 MIN_SIDE = 1 / 60
 """Side of the smallest window, relative to the box's diagonal; smaller openings may be cracks of the mesh."""
 MAX_BLOCK = FINE // 6

@@ -2,8 +2,8 @@
 """Finds light sources that all photographs clip.
 
 Sources are clipped emitters, openings (connected parts of a face of the room's box with a clipped background)
-and patches of neighbouring surfels that are clipped in all views. The radiance of a source is constant and
-unknown in its clipped channels.
+and patches of neighbouring surfels that are clipped in all views. A source has one radiance per channel,
+which is unknown in clipped channels.
 """
 
 from __future__ import annotations
