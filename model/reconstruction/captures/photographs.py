@@ -109,7 +109,7 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """Return the stored image (H, W, C), or rotate it upright if only then it has the camera's aspect ratio.
+    """Return the stored image (H, W, C), rotated upright if it has the camera's aspect ratio only then.
 
     Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
     image has the camera's aspect ratio.

@@ -267,7 +267,7 @@ def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
 
 
 def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Return each ray's distance (N,) to the first hit, Inf for misses, and the normal (N, 3) facing the ray."""
+    """Return the distance (N,) to each first hit, Inf for misses, and its normal (N, 3) facing the ray."""
     import drjit as dr
     import mitsuba as mi
 

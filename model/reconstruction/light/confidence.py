@@ -49,7 +49,7 @@ R, increases from 0 to 1."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
-    """Compute the confidence (N, 3) of D, S and R from the ``photographed`` share (N,) of hemispheres.
+    """Compute the confidence (N, 3) of D, S and R from the ``photographed`` share (N,) of each hemisphere.
 
     The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose prior
     already has more weight where evidence is weak.

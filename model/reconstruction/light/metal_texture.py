@@ -24,7 +24,8 @@ def textured_specular_albedo(
     is_metal: NDArray[np.bool_],
     shading: SpecularShading,
 ) -> NDArray[np.float32]:
-    """Compute S (N, 3) of the surfels, for metals from the medians of (L - Ls1) / Ls0 over observations.
+    """Compute S (N, 3) of the surfels, for metals from the medians of (radiance - ls1) / ls0 over
+    observations.
 
     ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments;
     ``shading`` is that of all M observations, divided by the known share of its light.

@@ -111,7 +111,8 @@ def _choose_observations(
 
 @dataclass(frozen=True)
 class PointShading:
-    """Specular shading S ``ls0`` + ``ls1`` of the points' observations, (P, O, roughness levels, 3).
+    """Terms of the points' specular radiance S ``ls0`` + ``ls1`` per observation, (P, O, roughness levels, 3)
+    each.
 
     The ``weight`` (P, O) of an observation is lower where its lobe includes unphotographed radiance.
     """

@@ -23,7 +23,8 @@ def segment_surfels(
     region: NDArray, reflectance: NDArray, specular_albedo: NDArray, roughness: NDArray
 ) -> NDArray[np.int32]:
     """Compute the index (N,) of each surfel's segment, from 0 without gaps, from its smooth ``region`` (N,),
-    ``reflectance`` pi L / E (N, 3), and predicted ``specular_albedo`` (N, 3) and ``roughness`` (N,).
+    ``reflectance`` pi radiance / irradiance (N, 3), and predicted ``specular_albedo`` (N, 3) and
+    ``roughness`` (N,).
     """
     feature = _features(reflectance, specular_albedo, roughness)
     bins = np.round(feature).astype(np.int64)

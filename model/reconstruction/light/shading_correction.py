@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Corrects the diffuse shading Ld where the incident light is not photographed.
+"""Corrects the diffuse shading where the incident light is not photographed.
 
-Missing or wrongly estimated light affects a whole neighbourhood, so the error of Ld is smooth over a surface,
-regardless of texture. The correction u (N, 3) of ln rho, with the albedo rho = pi L / E, minimises, over
-surfels,
+Missing or wrongly estimated light affects a whole neighbourhood, so the error of shading is smooth over a
+surface, regardless of texture. The correction u (N, 3) of ln rho, with the albedo rho = pi radiance /
+irradiance, minimises, over surfels,
 
     c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
 
@@ -50,7 +50,7 @@ def shading_correction(
     confidence: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Compute u (N, 3): the corrected albedo is exp(u) ``albedo`` (N, 3), the corrected shading exp(-u) Ld.
+    """Compute u (N, 3), by which exp(u) multiplies ``albedo`` (N, 3) and divides the diffuse shading.
 
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
     ``confidence`` (N,): confidence in the light, in [0, 1]; ``is_diffuse`` (N,): mask of lit surfels that are

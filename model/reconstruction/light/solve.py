@@ -2,7 +2,8 @@
 """Solves specular albedo and roughness of segments from the variation of radiance over views (docs/light.md).
 
 For each roughness of :data:`ROUGHNESS_LEVELS` and specular albedo of :data:`SPECULAR_LEVELS`, the diffuse
-albedo of each point follows in closed form from its observations,
+albedo of a point follows from its radiance L, diffuse shading Ld and specular radiance S Ls0 + Ls1 in each
+observation,
 
     D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_ALBEDO],
 
@@ -254,7 +255,7 @@ def _cost(first, last, radiance, target, weight, diffuse, ls0, ls1, level, specu
 
 @compiled
 def _metal_albedo(first, last, radiance, weight, ls0, ls1, level, out):
-    """Set ``out`` (3,) to the medians of (L - Ls1) / Ls0 over a segment's observations, clipped to [0, 1]."""
+    """Set ``out`` (3,) to the median of (radiance - ls1) / ls0 over a segment's observations, in [0, 1]."""
     num = radiance.shape[1]
     ratio = np.empty((last - first) * num, np.float32)
     for channel in range(3):

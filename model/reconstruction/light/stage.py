@@ -145,7 +145,7 @@ def _packed(view_maps: dict[str, NDArray]) -> NDArray:
 def _specular_parts(
     lit: Lit, segments: SolvedSegments, segment: NDArray, options: LightOptions
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute S (N, 3) of the surfels, and the specular shading S Ls0 + Ls1 (M, 3) of every observation."""
+    """Compute S (N, 3) of the surfels, and the specular part (M, 3) of the radiance of every observation."""
     surfels = lit.surfels
     owner = surfels.surfel_of_observation()
     roughness = segments.roughness[segment]
@@ -209,8 +209,8 @@ def _solved_surfels(
 def surfel_albedo(
     surfels: Surfels, diffuse: NDArray, specular: NDArray, specular_albedo: NDArray, is_metal: NDArray
 ) -> NDArray[np.float32]:
-    """Compute the diffuse albedo (N, 3) of surfels, 0 for metals: the median of (L - specular) / ((1 - S) Ld)
-    over observations, with ``diffuse`` Ld and ``specular_albedo`` S (N, 3), and ``specular`` (M, 3).
+    """Compute the diffuse albedo (N, 3) of surfels, 0 for metals: the median over observations of (radiance -
+    ``specular``) / ((1 - ``specular_albedo``) ``diffuse``), with ``specular`` (M, 3) and the others (N, 3).
     """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Computes material maps of views from solved surfels: texture from the photographs, scale from the light.
 
-Shading and materials of the surfels around a pixel are interpolated between cell centres, and
+Shading and materials of the surfels around a pixel are interpolated between cell centres. With its radiance L
+and diffuse shading Ld,
 
     D = (L - specular part) / ((1 - S) Ld),
 
@@ -32,7 +33,8 @@ WHITE_PAINT = 0.85
 """Maximum D in uncertain light; where estimates exceeded it in the development rooms, the true D was 0.78 to
 0.91."""
 MAX_EXCESS = 1.5
-"""Maximum of the network's D relative to the physical limit L / Ld, with a margin for errors of Ld."""
+"""Maximum of the network's D relative to its physical limit, the ratio of radiance to diffuse shading; the
+margin allows for errors of shading."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 
 
@@ -40,9 +42,10 @@ _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 class SolvedSurfels:
     """Shading and materials of N surfels with M observations.
 
-    ``diffuse`` (N, 3): Ld; ``specular`` (M, 3): S Ls0 + Ls1 of each observation; ``specular_albedo`` (N, 3);
-    ``roughness`` (N,); ``is_metal`` (N,); ``confidence`` (N, 3) of D, S and R in [0, 1]; ``replaced`` (N,):
-    weight of D from light against the network's D; ``prior_scale`` (N, 3): factor of the network's D.
+    ``diffuse`` (N, 3): diffuse shading; ``specular`` (M, 3): specular part of the radiance of each
+    observation; ``specular_albedo`` (N, 3); ``roughness`` (N,); ``is_metal`` (N,); ``confidence`` (N, 3) of
+    D, S and R in [0, 1]; ``replaced`` (N,): weight of D from light against the network's; ``prior_scale`` (N,
+    3): factor of the network's D.
     """
 
     diffuse: NDArray[np.float32]
