@@ -165,7 +165,9 @@ def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
 
 
 def measure_visibility(views: list[StatisticsView], scene) -> dict:
-    """Shares of pairs of a surface point and another view in which depth test and shadow ray differ."""
+    """Count the pairs (surface point, other view) that a shadow ray finds visible, and relative to them those
+    that only the depth test or only the ray finds visible.
+    """
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     rng = np.random.default_rng(1)
     traced_count, extra, missed = 0, 0, 0

@@ -94,7 +94,9 @@ _gathered: list[Problem] | None = None
 
 
 def check_parameter(material: str, name: str, texture: Any) -> None:
-    """Raise :class:`InputError` for a parameter's faults, at once or at the end of an enclosing
+    """Check a material parameter's texture with :func:`parameter_problems`.
+
+    Raises :class:`InputError` with all faults, immediately or at the end of an enclosing
     :func:`gathering_problems`.
     """
     problems = parameter_problems(material, name, texture)

@@ -119,8 +119,9 @@ def _add_sky(image: Path) -> None:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of Cycles: ``samples`` per pixel, ``max_depth`` in path segments, ``noisy`` (without denoiser
-    and passes), ``adaptive`` sampling, ``clamp`` of indirect light, ``filter_glossy`` after diffuse bounces.
+    """Settings of Cycles: ``samples`` per pixel; ``max_depth`` in path segments; ``noisy``: without denoiser
+    and its passes; ``clamp``: limit of indirect light, 0 for none; ``filter_glossy``: blur of glossy
+    reflections after diffuse bounces, 0 for none.
     """
 
     samples: int = 32
@@ -133,7 +134,7 @@ class Sampling:
 
 
 def set_up(scene: Any, sampling: Sampling) -> None:
-    """Set up path tracing with persistent data and the passes; other settings keep Blender's defaults."""
+    """Set up path tracing with persistent data and ground-truth passes; the rest keeps Blender's defaults."""
     scene.render.engine = "CYCLES"
     cycles, render, layer = scene.cycles, scene.render, scene.view_layers[0]
     cycles.device = "CPU"

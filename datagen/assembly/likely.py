@@ -49,9 +49,9 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """Return the adjustment at relative position ``where`` (4,) in the ranges, each in [0, 1].
+        """Return the adjustment at the fractions ``where`` (4,), in [0, 1], of the ranges, in their order.
 
-        ``strength`` in [0, 1] interpolates from the smallest adjustment in the ranges to that position.
+        ``strength`` in [0, 1] interpolates to it from the values in the ranges that are nearest to no change.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:

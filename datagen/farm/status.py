@@ -23,7 +23,7 @@ RUNNING_AGE_S = 600.0
 class FarmStatus:
     """Progress of a plan: numbers of units and views, ids of running units, times and rates.
 
-    ``core_seconds`` is the total wall-clock time of finished units; ``array_spec`` lists the unfinished units
+    ``unit_seconds`` is the total wall-clock time of finished units; ``array_spec`` lists the unfinished units
     in the syntax of Slurm's ``--array``.
     """
 
@@ -35,7 +35,7 @@ class FarmStatus:
     views_done: int
     views_total: int
     num_bytes: int
-    core_seconds: float
+    unit_seconds: float
     median_unit_s: float | None
     units_per_hour: float | None
     seconds_left: float | None
@@ -92,7 +92,7 @@ def read_status(root: Path) -> FarmStatus:
         views_done=sum(manifest.num_views for manifest in done),
         views_total=sum(unit.num_views for unit in plan.units),
         num_bytes=sum(manifest.num_bytes for manifest in done),
-        core_seconds=sum(seconds),
+        unit_seconds=sum(seconds),
         median_unit_s=statistics.median(seconds) if seconds else None,
         units_per_hour=rate,
         seconds_left=len(undone) / rate * 3600 if rate and undone else (0.0 if not undone else None),
@@ -167,17 +167,17 @@ def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
         return [f"(no log: {error})"]
 
 
-def print_status(root: Path, cost_per_core_hour: float = 0.0) -> FarmStatus:
-    """Print and return a dataset folder's status; ``cost_per_core_hour`` is the price of a unit per hour."""
+def print_status(root: Path, cost_per_hour: float = 0.0) -> FarmStatus:
+    """Print and return a dataset folder's status; ``cost_per_hour`` is the price of a running unit."""
     status = read_status(root)
-    hours = status.core_seconds / 3600
+    hours = status.unit_seconds / 3600
     print(
         f"units    {status.done} done, {len(status.running)} running, {len(status.failed)} failed, ", end=""
     )
     print(f"{status.waiting} waiting, {status.total} in all")
     print(f"views    {status.views_done} of {status.views_total}; {status.num_bytes / 1e9:.2f} GB")
     if status.median_unit_s is not None:
-        cost = f", cost {hours * cost_per_core_hour:.2f}" if cost_per_core_hour else ""
+        cost = f", cost {hours * cost_per_hour:.2f}" if cost_per_hour else ""
         print(f"time     {hours:.2f} h of finished units, median {status.median_unit_s:.0f} s a unit{cost}")
     if status.units_per_hour:
         left = f", about {status.seconds_left / 60:.0f} min left" if status.seconds_left else ""

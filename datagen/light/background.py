@@ -184,7 +184,9 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Whether bins by direction predict the pixels of other views clearly better than bins by position."""
+    """Whether the background is far enough to depend on direction only: binned by direction, pixels predict
+    those of other views clearly better than binned by position on the box from ``low`` to ``high`` (3,).
+    """
     if not len(pixels.view):
         return False
     face, square = box_squares(pixels.origin, pixels.direction, low, high, JUDGED_PLACES)

@@ -127,8 +127,8 @@ def _shrunk(
     own: NDArray,
     variance: NDArray,
 ) -> NDArray[np.float64]:
-    """Shrink the estimates ``own`` (K, 3), with luminance ``variance`` (K,), of pixels of the surfels
-    ``owner`` (K,); the result (K, 3) is at least 0.
+    """Shrink radiance ``own`` (K, 3) of pixels, with luminance ``variance`` (K,), towards the median of their
+    surfels ``owner`` (K,), which is shrunk towards that of a block of its smooth region; (K, 3), at least 0.
     """
     side_m = BLOCK_CELLS * surfels.grid.cell_m
     cell = np.floor((surfels.position_m - surfels.grid.low) / side_m).astype(np.int64)

@@ -135,7 +135,9 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
 
 
 def camera_row(view: TracedView) -> NDArray[np.float64]:
-    """A view's camera as an array (18,): rotation (9), position (3), fx, fy, cx, cy, width, height."""
+    """Pack a camera in an array (18,): world_from_camera rotation by rows (9), position [m] (3), fx, fy,
+    cx, cy, width, height [px].
+    """
     camera = view.camera
     matrix = camera.world_from_camera
     return np.array(

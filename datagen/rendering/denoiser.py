@@ -157,7 +157,10 @@ class OptixDenoiser:
 
 
 def uses_optix(variant: str) -> bool:
-    """Whether OptiX denoises for a Mitsuba variant; without weights, OptiX would abort the process."""
+    """Whether the OptiX denoiser is used: in CUDA variants, if the driver's denoiser weights are installed.
+
+    Without them, OptiX aborts the process.
+    """
     return variant.startswith("cuda") and (sys.platform == "win32" or OPTIX_WEIGHTS.is_file())
 
 

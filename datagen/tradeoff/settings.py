@@ -116,9 +116,11 @@ def base_setting(variant: str) -> Setting:
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
-    """List the base point, the sweeps and, except on CUDA, the factorial, without duplicates.
+    """List ``base``, its sweeps and, if ``with_factorial`` and not on CUDA, the factorial design, without
+    duplicates.
 
-    A sweep is a field's name or ``NAME=VALUE,VALUE``. Raises :class:`InputError` with all invalid sweeps.
+    A sweep varies one field: its name, for default values, or ``NAME=VALUE,VALUE``. Raises
+    :class:`InputError` with all invalid sweeps.
     """
     settings, problems = [base], []
     for text in sweeps:

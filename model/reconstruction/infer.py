@@ -197,7 +197,9 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
 
 
 def _check(traced: TracedCapture, run: Run) -> None:
-    """Report faults of the capture. Raises :class:`InputError` if the mesh fits in another frame."""
+    """Report faults of the capture. Raises :class:`InputError` if the mesh fits the photographs in another
+    coordinate frame, such as one with another up axis.
+    """
     if not run.options.is_checked:
         for view in traced.views:
             run.report.warnings += view_warnings(view.name, view.color, view.geometry)

@@ -88,7 +88,10 @@ class LossTerms:
 
 
 class MaterialLoss(nn.Module):
-    """Training loss. ``perceptual`` is a distance of :mod:`model.training.perceptual`, or None."""
+    """Weighted sum of L1 and ``perceptual`` distances between rendered images, and of L2 between maps.
+
+    ``perceptual`` is from :mod:`model.training.perceptual`; None omits it.
+    """
 
     def __init__(self, config: LossConfig, perceptual: nn.Module | None):
         super().__init__()

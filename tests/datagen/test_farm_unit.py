@@ -345,7 +345,7 @@ def test_status_counts_units_views_and_time(seven: DatasetFolder) -> None:
     assert status.running == ("small-00003",)
     assert [failure.id for failure in status.failed] == ["small-00005"]
     assert (status.views_done, status.views_total, status.num_bytes) == (6, 14, 6000)
-    assert status.core_seconds == 420.0 and status.median_unit_s == 120.0
+    assert status.unit_seconds == 420.0 and status.median_unit_s == 120.0
     assert status.array_spec == "3-6"
     # two units in the last hour, the first of them half an hour ago
     assert status.units_per_hour == pytest.approx(4.0, rel=0.05)
@@ -375,7 +375,7 @@ def test_a_damaged_marker_or_one_without_its_shard_is_ignored(seven: DatasetFold
 
 
 def test_status_is_printed(seven: DatasetFolder, capsys: pytest.CaptureFixture[str]) -> None:
-    print_status(seven.root, cost_per_core_hour=6.0)
+    print_status(seven.root, cost_per_hour=6.0)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split(maxsplit=1)[1] == "3 done, 1 running, 1 failed, 2 waiting, 7 in all"
     assert lines[1].split(maxsplit=1)[1] == "6 of 14; 0.00 GB"

@@ -194,7 +194,10 @@ def _rasterise(
 
 @compiled
 def surface_point(face: Any, x: Any, y: Any, size: Any, uv: Any, vertices: Any, positions: Any) -> Any:
-    """Compute the world position (x, y, z) of the triangle ``face`` at (x, y) on the atlas, in texels."""
+    """Compute the world position (x, y, z) of the point of triangle ``face`` at texel coordinates (x, y).
+
+    ``size`` is the atlas's side in texels; ``vertices`` (M, 3) are indices in ``uv`` and ``positions``.
+    """
     i, j, k = vertices[face, 0], vertices[face, 1], vertices[face, 2]
     ax, ay = corner(uv, i, size)
     bx, by = corner(uv, j, size)

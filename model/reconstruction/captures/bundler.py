@@ -34,7 +34,9 @@ _LISTS = ("list.txt", "image_list.txt", "bundle.out.list.txt")
 
 
 def find(path: Path) -> Path | None:
-    """Return the Bundler file ``path``, or the only one in the folder ``path``; None if there is none."""
+    """Return the Bundler file ``path``, or the only one in the folder ``path``; None if there are none or
+    several.
+    """
     files = sorted(path.glob("*.out")) if path.is_dir() else [path] if path.suffix == ".out" else []
     found = [file for file in files if head_of(file).startswith("# Bundle file")]
     return found[0] if len(found) == 1 else None

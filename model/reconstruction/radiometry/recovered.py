@@ -134,7 +134,9 @@ class SourceField:
 
 
 def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int32]) -> Gathered:
-    """Gather the light at usable surfels from each source and from elsewhere; groups are smooth regions."""
+    """Compute the light at surfels from each source and from all else, for at most :data:`MAX_POINTS` clearly
+    visible ones; ``region_of_face`` (M,), each triangle's smooth region, is their group.
+    """
     surfels = field.surfels
     clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
     usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
@@ -157,9 +159,9 @@ def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int3
 def doubt_of(
     field: SourceField, sources: Sources, found: Recovered
 ) -> Callable[[NDArray, NDArray], NDArray[np.float32]]:
-    """Make a function from positions and normals (N, 3) to the uncertain luminance (N,) of diffuse shading.
-
-    Each source contributes its light times the standard deviation of its ln radiance, at most 1.
+    """Make a function from positions and normals (N, 3) to the uncertainty (N,) of the luminance of diffuse
+    shading: the sum over sources of a source's luminance times the standard deviation of its ln radiance,
+    clamped to 1.
     """
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
     return lambda position_m, normal: (

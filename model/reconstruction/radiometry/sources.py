@@ -57,7 +57,7 @@ class Sources:
     def colored(
         self, values: NDArray, emitters: Emitters, background: Background, surfels: Surfels
     ) -> Colored:
-        """Compute the room's radiance with ``values`` (S, 3) in the clipped channels of the sources."""
+        """Replace the clipped channels of every source's radiance by its row of ``values`` (sources, 3)."""
         return Colored(
             _put(emitters.radiance, self.of_emitter, values, self.is_open),
             _put(background.radiance, self.of_bin, values, self.is_open),

@@ -31,7 +31,7 @@ _GIF_COLORS = 255
 
 @dataclass(frozen=True)
 class TurntableOptions(FilmOptions):
-    """Options of an animation; ``views`` and ``cameras`` of ``render`` are ignored."""
+    """Options of an animation along a path; ``render.views`` and ``render.cameras`` are ignored."""
 
     render: RelightOptions = field(default_factory=RelightOptions)
 

@@ -183,7 +183,9 @@ class Graph:
         return node.outputs["Value"]
 
     def cells(self, columns: int, rows: int, shift: str = "none", jitter_seed: float = 0.0) -> Cells:
-        """A lattice of ``columns`` x ``rows``; ``shift`` of rows is ``none``, ``half`` (a cell) or ``random``."""
+        """A lattice of ``columns`` x ``rows`` cells. ``shift`` moves odd rows by half a cell (``half``), or each
+        row by a random amount (``random``) seeded by ``jitter_seed``.
+        """
         u, v = self.uv()
         y = self.mul(v, rows)
         # wrapped, so the pattern continues across the tile's border
