@@ -37,7 +37,7 @@ from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.predict.sources import CheckpointMaps
-from model.reconstruction.stages import Maps, Run
+from model.reconstruction.stages import Estimate, Maps, Run
 
 ABLATIONS = {
     "no prior of the network": LightOptions(has_prior=False),
@@ -109,19 +109,19 @@ def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, 
     name = f"{traced.capture.name} | {len(truth)}"
     source = CheckpointMaps(checkpoint)
     source.prepare(run.options)
-    network = maps = source.maps(traced, run)
-    print(f"{name} | network | {measured(maps, truth)}", flush=True)
-    maps = leveled(traced, maps, run)
-    print(f"{name} | network, level | {measured(maps, truth)}", flush=True)
-    before, maps = maps, lit(traced, maps, run)
+    network = Estimate(source.maps(traced, run))
+    print(f"{name} | network | {measured(network.maps, truth)}", flush=True)
+    level = leveled(traced, network, run)
+    print(f"{name} | network, level | {measured(level.maps, truth)}", flush=True)
+    maps = lit(traced, level, run).maps
     light = run.report.light
     print(f"{name} | light | {measured(maps, truth)}", flush=True)
     print(f"  light: {run.report.seconds['light']:.0f} s, {light['num_surfels']} surfels, "
           f"{light['photographed_share']:.2f} of their light photographed", flush=True)  # fmt: skip
     for label, options in ABLATIONS.items() if ablates else ():
-        print(f"{name} | {label} | {measured(lit(traced, before, run, options), truth)}", flush=True)
+        print(f"{name} | {label} | {measured(lit(traced, level, run, options).maps, truth)}", flush=True)
     if sheet is not None:
-        draw_sheet(sheet / f"{traced.capture.name}.jpg", network, maps, truth)
+        draw_sheet(sheet / f"{traced.capture.name}.jpg", network.maps, maps, truth)
 
 
 def main() -> None:
