@@ -107,7 +107,7 @@ def _render(scene: Any, spp: int) -> None:
     import drjit as dr
     import mitsuba as mi
 
-    image = mi.render(scene, spp=spp, seed=1)
+    image = mi.render(scene, spp=spp, seed=mi.UInt32(1))
     dr.eval(image)
     dr.sync_thread()
 
@@ -121,7 +121,7 @@ def run(width: int, height: int, spp: int, num_pairs: int) -> dict[str, Any]:
     renders = {name: partial(_render, make_room(name, width, height), spp) for name in VARIANTS}
     compile_s = {name: timed(render).wall for name, render in renders.items()}
     seconds = interleaved(renders, num_pairs)
-    results = {}
+    results: dict[str, dict[str, Any]] = {}
     for name in VARIANTS:
         pairs = list(zip(seconds[name], seconds[BASELINE], strict=True))
         wall = [own.wall for own in seconds[name]]

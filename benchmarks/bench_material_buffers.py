@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_report
+from benchmarks.timing import Action, Stopwatch, interleaved, machine, summary, write_report
 
 
 def _reflectance(bsdf: Any) -> Any:
@@ -57,7 +57,7 @@ def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, 
     to_world = np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4)
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
     sensor = mi.load_dict(
-        {"type": "perspective", "fov": 50, "to_world": mi.ScalarTransform4f(to_world), "film": film}
+        {"type": "perspective", "fov": 50, "to_world": mi.ScalarTransform4f(to_world.tolist()), "film": film}
     )
     return scene, sensor
 
@@ -65,7 +65,7 @@ def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, 
 def _render(scene: Any, sensor: Any, integrator: Any, spp: int) -> None:
     import mitsuba as mi
 
-    np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=1))
+    np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=mi.UInt32(1)))
 
 
 def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
             materials = SceneMaterials(scene)
         aov = mi.load_dict({"type": "aov", "aovs": "a:albedo,n:sh_normal,d:depth,i:shape_index"})
         for spp in (8, 64):
-            passes = {
+            passes: dict[str, Action] = {
                 "aov": partial(_render, scene, sensor, aov, spp),
                 "material_buffers": partial(render_material_buffers, scene, sensor, spp, 1, materials),
             }

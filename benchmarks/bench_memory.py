@@ -81,7 +81,12 @@ def draw_configuration(library: Library, index: int, views: int, size: tuple[int
         PlacedAsset(
             name=f"box-{k}",
             asset="box",
-            world_from_asset=placed(*rng.uniform(-1.5, 1.5, 2), rng.uniform(0, 6), rng.uniform(0.5, 1.5)),
+            world_from_asset=placed(
+                x=rng.uniform(-1.5, 1.5),
+                y=rng.uniform(-1.5, 1.5),
+                yaw=rng.uniform(0, 6),
+                scale=rng.uniform(0.5, 1.5),
+            ),
             materials={"skin": MaterialAssignment(adjustment=assignment().adjustment)},
         )
         for k in range(int(rng.integers(3, 9)))

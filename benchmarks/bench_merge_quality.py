@@ -128,15 +128,10 @@ def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
     """
     found = {"border": (0.0, 0), "inside": (0.0, 0)}
     for axis in (0, 1):
-        turned = [
-            np.swapaxes(array, 0, axis)
-            for array in (
-                atlas.count,
-                atlas.maps["diffuse_albedo"].astype(np.float64),
-                truth.maps["diffuse_albedo"].astype(np.float64),
-            )
-        ]
-        count, merged, true = turned
+        count = np.swapaxes(atlas.count, 0, axis)
+        merged, true = (
+            np.swapaxes(a.maps["diffuse_albedo"].astype(np.float64), 0, axis) for a in (atlas, truth)
+        )
         is_smooth = (
             (count[1:] > 0) & (count[:-1] > 0) & (np.abs(np.diff(true, axis=0)).max(-1) < MAX_TRUE_STEP)
         )

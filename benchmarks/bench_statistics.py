@@ -116,7 +116,7 @@ def place_cameras(
         step = position - base[:3, 3]
         length = float(np.linalg.norm(step))
         ray = mi.Ray3f(mi.Point3f(base[:3, 3].tolist()), mi.Vector3f((step / length).tolist()))
-        ray.maxt = length
+        ray.maxt = mi.Float(length)  # type: ignore[assignment]  # Mitsuba's stubs
         if scene.ray_test(ray)[0] or np.linalg.norm(target - position) < 0.3 * scale:
             continue
         candidate = camera(look_at(position, target, up))

@@ -8,6 +8,8 @@ directions to float32 first, which separates the error of an implementation from
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.special import erf
 
@@ -15,16 +17,18 @@ MIN_ALPHA = 1e-3
 MIN_LOBE_PROBABILITY = 0.1
 
 Array = np.ndarray
+Value = np.ndarray | np.floating | float
+"""Channels of materials, which broadcast with directions."""
 
 
-def alpha_from_roughness(roughness: Array) -> Array:
+def alpha_from_roughness(roughness: Value) -> Array:
     """alpha = R^2, clamped to [1e-3, 1]; NaN counts as R = 1."""
     r = np.asarray(roughness, np.float64)
     r = np.clip(np.where(np.isnan(r), 1.0, r), 0.0, 1.0)
     return np.clip(r**2, MIN_ALPHA, 1.0)
 
 
-def effective_albedo(albedo: Array) -> Array:
+def effective_albedo(albedo: Value) -> Array:
     """The albedo clamped to [0, 1]; NaN counts as 0."""
     a = np.asarray(albedo, np.float64)
     return np.clip(np.where(np.isnan(a), 0.0, a), 0.0, 1.0)
@@ -35,7 +39,7 @@ def theta(w: Array) -> Array:
     return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2])
 
 
-def beckmann_d(h: Array, alpha: Array) -> Array:
+def beckmann_d(h: Array, alpha: Value) -> Array:
     """Beckmann's distribution [1/sr] (Walter et al. 2007, eq. 25), for ``h`` of any length."""
     t = theta(h)
     inside = t < np.pi / 2
@@ -44,7 +48,7 @@ def beckmann_d(h: Array, alpha: Array) -> Array:
     return np.where(inside, d, 0.0)
 
 
-def smith_g1(w: Array, alpha: Array) -> Array:
+def smith_g1(w: Array, alpha: Value) -> Array:
     """Smith's G1, 2 / (1 + erf a + exp(-a^2) / (a sqrt pi)), a = 1 / (alpha tan theta); 0 if z <= 0."""
     tan = np.hypot(w[..., 0], w[..., 1]) / np.where(w[..., 2] > 0, w[..., 2], 1.0)
     with np.errstate(divide="ignore", over="ignore", under="ignore"):
@@ -53,7 +57,7 @@ def smith_g1(w: Array, alpha: Array) -> Array:
     return np.where(w[..., 2] > 0, g, 0.0)
 
 
-def schlick(specular_albedo: Array, one_minus_cos: Array) -> Array:
+def schlick(specular_albedo: Value, one_minus_cos: Value) -> Any:
     """Schlick's Fresnel term as a function of 1 - cos, which avoids cancellation."""
     return specular_albedo + (1.0 - specular_albedo) * one_minus_cos**5
 
@@ -64,14 +68,14 @@ def one_minus_cos_half(wi: Array, wo: Array) -> Array:
     return 2.0 * np.sin(angle / 4.0) ** 2
 
 
-def specular_lobe(wi: Array, wo: Array, alpha: Array) -> Array:
+def specular_lobe(wi: Array, wo: Array, alpha: Value) -> Array:
     """D_b G1(wi) / (4 cos_i): density [1/sr] of wo if h is drawn from the visible normals."""
     cos_i = np.where(wi[..., 2] > 0, wi[..., 2], 1.0)
     value = beckmann_d(wi + wo, alpha) * smith_g1(wi, alpha) / (4.0 * cos_i)
     return np.where((wi[..., 2] > 0) & (wo[..., 2] > 0), value, 0.0)
 
 
-def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
+def eval_cos(wi: Array, wo: Array, diffuse: Value, specular: Value, roughness: Value) -> Array:
     """BRDF times cosine, f(wi, wo) cos_o, (..., 3); 0 for directions below the surface (docs/bsdf.md)."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     alpha = alpha_from_roughness(roughness)
@@ -81,7 +85,7 @@ def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: A
     return np.where(up, f + (1.0 - specular) * diffuse / np.pi * wo[..., 2:], 0.0)
 
 
-def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
+def specular_probability(wi: Array, diffuse: Value, specular: Value) -> Array:
     """Probability (...) that the BSDF's sampling chooses the specular lobe."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     s = np.mean(schlick(specular, 1.0 - wi[..., 2:]), -1)
@@ -89,7 +93,7 @@ def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
     return np.maximum(s / np.where(s + d > 0, s + d, 1.0), MIN_LOBE_PROBABILITY)
 
 
-def pdf(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
+def pdf(wi: Array, wo: Array, diffuse: Value, specular: Value, roughness: Value) -> Array:
     """Density [1/sr] of ``wo`` under the BSDF's sampling."""
     p = specular_probability(wi, diffuse, specular)
     up = (wi[..., 2] > 0) & (wo[..., 2] > 0)

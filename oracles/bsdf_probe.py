@@ -60,7 +60,7 @@ def interaction(wi: np.ndarray) -> Any:
     si.sh_frame = mi.Frame3f(mi.Vector3f(0.0, 0.0, 1.0))
     si.n = mi.Normal3f(0.0, 0.0, 1.0)
     si.dp_du = mi.Vector3f(1.0, 0.0, 0.0)
-    si.t = mi.Float(1.0)
+    si.t = mi.Float(1.0)  # type: ignore[assignment]  # Mitsuba's stubs
     return si
 
 

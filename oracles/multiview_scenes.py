@@ -8,6 +8,8 @@ from a wrong position is detected.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,8 +88,8 @@ def make_views(
         mask[emitters] *= 0.3
         normals = normals.reshape(height, width, 3)
         color = rng.random((height, width, 3)) if is_noise else 0.5 + 0.5 * normals
-        buffers = (array.astype(np.float32) for array in (color, depth, normals))
-        views.append(StatisticsView(camera, *buffers, mask, f"view_{index:02d}"))
+        color, depth, normals = (array.astype(np.float32) for array in (color, depth, normals))
+        views.append(StatisticsView(camera, color, depth, normals, mask, f"view_{index:02d}"))
     return views
 
 
@@ -95,7 +97,7 @@ def mitsuba_scene():
     """The boxes as a Mitsuba scene; the variant must have been selected."""
     import mitsuba as mi
 
-    scene = {"type": "scene"}
+    scene: dict[str, Any] = {"type": "scene"}
     for index, (low, high) in enumerate(BOXES):
         transform = mi.ScalarTransform4f().translate(((low + high) / 2).tolist()) @ (
             mi.ScalarTransform4f().scale(((high - low) / 2).tolist())

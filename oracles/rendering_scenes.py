@@ -90,14 +90,17 @@ class SmallScene:
         meshes = {f"{name}.ply": encode_ply(mesh) for name, (mesh, _) in self.parts.items()}
         write_package(root / "room", environment, {**meshes, **self.files})
         for name, (mesh, material) in self.objects.items():
-            low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+            (x0, y0, z0), (x1, y1, z1) = (
+                mesh.positions.min(axis=0).tolist(),
+                mesh.positions.max(axis=0).tolist(),
+            )
             asset = ObjectAsset(
                 id=name,
                 title=name,
                 provenance=CC0,
                 category="thing",
-                minimum_m=tuple(map(float, low)),
-                maximum_m=tuple(map(float, high)),
+                minimum_m=(x0, y0, z0),
+                maximum_m=(x1, y1, z1),
                 materials={"skin": material},
                 parts=(Part(name="body", mesh="body.ply", material="skin"),),
             )

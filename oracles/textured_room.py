@@ -34,8 +34,11 @@ def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
 
 def room_mesh() -> Mesh:
     """The room's mesh: 48 vertices, 24 triangles, unique UVs and flat normals."""
-    quads = [_quad(*np.array(ROOM), side, True) for side in range(6)]
-    quads += [_quad(*np.array(BLOCK), side, False) for side in range(6)]
+    quads = [
+        _quad(np.array(low), np.array(high), side, is_inward)
+        for (low, high), is_inward in ((ROOM, True), (BLOCK, False))
+        for side in range(6)
+    ]
     positions, uvs, normals, faces = [], [], [], []
     for index, quad in enumerate(quads):
         cell = np.array([index % 4 / 4, index // 4 / 3])

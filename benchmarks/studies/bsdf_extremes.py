@@ -82,7 +82,7 @@ def print_slopes() -> None:
 
     u = ((np.arange(20_000) + 0.5) / 20_000).astype(np.float32)
     angles = np.concatenate([np.linspace(0, 1.57, 60), np.pi / 2 - np.array([1e-4, 1e-6])])
-    rng = mi.PCG32(4_000_000)
+    rng = mi.PCG32(4_000_000)  # type: ignore[operator]  # Mitsuba's stubs
     rows = []
     for num_steps in (2, 3, 4, 5):
         worst = 0.0
@@ -235,7 +235,7 @@ def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
     import drjit as dr
     import mitsuba as mi
 
-    rng = mi.PCG32(num, initstate=seed)
+    rng = mi.PCG32(num, initstate=seed)  # type: ignore[operator]  # Mitsuba's stubs
     bsdf = mi.load_dict({"type": "cook_torrance"})
     wild_albedo, wild_roughness = (float("nan"), -1.0, 2.0), (float("nan"), -0.5, 1.5)
 
@@ -277,11 +277,11 @@ def print_evaluations(total: float) -> bool:
     for batch in _batches(num_batches):
         bsdf, si, wo, sample1, sample2 = _random_case(batch, BATCH)
         value, pdf, bs, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, wo, sample1, sample2)
-        faults = {}
+        faults: dict[str, tuple[Any, ...]] = {}
         for name, got in zip(names, (value, pdf, weight, bs.pdf), strict=True):
             planes = [got] if dr.depth_v(got) == 1 else list(got)
             tests = (dr.isnan, dr.isinf, lambda plane: plane < 0.0)
-            counts = [sum(dr.select(test(p), mi.UInt32(1), 0) for p in planes) for test in tests]
+            counts: list[Any] = [sum(dr.select(test(p), mi.UInt32(1), 0) for p in planes) for test in tests]
             largest = (
                 planes[0] if len(planes) == 1 else dr.maximum(dr.maximum(planes[0], planes[1]), planes[2])
             )
