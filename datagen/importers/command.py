@@ -11,7 +11,7 @@ import typer
 
 from datagen.foundation.command_line import with_options
 from datagen.foundation.errors import InputError, Problem, input_error
-from datagen.importers.sweet_home_report import ImportWatch
+from datagen.importers.watch import ImportWatch
 
 if TYPE_CHECKING:
     from datagen.importers.common import ImportOptions
@@ -122,10 +122,10 @@ def import_command(
     from datagen.importers.summary import summary_lines
 
     options = words.parse()
-
-    def show(asset: ImportedAsset) -> None:
-        typer.echo("\n".join(summary_lines(asset)))
-
     with ImportWatch() as watch:
+
+        def show(asset: ImportedAsset) -> None:
+            watch.show("\n".join(summary_lines(asset)))
+
         imported = import_asset(path, library, options, split=split, on_done=show, watch=watch)
     typer.echo(f"{len(imported)} assets imported into {library}")

@@ -14,7 +14,7 @@ from datagen.foundation.paths import fault_of, inside
 from datagen.importers.blender_files import BLENDER_SUFFIXES, import_by_blender, uses_draco
 from datagen.importers.common import ImportedAsset, ImportOptions
 from datagen.importers.material_folder import import_material_folder, is_material_folder
-from datagen.importers.sweet_home_report import ImportWatch
+from datagen.importers.watch import ImportWatch
 
 GLTF_SUFFIXES = (".gltf", ".glb")
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
@@ -122,7 +122,9 @@ def import_asset(
         raise input_error(path, "id", repr(options.asset_id), expected)
     done: list[ImportedAsset] = []
     problems: list[Problem] = []
-    for source in sources:
+    for number, source in enumerate(sources):
+        if watch is not None and source.kind != "sweet_home":
+            watch.begin(source.path, number, len(sources))
         try:
             for record in _import_one(source, Path(out_library), options, split, watch):
                 done.append(record)

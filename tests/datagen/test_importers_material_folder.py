@@ -17,6 +17,7 @@ from datagen.importers.classes import guess_category, guess_class
 from datagen.importers.common import ImportOptions
 from datagen.importers.material_folder import import_material_folder, role_of
 from datagen.importers.pbr import green_points_up
+from datagen.importers.watch import ImportWatch
 
 LICENSED = ImportOptions(license="CC0-1.0")
 
@@ -150,3 +151,19 @@ def test_names_determine_classes_and_categories() -> None:
     assert guess_category("tea_set_01_cup_small_01") == "crockery"
     assert guess_category("wooden_bookshelf_worn") == "shelf"
     assert guess_category("thing") == ""
+
+
+def test_messages_follow_the_bar_of_an_import(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bar of the sources is shown on terminals only; messages are printed after it."""
+    with ImportWatch() as watch:
+        watch.begin(Path("oak"), 0, 1)
+        watch.show("without a bar")
+        assert capsys.readouterr().out == "without a bar\n"
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with ImportWatch() as watch:
+        watch.begin(Path("oak"), 0, 1)
+        watch.show("after the bar")
+        assert capsys.readouterr().out == ""
+    assert capsys.readouterr().out == "after the bar\n"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Progress bar and summary table of an import of furniture catalogues."""
+"""Progress of imports, and the summary table of imported furniture catalogues."""
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,15 +15,16 @@ if TYPE_CHECKING:
 
 
 class ImportWatch:
-    """Context manager that shows a progress bar per catalogue and, at the end or after an error, a summary.
+    """Context that shows a progress bar of the sources, on a terminal, and of each catalogue.
 
-    Nothing is shown, and rich is not loaded, until the first step is reported.
+    At the end or after an error, it prints the messages and a summary of the catalogues.
     """
 
     def __init__(self) -> None:
         self.steps: list[Step] = []
         self._bars: Bars | None = None
         self._done: Counter[Path] = Counter()
+        self._messages: list[str] = []
 
     def __enter__(self) -> ImportWatch:
         return self
@@ -31,17 +33,35 @@ class ImportWatch:
         if self._bars is None:
             return
         self._bars.__exit__(*exception)
-        self._print_summary()
+        for message in self._messages:
+            print(message)
+        if self.steps:
+            self._print_summary()
         if exception[0] is KeyboardInterrupt:
             print("interrupted; run the same command again to continue")
 
+    def begin(self, path: Path, done: int, total: int) -> None:
+        """Show that the import of the source at ``path`` begins, after ``done`` of ``total`` sources."""
+        if sys.stderr.isatty():
+            self._shown_bars().tell("import", done, total, path.name)
+
+    def show(self, message: str) -> None:
+        """Print a message to standard output, after the bars if there are any."""
+        if self._bars is None:
+            print(message)
+        else:
+            self._messages.append(message)
+
     def step(self, path: Path, step: Step, total: int) -> None:
         """Show one finished piece of the catalogue at ``path``, which has ``total`` pieces."""
-        if self._bars is None:
-            self._bars = Bars("pieces").__enter__()
         self._done[path] += 1
-        self._bars.tell(path.stem, self._done[path], total, step.name)
+        self._shown_bars().tell(path.stem, self._done[path], total, step.name)
         self.steps.append(step)
+
+    def _shown_bars(self) -> Bars:
+        if self._bars is None:
+            self._bars = Bars().__enter__()
+        return self._bars
 
     def _print_summary(self) -> None:
         from rich.table import Table
