@@ -2,8 +2,8 @@
 """Transliteration to ASCII for ids and file names: Küche becomes Kueche, Öl-Eiche Oel-Eiche.
 
 German umlauts become two letters; other accents are removed; letters that are not a base letter with an
-accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Characters without a Latin form here become
-their code points, so two such names stay distinct.
+accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Letters of other alphabets become their code
+points, so that two such names stay distinct.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _TABLE = {**_LATIN, **_GREEK, **_CYRILLIC}
 
 
 def transliterated(text: str) -> str:
-    """Transliterate ``text`` to ASCII; punctuation outside ASCII becomes a blank."""
+    """Return ``text`` in ASCII; punctuation of other alphabets becomes a space."""
     text = unicodedata.normalize("NFC", text)
     neighbours = zip(text, f" {text}", f"{text[1:]} ", strict=False)
     return "".join(_letters(c, after.isupper() or before.isupper()) for c, before, after in neighbours)
 
 
 def _letters(letter: str, is_in_capitals: bool) -> str:
-    """Transliterate a character; ``is_in_capitals``: a capital becomes several capitals, as in AE for Ä."""
+    """Return the ASCII form of a letter; if ``is_in_capitals``, a capital becomes capitals (AE, not Ae)."""
     if letter.isascii():
         return letter
     small = letter.lower()
