@@ -11,6 +11,15 @@ import pytest
 from oracles import VARIANT
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+LONGEST = (
+    "model/test_evaluation_small.py",
+    "slurm/test_slurm.py",
+    "docs/test_commands.py",
+    "model/test_reconstruction_infer.py",
+    "datagen/test_farm_faults.py",
+    "model/test_light_network_scale.py",
+)
+"""Files of over 90 s, which begin first so that no process is left alone with one at the end."""
 SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))
 
 
@@ -28,3 +37,9 @@ def mitsuba_variant() -> str:
     from mitsuba_plugins.variant import select_variant
 
     return select_variant(VARIANT)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort the tests of :data:`LONGEST` first."""
+    order = {REPOSITORY / "tests" / name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path, len(order)))
