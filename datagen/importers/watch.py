@@ -37,8 +37,8 @@ class ImportWatch:
             print(message)
         if self.steps:
             self._print_summary()
-        if exception[0] is KeyboardInterrupt:
-            print("interrupted; run the same command again to continue")
+            if exception[0] is KeyboardInterrupt:
+                print("interrupted; run the same command again to continue")
 
     def begin(self, path: Path, done: int, total: int) -> None:
         """Show that the import of the source at ``path`` begins, after ``done`` of ``total`` sources."""
