@@ -19,7 +19,7 @@ PSNR_DB = (10.0, 45.0)
 """Range of the panels of re-renderings; values outside are drawn at its ends."""
 MSE = (1e-4, 1.0)
 """Range of the logarithmic panels of maps."""
-_LABEL_PX, _PANEL_PX, _GAP_PX, _LINE_PX, _TOP_PX = 104, 156, 20, 9, 52
+_LABEL_PX, _PANEL_PX, _GAP_PX, _LINE_PX, _TOP_PX = 104, 148, 36, 9, 52
 _INK, _LINE = "#1d2127", "#dfe3e8"
 
 
@@ -61,7 +61,7 @@ def _panels() -> list[Panel]:
         ]
 
     maps = [
-        Panel(f"{letter}, MSE", MSE, (1e-4, 1e-3, 1e-2, 1e-1, 1), of_map(name), is_log=True)
+        Panel(f"{letter}, MSE", MSE, (1e-4, 1e-2, 1), of_map(name), is_log=True)
         for name, letter in zip(MATERIAL_MAPS, LETTERS.values(), strict=True)
     ]
     lights = [

@@ -318,13 +318,13 @@ def test_tables_contain_the_papers_figures(tmp_path: Path) -> None:
 
 
 def test_chart_of_methods_has_their_figures() -> None:
-    """Panels begin at x = 104, 280, 456 (maps, 1e-4 to 1) and 632 (10 to 45 dB), and are 156 wide."""
+    """Panels begin at x = 104, 288, 472 (maps, 1e-4 to 1) and 656 (10 to 45 dB), and are 148 wide."""
     views = {"path-000": {"psnr_srgb_db": 27.5}, "path-001": {"psnr_srgb_db": 27.5}}
     result = _result()
     method = result.scenes[0].methods[0].model_copy(update={"image_views": {"own": {"novel": views}}})
     scene = result.scenes[0].model_copy(update={"methods": (method,)})
     root = ElementTree.fromstring(standalone(overview_svg(result.model_copy(update={"scenes": (scene,)}))))
     circles = [(float(c.get("cx", 0)), c.get("fill")) for c in root.findall(".//{*}circle")][1:]
-    at = [104 + 156 * (np.log10(0.02) + 4) / 4, 280 + 156 * 0.5, 456 + 156 * (np.log10(0.05) + 4) / 4, 710]
+    at = [104 + 148 * (np.log10(0.02) + 4) / 4, 288 + 148 * 0.5, 472 + 148 * (np.log10(0.05) + 4) / 4, 730]
     assert [x for x, _ in circles] == pytest.approx(at, abs=0.06)
     assert [fill == "none" for _, fill in circles] == [False, False, False, True]
