@@ -176,7 +176,7 @@ def _estimated(
     extended = scene_field
     radiance = np.zeros((len(position), 3), np.float32)
     if len(position):
-        reflectance = _mean_reflectance(Baker(scene_field, size_m), surfels, options)
+        reflectance = _typical_reflectance(Baker(scene_field, size_m), surfels, options)
         for _ in range(ESTIMATE_ROUNDS):
             lit = Baker(extended, size_m).irradiance(position, facing, options.estimate_rays)
             arriving = lit.diffuse / np.maximum(lit.known, 2 * MIN_KNOWN)[:, None]
@@ -204,7 +204,7 @@ def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float
     return position[chosen], facing[chosen]
 
 
-def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) -> NDArray[np.float64]:
+def _typical_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) -> NDArray[np.float64]:
     """Median reflectance pi L / E (3,) of surfels in mostly photographed light; 0.4 if there are none."""
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)
