@@ -117,15 +117,9 @@ def import_command(
 
     Example: datagen import staircase/scene.xml --library my-library --dielectric replace
     """
-    from datagen.importers.common import ImportedAsset
     from datagen.importers.dispatch import import_asset
-    from datagen.importers.summary import summary_lines
 
     options = words.parse()
     with ImportWatch() as watch:
-
-        def show(asset: ImportedAsset) -> None:
-            watch.show("\n".join(summary_lines(asset)))
-
-        imported = import_asset(path, library, options, split=split, on_done=show, watch=watch)
+        imported = import_asset(path, library, options, split=split, watch=watch)
     typer.echo(f"{len(imported)} assets imported into {library}")

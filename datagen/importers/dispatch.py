@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -101,15 +100,13 @@ def import_asset(
     options: ImportOptions | None = None,
     *,
     split: bool = False,
-    on_done: Callable[[ImportedAsset], None] | None = None,
     watch: ImportWatch | None = None,
 ) -> list[ImportedAsset]:
     """Import all sources at a path into the library folder ``out_library``, and return their records.
 
-    ``split`` makes an object of each separate group in a glTF file; ``on_done`` is called after each asset,
-    except for pieces of a furniture library, which are reported to ``watch``. An ``asset_id`` requires a
-    single source. Invalid sources do not stop the import; one :class:`InputError` at the end lists all their
-    problems.
+    ``split`` makes an object of each separate group in a glTF file; ``watch`` shows the progress and the
+    records. An ``asset_id`` requires a single source. Invalid sources do not stop the import; one
+    :class:`InputError` at the end lists all their problems.
     """
     options = options or ImportOptions()
     sources = find_sources(Path(path))
@@ -128,8 +125,8 @@ def import_asset(
         try:
             for record in _import_one(source, Path(out_library), options, split, watch):
                 done.append(record)
-                if on_done is not None and source.kind != "sweet_home":
-                    on_done(record)
+                if watch is not None and source.kind != "sweet_home":
+                    watch.show(record)
         except InputError as error:
             problems.extend(error.problems)
     raise_problems(problems)

@@ -11,20 +11,21 @@ from typing import TYPE_CHECKING
 from datagen.foundation.progress import Bars
 
 if TYPE_CHECKING:
+    from datagen.importers.common import ImportedAsset
     from datagen.importers.sweet_home import Step
 
 
 class ImportWatch:
     """Context that shows a progress bar of the sources, on a terminal, and of each catalogue.
 
-    At the end or after an error, it prints the messages and a summary of the catalogues.
+    At the end or after an error, it prints the records of assets and a summary of the catalogues.
     """
 
     def __init__(self) -> None:
         self.steps: list[Step] = []
         self._bars: Bars | None = None
         self._done: Counter[Path] = Counter()
-        self._messages: list[str] = []
+        self._lines: list[str] = []
 
     def __enter__(self) -> ImportWatch:
         return self
@@ -33,8 +34,8 @@ class ImportWatch:
         if self._bars is None:
             return
         self._bars.__exit__(*exception)
-        for message in self._messages:
-            print(message)
+        for line in self._lines:
+            print(line)
         if self.steps:
             self._print_summary()
             if exception[0] is KeyboardInterrupt:
@@ -45,12 +46,15 @@ class ImportWatch:
         if sys.stderr.isatty():
             self._shown_bars().tell("import", done, total, path.name)
 
-    def show(self, message: str) -> None:
-        """Print a message to standard output, after the bars if there are any."""
+    def show(self, asset: ImportedAsset) -> None:
+        """Print the record of an asset to standard output, after the bars if there are any."""
+        from datagen.importers.summary import summary_lines
+
+        lines = summary_lines(asset)
         if self._bars is None:
-            print(message)
+            print("\n".join(lines))
         else:
-            self._messages.append(message)
+            self._lines += lines
 
     def step(self, path: Path, step: Step, total: int) -> None:
         """Show one finished piece of the catalogue at ``path``, which has ``total`` pieces."""

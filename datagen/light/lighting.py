@@ -36,7 +36,7 @@ the bound starts to act and acts fully."""
 ESTIMATE_ROUNDS = 5
 """Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
 light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""
-_MEAN_REFLECTANCE = (0.05, 0.9)  # lower and upper bound
+_REFLECTANCE_RANGE = (0.05, 0.9)  # lower and upper bound
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def _typical_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions)
     if not used.any():
         return np.full(3, 0.4)
     ratio = surfels.radiance[::step][used] * lit.known[used, None] / lit.diffuse[used]
-    return np.clip(np.median(ratio, axis=0), *_MEAN_REFLECTANCE)
+    return np.clip(np.median(ratio, axis=0), *_REFLECTANCE_RANGE)
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:

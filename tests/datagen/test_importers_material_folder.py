@@ -15,6 +15,7 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png, read_image
 from datagen.importers.classes import guess_category, guess_class
 from datagen.importers.common import ImportOptions
+from datagen.importers.dispatch import import_asset
 from datagen.importers.material_folder import import_material_folder, role_of
 from datagen.importers.pbr import green_points_up
 from datagen.importers.watch import ImportWatch
@@ -153,17 +154,18 @@ def test_names_determine_classes_and_categories() -> None:
     assert guess_category("thing") == ""
 
 
-def test_messages_follow_the_bar_of_an_import(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_records_follow_the_bar_of_an_import(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bar of the sources is shown on terminals only; messages are printed after it."""
-    with ImportWatch() as watch:
-        watch.begin(Path("oak"), 0, 1)
-        watch.show("without a bar")
-        assert capsys.readouterr().out == "without a bar\n"
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    with ImportWatch() as watch:
-        watch.begin(Path("oak"), 0, 1)
-        watch.show("after the bar")
-        assert capsys.readouterr().out == ""
-    assert capsys.readouterr().out == "after the bar\n"
+    """A bar of the sources is shown on terminals only; records of assets are printed after it."""
+    folder = tmp_path / "Oak001"
+    folder.mkdir()
+    for role, channels in (("Color", 3), ("Roughness", 1)):
+        pixels = np.full((8, 8, channels), 90, np.uint8)
+        (folder / f"Oak001_1K_{role}.png").write_bytes(encode_png(pixels))
+    for is_terminal in (False, True):
+        monkeypatch.setattr("sys.stderr.isatty", lambda shown=is_terminal: shown)
+        with ImportWatch() as watch:
+            import_asset(folder, tmp_path / str(is_terminal), LICENSED, watch=watch)
+            assert ("material oak001" in capsys.readouterr().out) != is_terminal
+        assert ("material oak001" in capsys.readouterr().out) == is_terminal
