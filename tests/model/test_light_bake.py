@@ -213,6 +213,15 @@ def test_known_materials_are_found(metal: bool) -> None:
     assert found.residual.max() < 1e-4
 
 
+def test_white_paint_in_slightly_stronger_light_is_matte() -> None:
+    """With 10 % more light than was found, D of 0.98 does not appear to have a specular part."""
+    _, weight, diffuse, ls0, ls1 = observations(60, False, 5)
+    radiance = np.broadcast_to((0.98 * 1.1 * diffuse)[:, None], (60, 8, 3)).astype(np.float32)
+    costs = segment_costs(np.array([0, 60], np.int64), radiance, weight, diffuse, ls0, 0 * ls1, 0.4)
+    assert costs.dielectric[0, :, 0].max() < 1e-4
+    assert costs.dielectric[0, :, 1:].min() > 1e-3
+
+
 def test_textured_metal_costs_no_more_than_plain_metal() -> None:
     """One segment with metal tiles of S 0.8 and 0.17 has no cost as metal of the right roughness."""
     _, weight, diffuse, ls0, ls1 = observations(60, True, 5)
@@ -260,6 +269,40 @@ def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, view
     group, size = np.zeros(1, np.int64), np.array([100])
     prior = np.full((1, 3), 0.04), np.full(1, 0.6)
     return decide(costs, *prior, np.full(1, evidence), np.full(1, views), group, size, PriorWeights())
+
+
+@pytest.mark.parametrize(
+    ("changes", "becomes_metal"),
+    [
+        ({}, True),
+        ({"dielectric": 0.05, "metal": 0.03}, False),  # the dielectric explains the observations
+        ({"metal": 0.09}, False),
+        ({"level": 2}, False),  # too rough for a mirror
+        ({"views": 1}, False),
+        ({"size": 20}, False),
+        ({"evidence": 1.0, "level": 2}, True),
+    ],
+)
+def test_mirrors_need_no_evidence_but_their_images(changes: dict[str, float], becomes_metal: bool) -> None:
+    """100 surfels in two views, with costs of 0.1 as dielectric and 0.06 as metal of one roughness level."""
+    case = {"dielectric": 0.1, "metal": 0.06, "level": 0, "views": 2, "size": 100, "evidence": 0.02}
+    case |= changes
+    num_levels = len(ROUGHNESS_LEVELS)
+    metal = np.full((1, num_levels), 0.5, np.float32)
+    metal[0, int(case["level"])] = case["metal"]
+    dielectric = np.full((1, num_levels, len(SPECULAR_LEVELS)), case["dielectric"], np.float32)
+    costs = Costs(dielectric, metal, np.full((1, num_levels, 3), 0.9, np.float32))
+    found = decide(
+        costs,
+        np.full((1, 3), 0.04),
+        np.full(1, 0.6),
+        np.full(1, case["evidence"]),
+        np.full(1, case["views"]),
+        np.zeros(1, np.int64),
+        np.full(1, int(case["size"])),
+        PriorWeights(),
+    )
+    assert found.is_metal.tolist() == [becomes_metal]
 
 
 def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) -> NDArray:
@@ -326,7 +369,7 @@ def test_cost_equals_that_of_a_dense_solve() -> None:
         for k, s in enumerate(SPECULAR_LEVELS.astype(np.float64)):
             spec = s * ls0[:, :, level].astype(np.float64) + ls1[:, :, level]
             rest = ((radiance - spec) * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None]
-            albedo = np.clip(rest / ((1 - s) * diffuse), 0, 0.95)
+            albedo = np.clip(rest / ((1 - s) * diffuse), 0, 1.1)
             model = ((1 - s) * albedo * diffuse)[:, None] + spec
             encode = lambda x: np.log1p(50 * np.maximum(x, 0) * 0.4) / np.log(51)  # noqa: E731
             residual = np.minimum(np.abs(encode(model) - encode(radiance)), 0.2)

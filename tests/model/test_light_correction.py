@@ -49,7 +49,7 @@ def test_albedo_is_kept_where_light_is_misestimated(wall: Surfels) -> None:
     blue = np.full_like(true, 0.2) * [1, 1, 2]  # the network is wrong everywhere
     region = np.zeros(len(true), np.int32)
     confidence = (away == 0).astype(np.float32)
-    found = shading_correction(wall, region, albedo, blue, confidence, np.ones(len(true), bool))
+    found = shading_correction(wall, region, albedo, blue, confidence, confidence, np.ones(len(true), bool))
     error = np.abs(np.log(albedo / true) + found)
     assert np.abs(np.log(albedo / true)).mean() > 0.4
     assert error.mean() < 0.08 and error.max() < 0.25
@@ -64,10 +64,23 @@ def test_unlit_albedo_has_the_networks_level_and_the_photographs_pattern(
     network = np.broadcast_to(np.exp(np.log(true).mean(axis=0)) * 1.1, true.shape)
     none = np.zeros(len(true), np.float32)
     found = shading_correction(
-        wall, none.astype(np.int32), 0.5 * true, network, none, np.ones(len(true), bool)
+        wall, none.astype(np.int32), 0.5 * true, network, none, none, np.ones(len(true), bool)
     )
     corrected = 0.5 * true * np.exp(found)
     np.testing.assert_allclose(corrected, 1.1 * true, rtol=0.05)
+
+
+def test_partly_photographed_light_counts_against_the_network(wall: Surfels) -> None:
+    """The network is four times too dark, and no light is known."""
+    true = _checks(0.6, 0.5)
+    none, on_wall = np.zeros(len(true), np.float32), np.ones(len(true), bool)
+    region = none.astype(np.int32)
+    without, partly = (
+        shading_correction(wall, region, true, 0.25 * true, none, np.full(len(true), share), on_wall)
+        for share in (0.05, 0.65)
+    )
+    assert without.max() < -1.2
+    assert partly.max() < -0.2 and partly.min() > 0.8 * without.max()
 
 
 def test_known_light_is_kept_and_a_deviating_network_counts_little(wall: Surfels) -> None:
@@ -76,7 +89,7 @@ def test_known_light_is_kept_and_a_deviating_network_counts_little(wall: Surfels
     known = (np.arange(len(true)) % SIDE < SIDE // 2).astype(np.float32)
     network = true / 3 * np.where(np.arange(len(true)) % 2, 2.0, 0.5)[:, None]
     region = np.where(known > 0, 0, 1).astype(np.int32)  # no confident surfel in the other region
-    found = shading_correction(wall, region, true, network, known, np.ones(len(true), bool))
+    found = shading_correction(wall, region, true, network, known, known, np.ones(len(true), bool))
     assert np.abs(found[known > 0]).max() < 0.05
     assert np.abs(found).max() < 0.25
 
@@ -85,7 +98,6 @@ def test_metal_is_excluded_from_the_correction(wall: Surfels) -> None:
     true = _checks(0.6, 0.5)
     is_diffuse = np.arange(len(true)) % SIDE >= SIDE // 2
     albedo = np.where(is_diffuse[:, None], true, 0.0)
-    found = shading_correction(
-        wall, np.zeros(len(true), np.int32), albedo, true, np.ones(len(true), np.float32), is_diffuse
-    )
+    ones = np.ones(len(true), np.float32)
+    found = shading_correction(wall, np.zeros(len(true), np.int32), albedo, true, ones, ones, is_diffuse)
     assert np.abs(found).max() < 1e-3

@@ -5,11 +5,13 @@ Missing or wrongly estimated light affects a whole neighbourhood, so the error o
 surface, regardless of texture. The correction u (N, 3) of ln rho, with the albedo rho = pi radiance /
 irradiance, minimises, over surfels,
 
-    c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
+    max(c, e) u^2 + SMOOTHNESS sum w (u_i - u_j)^2
+        + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
 
-with c the confidence in the light, D_p the network's albedo at the scale of the confident surfels, and D_r
-the mean albedo of the confident surfels of the same smooth region. The weight of each prior is the inverse
-square of its spread among the confident surfels; Huber weights make both robust. Texture is preserved.
+with c the confidence in the light, e the weight of estimated light, D_p the network's albedo at the scale of
+the confident surfels, and D_r the mean albedo of the confident surfels of the same smooth region. The weight
+of each prior is the inverse square of its spread among the confident surfels; Huber weights make both robust.
+Texture is preserved.
 """
 
 from __future__ import annotations
@@ -24,6 +26,9 @@ from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medi
 
 SMOOTHNESS = 100.0
 """Weight of differences of u between adjacent surfels, relative to that of u of a surfel with known light."""
+ESTIMATE_WEIGHT, ESTIMATE_EVIDENCE = 0.1, (0.1, 0.65)
+"""Weight of u of surfels whose light is mostly estimated, and the range of the photographed share of their
+hemisphere over which it increases from 0."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
 """Weights of the priors at a spread of 1; small, since the errors of neighbouring surfels are correlated."""
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
@@ -48,13 +53,15 @@ def shading_correction(
     albedo: NDArray,
     predicted: NDArray,
     confidence: NDArray,
+    photographed: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
     """Compute u (N, 3), by which exp(u) multiplies ``albedo`` (N, 3) and divides the diffuse shading.
 
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
-    ``confidence`` (N,): confidence in the light, in [0, 1]; ``is_diffuse`` (N,): mask of lit surfels that are
-    not metal. Raises ArithmeticError if the solver does not converge.
+    ``confidence`` (N,): confidence in the light, in [0, 1]; ``photographed`` (N,): photographed share of each
+    hemisphere; ``is_diffuse`` (N,): mask of lit surfels that are not metal. Raises ArithmeticError if the
+    solver does not converge.
     """
     log_albedo, log_network = _log(albedo), _log(predicted)
     confident = confidence * is_diffuse
@@ -66,13 +73,16 @@ def shading_correction(
     region_weight = REGION_WEIGHT / region_spread**2 * np.clip(support / (10 * MIN_SUPPORT), 0, 1)
     region_weight[support < MIN_SUPPORT] = 0
     unknown = (1 - confidence) * is_diffuse
+    low, high = ESTIMATE_EVIDENCE
+    estimated = ESTIMATE_WEIGHT * np.clip((photographed - low) / (high - low), 0, 1)
+    known = np.maximum(confidence, estimated) * is_diffuse
     laplacian, blocks = _laplacian(surfels), _blocks(surfels)
     found = np.zeros_like(log_albedo)
     huber_network, huber_region = np.ones(len(found)), np.ones(len(found))
     for _ in range(_ROUNDS):
         toward_network = unknown * network_weight * huber_network
         toward_region = unknown * region_weight * huber_region
-        diagonal = confident + toward_network + toward_region + 1e-6
+        diagonal = known + toward_network + toward_region + 1e-6
         matrix = (SMOOTHNESS * laplacian + sparse.diags(diagonal)).tocsr()
         right = toward_network[:, None] * (log_network - log_albedo)
         right += toward_region[:, None] * (of_region - log_albedo)

@@ -5,7 +5,7 @@ For each roughness of :data:`ROUGHNESS_LEVELS` and specular albedo of :data:`SPE
 albedo of a point follows from its radiance L, diffuse shading Ld and specular radiance S Ls0 + Ls1 in each
 observation,
 
-    D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_ALBEDO],
+    D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_FITTED_ALBEDO],
 
 and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
 ln 51 at the capture's exposure, plus priors on the network's S and R. Alternative hypotheses are matte (S =
@@ -27,6 +27,9 @@ ROUGHNESS_LEVELS = np.array([0.12, 0.25, 0.4, 0.55, 0.75, 1.0], np.float32)
 SPECULAR_LEVELS = np.array([0.0, 0.02, 0.04, 0.06, 0.08], np.float32)
 """Specular albedos of dielectrics, from water (0.02) to sapphire (0.08)."""
 MAX_ALBEDO = 0.95
+MAX_FITTED_ALBEDO = 1.1
+"""Maximum D of a hypothesis; the excess allows for errors of the shading of white paint, which a specular
+part would otherwise explain."""
 MAX_RESIDUAL = 0.2
 """Upper bound on the residual of an observation, which may be due to wrong visibility or light."""
 MIN_METAL = 0.2
@@ -54,6 +57,11 @@ METAL_SHARE = 0.25
 MIN_ADVANTAGE = -0.05
 """Lower bound on each segment's advantage of metal in a region's mean, so that few dark segments do not
 dominate."""
+MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
+"""Maximum roughness of a mirror, minimum residual of the best dielectric, and maximum ratio of the residual
+as metal to it. Moving mirror images have no other explanation, so mirrors need no photographed hemisphere."""
+MIRROR_VIEWS, MIRROR_SURFELS = 1.2, 48
+"""Minimum mean number of views of a mirror's surfels, and minimum number of surfels."""
 METAL_TOLERANCE = 0.005
 """Maximum excess cost of metal over a dielectric at which a segment of a metal region becomes metal."""
 
@@ -131,8 +139,9 @@ def decide(
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) is in (0, 1];
     ``views`` (G,): mean number of views of a surfel; ``group`` (G,): smooth region; ``size`` (G,): number of
     surfels. A dielectric is the mean of the matte (S = 0, R = 1) and glossy hypotheses, weighted by
-    likelihood. Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if
-    :data:`METAL_SHARE` of it is metal or the mean advantage of metal over it exceeds the required one.
+    likelihood. Mirrors need no evidence. Other segments of a region become metal, within
+    :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is metal or the mean advantage of metal over it
+    exceeds the required one.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -156,6 +165,10 @@ def decide(
     metal = np.where(mean_albedo < MIN_DARK_METAL, np.inf, metal)
     metal_level = metal.argmin(axis=1)
     albedo, advantage = mean_albedo[rows, metal_level], best - metal[rows, metal_level]
+    of_metal = costs.metal[rows, metal_level]
+    is_mirror = (ROUGHNESS_LEVELS[metal_level] <= MIRROR_ROUGHNESS) & (of_metal <= MIRROR_FIT * residual)
+    is_mirror &= (residual >= MIRROR_RESIDUAL) & (views >= MIRROR_VIEWS) & (size >= MIRROR_SURFELS)
+    required = np.where(is_mirror, 0, required)
     is_metal = (advantage > required) & (albedo >= MIN_METAL)
     excess = np.maximum(advantage, MIN_ADVANTAGE) - required
     share, excess_of_region, albedo_of_region = (
@@ -166,7 +179,7 @@ def decide(
     is_metal |= spreads[group] & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
-    residual = np.where(is_metal, costs.metal[rows, metal_level], residual)
+    residual = np.where(is_metal, of_metal, residual)
     low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
     confidence = np.repeat(np.clip((high - residual) / (high - low), 0, 1)[:, None], 3, axis=1)
     of_network = NETWORK_VARIANCE * views
@@ -241,7 +254,7 @@ def _cost(first, last, radiance, target, weight, diffuse, ls0, ls1, level, specu
             if below > 0 and is_metal:
                 s = min(max(above / below, np.float32(0)), np.float32(1))
             elif below > 0:
-                albedo = min(max(above / below, np.float32(0)), np.float32(MAX_ALBEDO))
+                albedo = min(max(above / below, np.float32(0)), np.float32(MAX_FITTED_ALBEDO))
                 base = (1 - s) * albedo * diffuse[point, channel]
             for o in range(num):
                 w = weight[point, o]

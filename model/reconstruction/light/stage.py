@@ -199,7 +199,13 @@ def _solved_surfels(
         unexplained = np.clip((trust - replaced) / np.maximum(1 - replaced, 1e-6), 0, 1)[:, None]
         prior_scale = 1 + unexplained * (scale - 1)
         correction = shading_correction(
-            surfels, segmentation.region, albedo, predicted, confidence[:, 0], is_diffuse
+            surfels,
+            segmentation.region,
+            albedo,
+            predicted,
+            confidence[:, 0],
+            lit.irradiance.photographed,
+            is_diffuse,
         )
         albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)
         diffuse = lit.diffuse * np.exp(-correction)
