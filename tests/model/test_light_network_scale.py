@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from datagen.geometry.views import TracedView
 from model.reconstruction.light import stage
 from model.reconstruction.light.shading_correction import SCALE_SUPPORT, network_scale
-from model.reconstruction.light.view_maps import MAX_EXCESS, WHITE_PAINT, view_materials
+from model.reconstruction.light.view_maps import MAX_EXCESS, view_materials
+from model.reconstruction.light.white import TYPICAL_WHITE, White
 from tests.model.light_room import photographed_room, quads
 from tests.model.test_light_room import of_quad, predicted, room, solved
 
@@ -83,10 +84,20 @@ def test_light_without_weight_has_no_scale(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.usefixtures("mitsuba_variant")
-@pytest.mark.parametrize(("diffuse", "expected"), [(0.3, 0.6), (0.6, WHITE_PAINT), (0.9, 0.9)])
-def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, expected: float) -> None:
-    """The limit does not lower brighter predictions of the network."""
-    np.testing.assert_allclose(unknown_albedo(diffuse, 2, lighting=0.01)[0], expected, atol=2e-3)
+@pytest.mark.parametrize(
+    ("diffuse", "white", "expected"),
+    [
+        (0.3, White(), 0.6),
+        (0.6, White(), TYPICAL_WHITE),
+        (0.9, White(), 0.9),
+        (0.9, White(0.8, 1.0), 0.8),
+        (0.9, White(0.8, 0.5), 0.85),
+    ],
+)
+def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, white: White, expected: float) -> None:
+    """The limit lowers the network's own predictions only as far as the room's white is known."""
+    found = unknown_albedo(diffuse, 2, lighting=0.01, white=white)[0]
+    np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
 @pytest.mark.usefixtures("mitsuba_variant")
@@ -98,7 +109,7 @@ def test_prediction_does_not_exceed_the_recorded_light() -> None:
 
 
 def unknown_albedo(
-    diffuse: float, prior_scale: float, lighting: float = 1.0
+    diffuse: float, prior_scale: float, lighting: float = 1.0, white: White = White()
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Diffuse albedo (K, 3) of a view's surfaces without trust in light, and pi times the radiance over the
     irradiance (K, 3), for a prediction of ``diffuse``; ``lighting`` multiplies the irradiance.
@@ -109,6 +120,7 @@ def unknown_albedo(
         diffuse=lighting * known.diffuse,
         replaced=np.zeros_like(known.replaced),
         prior_scale=np.full((len(surfels), 3), prior_scale, np.float32),
+        white=white,
     )
     maps = view_materials(surfels, unknown, 0, view, predicted((view,), diffuse)[0])
     own = surfels.pixel_surfel[0].reshape(view.color.shape[:2])

@@ -18,7 +18,7 @@ from model.reconstruction.light.confidence import trust_in_hidden
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import MAX_ALBEDO
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
-from model.reconstruction.light.view_maps import WHITE_PAINT, view_materials
+from model.reconstruction.light.view_maps import view_materials
 from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry, without_pixels
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -184,11 +184,11 @@ def test_surface_in_uncertain_light_is_no_whiter_than_paint() -> None:
         np.dstack([m["diffuse_albedo"].max(axis=2), m["confidence"][..., 0]]) for m in cropped_room().maps
     ]
     albedo, confidence = np.concatenate([maps.reshape(-1, 2) for maps in packed]).astype(np.float64).T
-    assert (albedo <= WHITE_PAINT + (MAX_ALBEDO - WHITE_PAINT) * confidence + 2e-3).all()
+    white = cropped_room().solved.white.albedo
+    assert white < MAX_ALBEDO - 0.05
+    assert (albedo <= white + (MAX_ALBEDO - white) * confidence + 2e-3).all()
     unsure = confidence < 0.5
-    assert np.isclose(
-        albedo[unsure], WHITE_PAINT + (MAX_ALBEDO - WHITE_PAINT) * confidence[unsure], atol=2e-3
-    ).any()
+    assert np.isclose(albedo[unsure], white + (MAX_ALBEDO - white) * confidence[unsure], atol=2e-3).any()
 
 
 def test_light_of_an_unseen_lamp_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,6 +39,7 @@ from model.reconstruction.light.shading_correction import network_scale, shading
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
+from model.reconstruction.light.white import White, white_paint
 
 _SEED = 99  # for the specular parts; differs from the solver's seeds
 
@@ -180,7 +181,7 @@ def _solved_surfels(
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
     if not options.has_prior:
         ones = np.ones_like(albedo)
-        return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0], ones), albedo
+        return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0], ones, White()), albedo
     confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
@@ -209,7 +210,8 @@ def _solved_surfels(
         )
         albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)
         diffuse = lit.diffuse * np.exp(-correction)
-    return SolvedSurfels(diffuse, specular, s, r, is_metal, confidence, replaced, prior_scale), albedo
+    white = white_paint(albedo, confidence[:, 0] * ~is_metal)
+    return SolvedSurfels(diffuse, specular, s, r, is_metal, confidence, replaced, prior_scale, white), albedo
 
 
 def surfel_albedo(

@@ -6,10 +6,10 @@ and diffuse shading Ld,
 
     D = (L - specular part) / ((1 - S) Ld),
 
-clipped to [0, MAX_ALBEDO] or, in uncertain light, to the albedo of white paint, with the specular part of the
-same view. S and R are those of nearby surfels of similar reflectance, blended with the network's by
-confidence. S of rough metals is that of the nearby surfels times L / (their radiance in the view), which adds
-the detail of the photograph. A network's D above the maximum that the recorded light permits is reduced.
+clipped to [0, MAX_ALBEDO] or, in uncertain light, to the albedo of the room's white paint, with the specular
+part of the same view. S and R are those of nearby surfels of similar reflectance, blended with the network's
+by confidence. S of rough metals is that of the nearby surfels times L / (their radiance in the view), which
+adds the detail of the photograph. A network's D above the maximum that the recorded light permits is reduced.
 """
 
 from __future__ import annotations
@@ -26,12 +26,10 @@ from datagen.light.surfels import NUM_SIDES, Surfels, camera_row, cell_of, place
 from datagen.multiview.compiled import compiled
 from model.reconstruction.light.metal_texture import BLURRED, SHARP
 from model.reconstruction.light.solve import MAX_ALBEDO
+from model.reconstruction.light.white import White
 
 SIMILAR = 0.35
 """Difference in ln reflectance from the pixel at which a surfel's S and R are weighted by exp(-1/2)."""
-WHITE_PAINT = 0.85
-"""Maximum D in uncertain light; where estimates exceeded it in the development rooms, the true D was 0.78 to
-0.91."""
 MAX_EXCESS = 1.5
 """Maximum of the network's D relative to its physical limit, the ratio of radiance to diffuse shading; the
 margin allows for errors of shading."""
@@ -45,7 +43,7 @@ class SolvedSurfels:
     ``diffuse`` (N, 3): diffuse shading; ``specular`` (M, 3): specular part of the radiance of each
     observation; ``specular_albedo`` (N, 3); ``roughness`` (N,); ``is_metal`` (N,); ``confidence`` (N, 3) of
     D, S and R in [0, 1]; ``replaced`` (N,): weight of D from light against the network's; ``prior_scale`` (N,
-    3): factor of the network's D.
+    3): factor of the network's D; ``white``: upper bound of D in uncertain light.
     """
 
     diffuse: NDArray[np.float32]
@@ -56,6 +54,7 @@ class SolvedSurfels:
     confidence: NDArray[np.float32]
     replaced: NDArray[np.float32]
     prior_scale: NDArray[np.float32]
+    white: White
 
 
 def view_materials(
@@ -96,6 +95,8 @@ def view_materials(
         surfels.radiance,
         prior.astype(np.float32),
         np.float32(floor),
+        np.float32(solved.white.albedo),
+        np.float32(solved.white.known),
     ).reshape(height, width, -1)
     maps, confidence = np.split(packed, [-len(MATERIAL_MAPS)], axis=2)
     found = {**split_channels(maps, MATERIAL_MAPS), "confidence": confidence}
@@ -105,7 +106,7 @@ def view_materials(
 @compiled
 def _pixels(
     color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, observed, diffuse, specular,
-    albedo, rough, metal, confidence, replaced, prior_scale, radiance, prior, floor
+    albedo, rough, metal, confidence, replaced, prior_scale, radiance, prior, floor, white, white_known
 ):  # fmt: skip
     """Compute D, S, R and their confidence (P, 10) for the P pixels of a view."""
     out = np.zeros((len(color), 10), np.float32)
@@ -148,7 +149,7 @@ def _pixels(
             ld[c] = max(ld[c] / total, floor)
             conf[c] /= total
             spec[c] /= max(total_spec, np.float32(1e-12))
-        max_albedo = np.float32(WHITE_PAINT) + conf[0] * np.float32(MAX_ALBEDO - WHITE_PAINT)
+        max_albedo = white + conf[0] * (np.float32(MAX_ALBEDO) - white)
         s[:] = 0
         r, is_metal, total_like = np.float32(0), np.float32(0), np.float32(0)
         for k in range(num):
@@ -176,7 +177,7 @@ def _pixels(
             d = (color[index, c] - spec[c]) / (max(1 - s[c], np.float32(0.05)) * ld[c])
             d = min(max(d, np.float32(0)), max_albedo) * (1 - is_metal)
             network = prior[index, c]
-            scaled = min(network * scale[c] / total, max(network, np.float32(WHITE_PAINT)))
+            scaled = min(network * scale[c] / total, white + (1 - white_known) * max(network - white, 0))
             scaled = min(scaled, np.float32(MAX_EXCESS) * color[index, c] / ld[c])
             out[index, c] = of_light * d + (1 - of_light) * scaled
             if l_around[c] > 0:
