@@ -24,9 +24,15 @@ OBSERVATIONS = 20
 
 
 def test_confidence_grows_with_the_evidence() -> None:
-    found = surfel_confidence(np.array([0.0, D_EVIDENCE[0], np.mean(D_EVIDENCE), D_EVIDENCE[1], 1.0]))
+    share = np.array([0.0, D_EVIDENCE[0], np.mean(D_EVIDENCE), D_EVIDENCE[1], 1.0])
+    found = surfel_confidence(share, np.zeros(5, bool))
     np.testing.assert_allclose(found[:, 0], [0, 0, 0.5, 1, 1], atol=1e-6)
     assert (found[:, 1] == found[:, 2]).all() and (found[:, 1] >= found[:, 0]).all()
+
+
+def test_mirrors_need_no_photographed_hemisphere() -> None:
+    found = surfel_confidence(np.full(2, 0.1), np.array([False, True]))
+    np.testing.assert_allclose(found, [[0, 0, 0], [1, 1, 1]], atol=1e-6)
 
 
 def wall(radiance: NDArray) -> Surfels:

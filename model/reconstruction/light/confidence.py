@@ -48,12 +48,13 @@ D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
 R, increases from 0 to 1."""
 
 
-def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
+def surfel_confidence(photographed: NDArray, is_mirror: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Compute the confidence (N, 3) of D, S and R from the ``photographed`` share (N,) of each hemisphere.
 
     The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose prior
-    already has more weight where evidence is weak.
+    already has more weight where evidence is weak. Mirrors (``is_mirror`` (N,)) are known by their images.
     """
+    photographed = np.where(is_mirror, 1.0, photographed)
     of_d = _ramp(photographed, D_EVIDENCE)
     of_s = _ramp(photographed, S_EVIDENCE)
     return np.stack([of_d, of_s, of_s], axis=1).astype(np.float32)
