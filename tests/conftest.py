@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from oracles import VARIANT
+from tests.once import keep_in
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LONGEST = (
@@ -29,6 +30,13 @@ def shared_data() -> Path:
     if not (SHARED_DATA / "MANIFEST.md").is_file():
         pytest.skip(f"real test data not found at {SHARED_DATA} (set SCENE_DATA to its folder)")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kept_results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Share the results of :func:`tests.once.once` among the processes of the test run."""
+    folder = tmp_path_factory.getbasetemp()
+    keep_in((folder.parent if hasattr(request.config, "workerinput") else folder) / "once")
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import REPOSITORY
+from tests.once import once
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -47,6 +48,10 @@ def run_module() -> Callable[..., Any]:
 @pytest.fixture(scope="session")
 def graphs_folder(tmp_path_factory: pytest.TempPathFactory, run_module: Callable[..., Any]) -> Path:
     """Folder with ``graphs.blend``, its images, and all its graphs exported under ``packages``."""
-    folder = tmp_path_factory.mktemp("graphs")
-    run_module("tests.blender_addon.graphs", str(folder))
-    return folder
+
+    def make() -> Path:
+        folder = tmp_path_factory.mktemp("graphs")
+        run_module("tests.blender_addon.graphs", str(folder))
+        return folder
+
+    return once("blender-graphs", make)

@@ -13,20 +13,19 @@ from datagen.farm.local import LocalOptions, run_local
 from datagen.formats.shard import Dataset
 from datagen.foundation.exr import encode_view
 from tests.datagen.small_plan import plan_small
-
-_MADE: list[Path] = []
+from tests.once import once
 
 
 def rendered_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the dataset, which tests must not change."""
-    if _MADE:
-        return _MADE[0]
-    root = tmp_path_factory.mktemp("rendered")
+    return once("rendered-dataset", lambda: _rendered(tmp_path_factory.mktemp("rendered")))
+
+
+def _rendered(root: Path) -> Path:
     folder = plan_small(root / "dataset", root / "library", num_units=2, num_views=5)
     summary = run_local(folder.root, LocalOptions(workers=1))
     assert len(summary.done) == 2 and not summary.set_aside
     collect(folder.root)
-    _MADE.append(folder.root)
     return folder.root
 
 

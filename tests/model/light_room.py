@@ -17,6 +17,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
+from tests.once import once
 
 SIDES = np.array([4.0, 3.0, 2.5])
 LAMP = (14.0, 13.0, 10.0)
@@ -94,6 +95,10 @@ def room_cameras(num: int = 24) -> list[Camera]:
 @lru_cache(maxsize=2)
 def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
     """Path-traced HDR views of the room, with samples at pixel centres."""
+    return once(f"light-room-{samples}", lambda: _photographs(samples))
+
+
+def _photographs(samples: int) -> tuple[TracedView, ...]:
     import mitsuba as mi
 
     from mitsuba_plugins import register
@@ -111,21 +116,27 @@ def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(SKY)}},
         },
     }
+    materials: dict[Any, Any] = {}
     for quad in quads():
         corner = quad.corners()
         to_world = np.eye(4)  # Mitsuba's rectangle spans [-1, 1]^2
         to_world[:3, 0], to_world[:3, 1] = (corner[1] - corner[0]) / 2, (corner[3] - corner[0]) / 2
         normal = np.cross(to_world[:3, 0], to_world[:3, 1])
         to_world[:3, 2], to_world[:3, 3] = normal / np.linalg.norm(normal), corner.mean(axis=0)
+        material = (quad.diffuse, quad.specular, quad.roughness)
+        if material not in materials:  # Dr.Jit traces each BSDF
+            materials[material] = mi.load_dict(
+                {
+                    "type": "cook_torrance",
+                    "diffuse_albedo": {"type": "rgb", "value": list(quad.diffuse)},
+                    "specular_albedo": {"type": "rgb", "value": list(quad.specular)},
+                    "roughness": quad.roughness,
+                }
+            )
         shape: dict[str, Any] = {
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f(to_world.tolist()),
-            "bsdf": {
-                "type": "cook_torrance",
-                "diffuse_albedo": {"type": "rgb", "value": list(quad.diffuse)},
-                "specular_albedo": {"type": "rgb", "value": list(quad.specular)},
-                "roughness": quad.roughness,
-            },
+            "bsdf": materials[material],
         }
         if quad.emission is not None:
             shape["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": list(quad.emission)}}

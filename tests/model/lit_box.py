@@ -16,6 +16,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
+from tests.once import once
 
 SIDES = np.array([4.0, 3.0, 2.5])
 ALBEDOS = np.array(
@@ -64,6 +65,10 @@ def box_cameras(num: int = 12) -> list[Camera]:
 def photographed_box(has_sun: bool = False, samples: int = 64) -> tuple[TracedView, ...]:
     """Path-traced views of the box. ``has_sun`` adds an unphotographed spot light that lights part of the
     floor several times brighter than the lamp does."""
+    return once(f"lit-box-{has_sun}-{samples}", lambda: _photographs(has_sun, samples))
+
+
+def _photographs(has_sun: bool, samples: int) -> tuple[TracedView, ...]:
     import mitsuba as mi
 
     scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 24}}

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: MIT
+"""Results that the processes of a test run share."""
+
+from __future__ import annotations
+
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.once import once
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no file locks")
+def test_a_result_is_made_once(tmp_path: Path) -> None:
+    """Others wait for it; a failed attempt leaves nothing."""
+    made = []
+
+    def fail() -> np.ndarray:
+        raise OSError("no space")
+
+    def make() -> np.ndarray:
+        time.sleep(0.1)
+        made.append(1)
+        return np.arange(3.0)
+
+    with pytest.raises(OSError, match="no space"):
+        once("numbers", fail, tmp_path)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: once("numbers", make, tmp_path), range(4)))
+    assert len(made) == 1
+    for numbers in found:
+        np.testing.assert_array_equal(numbers, [0, 1, 2])
+    once("others", make, tmp_path)
+    assert len(made) == 2
