@@ -9,6 +9,8 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -140,47 +142,60 @@ def _modules() -> frozenset[str]:
     return frozenset(_module(path) for path in _sources())
 
 
-@functools.cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+@dataclass(frozen=True)
+class _Source:
+    """A parsed file; ``imports`` are absolute names of modules that it imports anywhere, except for type
+    checking; ``froms`` are lines, modules and names of absolute imports from modules; ``names`` are bound."""
+
+    imports: frozenset[str]
+    froms: tuple[tuple[int, str, tuple[str, ...]], ...]
+    names: frozenset[str]
+
+
+def _statements(tree: ast.Module) -> Iterator[tuple[ast.AST, bool]]:
+    """Statements of a module, also within functions, and whether they are for type checking only."""
+    left: list[tuple[ast.AST, bool]] = [(tree, False)]
+    while left:
+        node, is_typing = left.pop()
+        yield node, is_typing
+        is_typing |= isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+        for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+            left += [(child, is_typing) for child in getattr(node, field, ())]
 
 
 @functools.cache
+def _source(path: Path) -> _Source:
+    imports: set[str] = set()
+    froms: list[tuple[int, str, tuple[str, ...]]] = []
+    bound: set[str] = set()
+    for node, is_typing in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+        named: set[str] = set()
+        if isinstance(node, ast.Import):
+            named = {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names = tuple(alias.name for alias in node.names)
+            froms.append((node.lineno, node.module, names))
+            named = {f"{node.module}.{name}" for name in names} & _modules() or {node.module}
+        imports |= set() if is_typing else named
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            bound |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            bound.add(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            bound |= {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+    return _Source(frozenset(imports), tuple(froms), frozenset(bound))
+
+
+def _imports(path: Path) -> frozenset[str]:
+    return _source(path).imports
+
+
 def _names_of(module: str) -> frozenset[str]:
-    """Names that a module of the project binds at its top level, and its submodules."""
+    """Names that a module of the project binds, and its submodules."""
     path = REPOSITORY.joinpath(*module.split("."))
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    found: set[str] = set()
-    for node in ast.walk(_tree(file)) if file.is_file() else ():
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            found.add(node.name)
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            found.add(node.id)
-        elif isinstance(node, ast.Import | ast.ImportFrom):
-            found.update((alias.asname or alias.name).split(".")[0] for alias in node.names)
-    return frozenset(found)
-
-
-@functools.cache
-def _imports(path: Path) -> frozenset[str]:
-    """Absolute names of every module that a file imports anywhere, except for type checking."""
-    tree = _tree(path)
-    found: set[str] = set()
-    skipped = {
-        child
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for child in ast.walk(node)
-    }
-    for node in ast.walk(tree):
-        if node in skipped:
-            continue
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            names = {f"{node.module}.{alias.name}" for alias in node.names}
-            found.update(names & _modules() or {node.module})
-    return frozenset(found)
+    return _source(file).names if file.is_file() else frozenset()
 
 
 def _is_in(name: str, *packages: str) -> bool:
@@ -280,17 +295,14 @@ def test_every_imported_name_exists() -> None:
     """Imports within functions count, where faults could stay unnoticed."""
     missing = []
     for path in _sources():
-        for node in ast.walk(_tree(path)):
-            if not isinstance(node, ast.ImportFrom) or node.level or not node.module:
+        for line, module, names in _source(path).froms:
+            if not _is_in(module, "datagen", "model", "mitsuba_plugins", "benchmarks", "oracles", "tests"):
                 continue
-            if not _is_in(
-                node.module, "datagen", "model", "mitsuba_plugins", "benchmarks", "oracles", "tests"
-            ):
-                continue
-            for alias in node.names:
-                if f"{node.module}.{alias.name}" in _modules() or alias.name in _names_of(node.module):
-                    continue
-                missing.append(f"{_module(path)}:{node.lineno}: {node.module}.{alias.name}")
+            missing += [
+                f"{_module(path)}:{line}: {module}.{name}"
+                for name in names
+                if f"{module}.{name}" not in _modules() and name not in _names_of(module)
+            ]
     assert missing == []
 
 
@@ -308,7 +320,8 @@ def _private(tree: ast.Module) -> list[str]:
 
 
 def test_tests_access_no_private_member() -> None:
-    found = {_module(path): _private(_tree(path)) for path in sorted((REPOSITORY / "tests").rglob("*.py"))}
+    paths = sorted((REPOSITORY / "tests").rglob("*.py"))
+    found = {_module(path): _private(ast.parse(path.read_text(encoding="utf-8"))) for path in paths}
     assert {module: names for module, names in found.items() if names} == {}
 
 
