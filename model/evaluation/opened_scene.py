@@ -106,7 +106,7 @@ class OpenedScene:
         cameras = self.views_of(light)
         seen = scenery.seen_by(cameras).with_seed(seed).configuration
         key = key_of(seen.model_dump(mode="json"), render.model_dump(mode="json"), *stopped_by)
-        return Rendering(seed, views or cameras, self.root / "renders" / key)
+        return Rendering(seed, cameras if views is None else views, self.root / "renders" / key)
 
     def result(self, methods: tuple[MethodResult, ...]) -> SceneResult:
         """Result of the scene with the results of all methods."""

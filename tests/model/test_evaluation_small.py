@@ -67,6 +67,7 @@ def test_figures_are_in_a_plausible_order(small: tuple[Suite, Evaluation]) -> No
     for method in methods.values():
         assert method.covered_share == pytest.approx(1.0, abs=0.01)
         assert method.peak_memory_mb > 100 and method.seconds["merge"] > 0
+        assert not any(method.seed_spread.values())  # without seed_views, nothing is rendered twice
 
 
 def test_results_are_written_and_self_contained(small: tuple[Suite, Evaluation], tmp_path: Path) -> None:
