@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from threading import Barrier, BrokenBarrierError
 
 import numpy as np
 import pytest
@@ -17,14 +18,15 @@ from tests.once import once
 @pytest.mark.skipif(sys.platform == "win32", reason="has no file locks")
 def test_a_result_is_made_once(tmp_path: Path) -> None:
     """Others wait for it; a failed attempt leaves nothing."""
-    made = []
+    made, a_second = [], Barrier(2)
 
     def fail() -> np.ndarray:
         raise OSError("no space")
 
     def make() -> np.ndarray:
-        time.sleep(0.1)
         made.append(1)
+        with suppress(BrokenBarrierError):
+            a_second.wait(timeout=0.2)
         return np.arange(3.0)
 
     with pytest.raises(OSError, match="no space"):
