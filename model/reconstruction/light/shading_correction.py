@@ -26,7 +26,7 @@ from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medi
 
 SMOOTHNESS = 100.0
 """Weight of differences of u between adjacent surfels, relative to that of u of a surfel with known light."""
-ESTIMATE_WEIGHT, ESTIMATE_EVIDENCE = 0.1, (0.1, 0.65)
+ESTIMATE_WEIGHT, ESTIMATE_EVIDENCE = 0.01, (0.1, 0.65)
 """Weight of u of surfels whose light is mostly estimated, and the range of the photographed share of their
 hemisphere over which it increases from 0."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
