@@ -73,8 +73,7 @@ def shading_correction(
     region_weight = REGION_WEIGHT / region_spread**2 * np.clip(support / (10 * MIN_SUPPORT), 0, 1)
     region_weight[support < MIN_SUPPORT] = 0
     unknown = (1 - confidence) * is_diffuse
-    low, high = ESTIMATE_EVIDENCE
-    estimated = ESTIMATE_WEIGHT * np.clip((photographed - low) / (high - low), 0, 1)
+    estimated = np.interp(photographed, ESTIMATE_EVIDENCE, (0, ESTIMATE_WEIGHT))
     known = np.maximum(confidence, estimated) * is_diffuse
     laplacian, blocks = _laplacian(surfels), _blocks(surfels)
     found = np.zeros_like(log_albedo)

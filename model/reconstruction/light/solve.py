@@ -105,6 +105,11 @@ class SolvedSegments:
     residual: NDArray[np.float32]
     confidence: NDArray[np.float32]
 
+    @property
+    def is_mirror(self) -> NDArray[np.bool_]:
+        """Mask (G,) of metals that are smooth enough to be known by their images alone."""
+        return self.is_metal & (self.roughness <= MIRROR_ROUGHNESS)
+
 
 def segment_costs(
     start: NDArray[np.int64],

@@ -36,7 +36,7 @@ from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
 from model.reconstruction.light.shading_correction import network_scale, shading_correction
-from model.reconstruction.light.solve import MAX_ALBEDO, MIRROR_ROUGHNESS, SolvedSegments
+from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
 from model.reconstruction.light.white import White, white_paint
@@ -182,8 +182,8 @@ def _solved_surfels(
     if not options.has_prior:
         ones = np.ones_like(albedo)
         return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0], ones, White()), albedo
-    is_mirror = is_metal & (r <= MIRROR_ROUGHNESS)
-    confidence = surfel_confidence(lit.irradiance.photographed, is_mirror) * sure[:, None].astype(np.float32)
+    confidence = surfel_confidence(lit.irradiance.photographed, segments.is_mirror[segment])
+    confidence *= sure[:, None].astype(np.float32)
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
     of_segment = segments.confidence[segment]
@@ -211,7 +211,7 @@ def _solved_surfels(
         )
         albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)
         diffuse = lit.diffuse * np.exp(-correction)
-    white = white_paint(albedo, confidence[:, 0] * ~is_metal)
+    white = white_paint(albedo, confidence[:, 0])
     return SolvedSurfels(diffuse, specular, s, r, is_metal, confidence, replaced, prior_scale, white), albedo
 
 
