@@ -47,7 +47,7 @@ from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.stages import Estimate, Run
 from model.reconstruction.unwrap.uv import unwrapped
 
-WEIGHTS: tuple[Weights, ...] = ("none", "borders", "angle", "distance", "confidence", "all")
+WEIGHTS: tuple[Weights, ...] = ("none", "borders", "resolution", "confidence")
 Maps = list[dict[str, NDArray]]
 MAX_TRUE_STEP = 0.004
 """Largest difference of smooth true D, in any channel, between neighbouring texels."""
@@ -193,7 +193,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
     """Sums of squared errors by row of the table ``what`` (``weights`` or ``sizes``) and by map."""
     rows: dict[str, dict[str, float]] = {}
     if what == "weights":
-        maps = predictions(room, checkpoint, InferOptions(weights="all"))
+        maps = predictions(room, checkpoint, InferOptions(weights="confidence"))
         rows["views"] = room.view_errors(maps, room.truth)
         for weights in WEIGHTS:
             rows[weights] = room.atlas_errors(room.merged(maps, room.auto, None, weights))
@@ -209,7 +209,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 def print_seams(room: Room, checkpoint: Path) -> None:
     """Print, for each choice of weights, a row with a room's steps of D and errors."""
-    maps = predictions(room, checkpoint, InferOptions(weights="all"))
+    maps = predictions(room, checkpoint, InferOptions(weights="confidence"))
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:
         merged = room.merged(maps, room.auto, None, weights)

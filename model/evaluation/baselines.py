@@ -36,7 +36,8 @@ def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: 
         kept.mkdir(parents=True, exist_ok=True)
         for view, view_maps in zip(traced.views, maps, strict=True):
             if view.name in judged:
-                write_bytes_atomically(kept / f"{view.name}.exr", encode_view(view_maps))
+                judged_maps = {name: view_maps[name] for name in MATERIAL_MAPS}
+                write_bytes_atomically(kept / f"{view.name}.exr", encode_view(judged_maps))
         return maps
 
     return GivenMaps(identity, read_and_keep)

@@ -40,7 +40,7 @@ class NetworkMethod(_Method):
     kind: Literal["network"]
     checkpoint: str = BUNDLED
     is_filtered: bool = True
-    weights: Weights = "borders"
+    weights: Weights = "resolution"
     is_leveled: bool = True
     materials: Materials = "both"
 

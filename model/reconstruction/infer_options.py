@@ -69,7 +69,7 @@ class InferOptions(AssetOptions):
         Literal["depth", "trace"],
         typer.Option(help="Visibility test of views: depth buffers or shadow rays."),
     ] = "depth"
-    weights: Annotated[Weights, typer.Option(help="Weights of the views in the merge.")] = "borders"
+    weights: Annotated[Weights, typer.Option(help="Weights of the views in the merge.")] = "resolution"
     materials: Annotated[Materials, typer.Option(help="Source of materials: network, light, or both.")] = (
         "both"
     )

@@ -21,6 +21,7 @@ from datagen.formats.configuration import Configuration
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.textures import texture_values
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
@@ -36,7 +37,7 @@ from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.read import read_capture
 from model.reconstruction.export.metallic_textures import as_read, metallic_channels
 from model.reconstruction.infer import InferOptions, InferReport, infer
-from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
+from model.reconstruction.predict.sources import TRUTH, CheckpointMaps, GivenMaps
 from model.reconstruction.render.relight import Insertion, RelightOptions, render_asset, write_renders
 from oracles.textured_room import room_capture
 from tests.model.rendered_capture import SIZE, make_shard
@@ -349,7 +350,7 @@ def test_inference_with_confidence_continues(rendered: Rendered) -> None:
     """Confidence is stored with the maps; a view without it is predicted again, to the same maps; given maps
     have no confidence."""
     out = rendered.root / "weighted"
-    options = InferOptions(atlas=128, precision="float32", batch=2, weights="all", has_exr=False)
+    options = InferOptions(atlas=128, precision="float32", batch=2, weights="confidence", has_exr=False)
     infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)
     first = {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())}
     atlas = (out / "atlas" / "roughness.png").read_bytes()
@@ -363,8 +364,9 @@ def test_inference_with_confidence_continues(rendered: Rendered) -> None:
     assert (out / "atlas" / "roughness.png").read_bytes() == atlas
     infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), replace(options, weights="none"))
     assert (out / "atlas" / "roughness.png").read_bytes() != atlas
+    bare = GivenMaps("bare", lambda traced: [{n: m[n] for n in MATERIAL_MAPS} for m in TRUTH.read(traced)])
     with pytest.raises(InputError, match="a confidence for every view"):
-        infer(rendered.capture(), rendered.root / "none", TRUTH, options)
+        infer(rendered.capture(), rendered.root / "none", bare, options)
 
 
 def test_a_mesh_that_no_view_sees_is_refused(rendered: Rendered, tmp_path: Path) -> None:

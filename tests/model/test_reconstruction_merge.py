@@ -16,6 +16,7 @@ from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.merge.lane_sort import LANES, STEP, networks, sort_lanes, sort_weighted_lanes
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions
+from model.reconstruction.merge.pixel_weights import pixels_per_metre
 from model.reconstruction.merge.weights import Weights
 from oracles.textured_room import geometry_of, materials_at, room_cameras, room_mesh, uv_of_pixels, view_maps
 
@@ -84,12 +85,14 @@ def fetched(
 
 
 def pixel_weights(view: MapView, options: MergeOptions) -> np.ndarray:
-    """Weights (H, W, 3) of a view's D, S, R by pixel."""
+    """Weights (H, W, 3) of a view's D, S, R by pixel; the typical resolution is 1 pixel per metre."""
     found = np.ones(view_shape(view))
-    if options.weights in ("confidence", "all") and view.confidence is not None:
-        found *= np.maximum(view.confidence, 1e-3)
-    if options.weights in ("borders", "all"):
+    if options.weights != "none":
         found *= distance_to_border(view)[..., None]
+    if options.weights == "confidence" and view.confidence is not None:
+        found *= np.maximum(view.confidence, 1e-3)
+    if options.weights == "resolution" and view.confidence is not None and view.resolution is not None:
+        found *= np.where(view.resolution > 0, view.resolution, 1)[..., None] ** (2 * view.confidence)
     return found
 
 
@@ -153,14 +156,7 @@ def brute_force(
             if found is None:
                 continue
             values.append(found)
-            cosine = facing / np.linalg.norm(camera.position_m - p)
-            weight = np.ones(3)
-            if options.weights in ("angle", "all"):
-                weight *= cosine
-            if options.weights in ("distance", "all"):
-                weight *= camera.fx_px * camera.fy_px / z**2
-            weight *= confidence
-            weights.append(weight[[0, 0, 0, 1, 1, 1, 2]])
+            weights.append(confidence[[0, 0, 0, 1, 1, 1, 2]])
         counts[row, column] = len(values)
         if values:
             stacked, heavy = np.array(values, np.float64), np.array(weights)
@@ -191,13 +187,19 @@ def test_equals_brute_force(num_views: int) -> None:
     assert wrong.max() > limit
 
 
-@pytest.mark.parametrize("weights", ["none", "borders", "angle", "distance", "confidence", "all"])
+@pytest.mark.parametrize("weights", ["none", "borders", "resolution", "confidence"])
 def test_between_pixels_and_with_weights_equals_brute_force(weights: Weights) -> None:
     """Noise maps on the views' real geometry: depths, regions and weights matter at every texel."""
     mesh, size = room_mesh(), 40
     rng = np.random.default_rng(3)
     views = [
-        replace(view, face=seen.face, depth_z_m=seen.depth_z_m, confidence=rng.random(view_shape(view)))
+        replace(
+            view,
+            face=seen.face,
+            depth_z_m=seen.depth_z_m,
+            confidence=rng.random(view_shape(view)),
+            resolution=resolutions(view, rng),
+        )
         for view, seen in zip(noise_views(mesh, 12), traced_views(mesh, 12, SMALL), strict=True)
     ]
     options = MergeOptions(weights=weights)
@@ -211,6 +213,15 @@ def test_between_pixels_and_with_weights_equals_brute_force(weights: Weights) ->
     got = np.concatenate(list(atlas.maps.values()), axis=-1).astype(np.float64)
     error = np.abs(got - expected)[sure]
     assert error.max() <= 2.0**-11 * 1.001
+
+
+def resolutions(view: MapView, rng: np.random.Generator) -> np.ndarray:
+    """Random resolutions (H, W), partly 0; 1 at every fourth pixel along both axes, which the typical one is
+    computed from."""
+    found = np.exp(rng.normal(0, 1, view_shape(view)[:2]))
+    found[1::8] = 0
+    found[::4, ::4] = 1
+    return found
 
 
 def view_shape(view: MapView) -> tuple[int, int, int]:
@@ -298,7 +309,7 @@ def test_no_seam_where_a_view_ends() -> None:
         for number, view in enumerate(traced_views(mesh, 8))
     ]
     found = {}
-    for weights in ("none", "angle", "borders"):
+    for weights in ("none", "borders"):
         atlas = empty_atlas(size)
         options = MergeOptions(weights=weights)  # type: ignore[arg-type]
         MapMerger(views, options, None, smooth_regions(mesh)).merge(
@@ -310,7 +321,63 @@ def test_no_seam_where_a_view_ends() -> None:
         found[weights] = np.abs(np.diff(merged, axis=0))[changes].mean()
         assert merged[atlas.count > 0].min() > 0.199 and merged[atlas.count > 0].max() < 0.551
         assert changes.sum() > 300
-    assert found["borders"] < 1 / 3 * min(found["none"], found["angle"]), found
+    assert found["borders"] < 1 / 3 * found["none"], found
+
+
+def test_resolution_is_that_of_the_coarser_axis() -> None:
+    """Pixels per metre at image centres equal the smallest displacement in pixels of surface points that move
+    by a millimetre in any tangential direction."""
+    mesh = room_mesh()
+    traced = TracedGeometry(geometry_of(mesh))
+    cosines = []
+    for camera in room_cameras(10, (97, 73)):
+        seen = traced.trace_view(camera)
+        row, column = 36, 48
+        normal = seen.normal_world[row, column].astype(np.float64)
+        ray = camera.ray_directions()[row, column]
+        point = camera.position_m + ray * seen.depth_z_m[row, column, 0] / (ray @ camera.forward)
+        first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+        first /= np.linalg.norm(first)
+        second = np.cross(normal, first)
+        start = np.array(camera.project(point)[0])
+        moved = [
+            np.linalg.norm(
+                np.array(camera.project(point + 1e-3 * (np.cos(a) * first + np.sin(a) * second))[0]) - start
+            )
+            for a in np.linspace(0, np.pi, 181)
+        ]
+        found = pixels_per_metre(camera, seen)[row, column]
+        assert found == pytest.approx(1000 * min(moved), rel=0.02)
+        cosines.append(-normal @ ray)
+    assert min(cosines) < 0.7
+
+
+def test_exact_maps_keep_their_texture() -> None:
+    """With few fine views and many coarse ones, weights by resolution reduce the error of confident maps, and
+    change nothing without confidence."""
+    mesh, size = room_mesh(), 128
+    traced = TracedGeometry(geometry_of(mesh))
+    truth = materials_at(texel_uv(size))
+    atlases = {}
+    for weights, confidence in (("borders", 1), ("resolution", 1), ("resolution", 0)):
+        views = [
+            replace(
+                view,
+                confidence=np.full(view_shape(view), confidence, np.float32),
+                resolution=pixels_per_metre(view.camera, traced.trace_view(view.camera)),
+            )
+            for view in traced_views(mesh, 4) + traced_views(mesh, 8, (24, 18))
+        ]
+        atlas = empty_atlas(size)
+        options = MergeOptions(weights=weights)  # type: ignore[arg-type]
+        MapMerger(views, options, None, smooth_regions(mesh)).merge(
+            TexelSurface(mesh, face_normals(mesh), size), atlas
+        )
+        atlases[weights, confidence] = atlas.maps["diffuse_albedo"].astype(np.float64)
+    many = atlas.count >= 3
+    error = {key: np.mean((found - truth["diffuse_albedo"])[many] ** 2) for key, found in atlases.items()}
+    assert error["resolution", 1] < 0.7 * error["borders", 1], error
+    np.testing.assert_array_equal(atlases["resolution", 0], atlases["borders", 1])
 
 
 def texel_uv(size: int) -> np.ndarray:
@@ -399,8 +466,9 @@ def test_bad_maps_are_refused() -> None:
     broken = MapView(
         view.camera, {**view.maps, "diffuse_albedo": view.maps["roughness"]}, view.depth_z_m, name="v7"
     )
-    with pytest.raises(InputError, match="a confidence for every view"):
-        MapMerger(noise_views(mesh, 1), MergeOptions(weights="confidence"))
+    for weights in ("confidence", "resolution"):
+        with pytest.raises(InputError, match=f"a {weights} for every view"):
+            MapMerger(noise_views(mesh, 1), MergeOptions(weights=weights))  # type: ignore[arg-type]
     with pytest.raises(InputError) as caught:
         MapMerger([broken])
     assert "v7: diffuse_albedo" in str(caught.value) and "roughness = NaN" in str(caught.value)

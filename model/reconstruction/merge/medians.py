@@ -26,12 +26,11 @@ PACKET = 8
 CAMERA = 19
 """Floats per camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height, maximum
 depth."""
-_X, _Y, _Z, _NX, _NY, _NZ, _U, _V, _DEPTH, _LIMIT, _COSINE, _REGION = (row * LANES for row in range(12))
-_ROWS = 12
+_X, _Y, _Z, _NX, _NY, _NZ, _U, _V, _DEPTH, _LIMIT, _REGION = (row * LANES for row in range(11))
+_ROWS = 11
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _INFINITY = np.float32(np.inf)
 MIN_WEIGHT = np.float32(1e-3)  # division by a smaller weight would amplify rounding
-_MIN_COSINE = np.float32(1e-3)  # a weight of 0 would discard a view that shows the texel
 
 
 class ViewArrays(NamedTuple):
@@ -58,9 +57,6 @@ class Rules(NamedTuple):
     is_traced: bool
     is_nearest: bool
     is_weighted: bool
-    by_angle: bool
-    by_distance: bool
-    by_pixel: bool
 
 
 class Surface(NamedTuple):
@@ -97,7 +93,6 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
         state[_V + lane] = v
         state[_DEPTH + lane] = depth
         state[_LIMIT + lane] = depth * (tolerance + slope) if is_inside else -_ONE
-        state[_COSINE + lane] = facing / np.sqrt(x * x + y * y + z * z)
 
 
 @compiled
@@ -140,7 +135,6 @@ def _append_view(
     camera, first, depths, packets = views.cameras[view], views.first_pixel[view], views.depth, views.packets
     width, height, num_views = int(camera[16]), int(camera[17]), len(views.first_pixel)
     last_x, last_y = np.float32(width - 1), np.float32(height - 1)
-    density = camera[12] * camera[13]
     reach = rules.depth_tolerance + rules.slope_limit
     is_traced, is_nearest, is_weighted = rules.is_traced, rules.is_nearest, rules.is_weighted
     for lane in range(num):
@@ -184,19 +178,11 @@ def _append_view(
         for c in range(NUM_CHANNELS):
             values[c * num_views + row, lane] = mix[c] * scale
         if is_weighted:
-            weight = _ONE
-            if rules.by_angle:
-                weight *= max(state[_COSINE + lane], _MIN_COSINE)
-            if rules.by_distance:
-                weight *= density / (depth * depth)
+            heavy = views.weight
             for group in range(3):
-                share = weight
-                if rules.by_pixel:
-                    heavy = views.weight
-                    here = wi * heavy[i, group] + wj * heavy[j, group]
-                    here += wk * heavy[k, group] + wm * heavy[m, group]
-                    share *= here * scale
-                values[(NUM_CHANNELS + group) * num_views + row, lane] = share
+                here = wi * heavy[i, group] + wj * heavy[j, group]
+                here += wk * heavy[k, group] + wm * heavy[m, group]
+                values[(NUM_CHANNELS + group) * num_views + row, lane] = here * scale
         found[lane] = row + 1
 
 

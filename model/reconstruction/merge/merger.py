@@ -26,7 +26,6 @@ from datagen.multiview.compiled import num_threads
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.merge.borders import border_weights
 from model.reconstruction.merge.lane_sort import networks
 from model.reconstruction.merge.medians import (
     CAMERA,
@@ -39,6 +38,7 @@ from model.reconstruction.merge.medians import (
     may_see,
     merge_tile,
 )
+from model.reconstruction.merge.pixel_weights import border_weights, pixels_per_metre, resolution_weights
 from model.reconstruction.merge.weights import Weights
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ class MapView:
     """Maps of a view in [0, 1]: ``diffuse_albedo``, ``specular_albedo`` (H, W, 3), ``roughness`` (H, W, 1).
 
     ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W):
-    index of each pixel's triangle; ``confidence`` (H, W, 3): optional weights of D, S and R.
+    index of each pixel's triangle; ``confidence`` (H, W, 3): optional confidence of D, S and R in [0, 1];
+    ``resolution`` (H, W): pixels per metre on the surface, 0 at pixels without one.
     """
 
     camera: Camera
@@ -61,6 +62,7 @@ class MapView:
     face: NDArray | None = None
     name: str = "view"
     confidence: NDArray | None = None
+    resolution: NDArray | None = None
 
     def problems(self) -> list[Problem]:
         """Return all faults in shape and values of the arrays."""
@@ -94,6 +96,7 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
             view.geometry.face,
             view.name,
             view_maps.get("confidence"),
+            pixels_per_metre(view.camera, view.geometry),
         )
         for view, view_maps in zip(views, maps, strict=True)
     ]
@@ -104,9 +107,8 @@ class MergeOptions:
     """Options of the merge.
 
     ``fetch``: whether values are interpolated between pixels of similar depth or taken from the nearest
-    pixel; ``tile``: side of a tile in texels; ``weights``: weights of pixels by distance to borders, cosine
-    of the angle of incidence ("angle"), pixels per square metre facing the view ("distance"), confidence, or
-    the product of all four.
+    pixel; ``tile``: side of a tile in texels; ``weights``: weights of pixels by distance to borders alone, or
+    also by resolution on the surface as far as the maps are confident, or by confidence.
     """
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
@@ -124,15 +126,7 @@ class MergeOptions:
             see.mode == "trace",
             self.fetch == "nearest",
             weights != "none",
-            weights in ("angle", "all"),
-            weights in ("distance", "all"),
-            weights in ("borders", "confidence", "all"),
         )
-
-    @property
-    def by_confidence(self) -> bool:
-        """Whether pixels are weighted by their confidence."""
-        return self.weights in ("confidence", "all")
 
 
 class MapMerger:
@@ -156,9 +150,10 @@ class MapMerger:
             problems.append(Problem("merge", "", "no views", "at least one view", "add views"))
         if self._rules.is_traced and scene is None:
             problems.append(Problem("merge", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'"))
-        if self.options.by_confidence and any(view.confidence is None for view in views):
-            expected = "a confidence for every view"
-            problems.append(Problem("merge", "weights", repr(self.options.weights), expected, "use 'none'"))
+        needed = {"confidence": "confidence", "resolution": "resolution"}.get(self.options.weights)
+        if needed and any(getattr(view, needed) is None for view in views):
+            expected = f"a {needed} for every view"
+            problems.append(Problem("merge", "weights", repr(needed), expected, "use 'borders'"))
         raise_problems(problems)
         self._scene = scene
         self._views = _view_arrays(views, region_of_face, self.options)
@@ -243,6 +238,13 @@ class MapMerger:
         return seen
 
 
+def _typical_resolution(views: Sequence[MapView]) -> float:
+    """Return the median of the views' pixels per metre; 1 if none has any."""
+    seen = [r[::4, ::4][r[::4, ::4] > 0] for view in views if (r := view.resolution) is not None]
+    joined = np.concatenate(seen) if seen else np.zeros(0)
+    return float(np.median(joined)) if joined.size else 1.0
+
+
 def _view_arrays(
     views: Sequence[MapView], region_of_face: NDArray | None, options: MergeOptions
 ) -> ViewArrays:
@@ -257,8 +259,9 @@ def _view_arrays(
     cameras = np.zeros((len(views), CAMERA), np.float32)
     depth = np.empty(ends[-1], np.float32)
     packets = np.zeros((ends[-1], PACKET), np.float32)
-    rules, see = options.rules(), options.visibility
-    weight = np.ones((ends[-1] if rules.by_pixel else 0, 3), np.float32)
+    see, weights = options.visibility, options.weights
+    weight = np.ones((0 if weights == "none" else ends[-1], 3), np.float32)
+    typical = _typical_resolution(views)
     for index, (view, num, end) in enumerate(zip(views, sizes, ends, strict=True)):
         camera, span = view.camera, slice(end - num, end)
         cameras[index, :9] = camera.camera_from_world[:3, :3].ravel()
@@ -274,10 +277,13 @@ def _view_arrays(
         if region_of_face is not None and view.face is not None:
             face = view.face.reshape(num)
             packets[span, first] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
-        if options.by_confidence and view.confidence is not None:
-            weight[span] = np.maximum(view.confidence.reshape(num, 3), MIN_WEIGHT)
-        if options.weights in ("borders", "all"):
-            image = view.depth_z_m.reshape(camera.height_px, camera.width_px)
-            borders = border_weights(image, see.depth_tolerance + see.slope_limit)
-            weight[span] *= borders.reshape(num, 1)
+        if weights == "none":
+            continue
+        image = view.depth_z_m.reshape(camera.height_px, camera.width_px)
+        borders = border_weights(image, see.depth_tolerance + see.slope_limit)
+        weight[span] = borders.reshape(num, 1)
+        if view.confidence is not None and weights == "confidence":
+            weight[span] *= np.maximum(view.confidence.reshape(num, 3), MIN_WEIGHT)
+        elif view.confidence is not None and view.resolution is not None and weights == "resolution":
+            weight[span] *= resolution_weights(view.resolution, typical, view.confidence).reshape(num, 3)
     return ViewArrays(cameras, (ends - sizes).astype(np.int64), depth, packets, weight)

@@ -3,4 +3,4 @@
 
 from typing import Literal
 
-Weights = Literal["none", "borders", "angle", "distance", "confidence", "all"]
+Weights = Literal["none", "borders", "resolution", "confidence"]

@@ -72,7 +72,8 @@ def _truth(view: CaptureView) -> Maps:
     if set(maps) != set(MATERIAL_MAPS):
         expected = "a rendered capture"
         raise input_error(view.name, "ground truth", "none", expected, "leave --truth out")
-    return {name: np.clip(values.astype(np.float32), 0, 1) for name, values in maps.items()}
+    exact = {name: np.clip(values.astype(np.float32), 0, 1) for name, values in maps.items()}
+    return {**exact, "confidence": np.ones_like(exact[MATERIAL_MAPS.diffuse_albedo])}
 
 
 TRUTH = GivenMaps("truth", lambda traced: [_truth(view) for view in traced.capture.views])

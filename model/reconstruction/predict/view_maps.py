@@ -37,7 +37,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
             options.batch,
             options.is_filtered,
             options.device,
-            has_confidence=options.weights in ("confidence", "all"),
+            has_confidence=options.weights == "confidence",
         )
         predictor = Predictor(checkpoint, report.exposure, predict_options)
     report.precision = str(predictor.dtype).removeprefix("torch.")
