@@ -150,10 +150,10 @@ class MapMerger:
             problems.append(Problem("merge", "", "no views", "at least one view", "add views"))
         if self._rules.is_traced and scene is None:
             problems.append(Problem("merge", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'"))
-        needed = {"confidence": "confidence", "resolution": "resolution"}.get(self.options.weights)
-        if needed and any(getattr(view, needed) is None for view in views):
-            expected = f"a {needed} for every view"
-            problems.append(Problem("merge", "weights", repr(needed), expected, "use 'borders'"))
+        weights = self.options.weights
+        if weights in ("confidence", "resolution") and any(getattr(view, weights) is None for view in views):
+            expected = f"a {weights} for every view"
+            problems.append(Problem("merge", "weights", repr(weights), expected, "use 'borders'"))
         raise_problems(problems)
         self._scene = scene
         self._views = _view_arrays(views, region_of_face, self.options)
@@ -240,9 +240,9 @@ class MapMerger:
 
 def _typical_resolution(views: Sequence[MapView]) -> float:
     """Return the median of the views' pixels per metre; 1 if none has any."""
-    seen = [r[::4, ::4][r[::4, ::4] > 0] for view in views if (r := view.resolution) is not None]
-    joined = np.concatenate(seen) if seen else np.zeros(0)
-    return float(np.median(joined)) if joined.size else 1.0
+    thinned = [view.resolution[::4, ::4].ravel() for view in views if view.resolution is not None]
+    joined = np.concatenate(thinned) if thinned else np.zeros(0)
+    return float(np.median(joined[joined > 0])) if joined.any() else 1.0
 
 
 def _view_arrays(
