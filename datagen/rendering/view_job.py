@@ -35,6 +35,10 @@ COARSE_SAMPLES = 16
 """Paths per pixel of the coarse image whose exposure sets the firefly clamp."""
 MIN_LIT = 0.05
 """Minimum share of lit pixels in the coarse image for fireflies to be clamped."""
+EDGE_PX, EDGE_SAMPLES = 2, 8
+"""Distance around uncovered pixels within which emission is traced, since the samples of the ground truth
+miss thin gaps, and factor of the number of samples there, since a single one that hits the sky may be a
+hundred times as bright as the pixel."""
 _FULL_COVERAGE_SLACK = 1e-5  # rounding error of a sum of float32 shares
 
 
@@ -220,17 +224,26 @@ class ViewJob:
         return {name: traced[name] for name in GROUND_TRUTH_BUFFERS}
 
     def _trace_visible_emission(self) -> NDArray[np.float32]:
-        """Trace visible emission (H, W, 3), only in pixels not entirely covered by reflecting surface."""
+        """Trace visible emission (H, W, 3) in and near pixels not entirely covered by reflecting surface."""
+        from scipy import ndimage
+
         from datagen.rendering.transport.visible_emission import render_visible_emission
 
-        mask = self.buffers["surface_mask"]
-        image = np.zeros((mask.size, 3), np.float32)
-        pixels = np.flatnonzero(mask.ravel() < 1.0 - _FULL_COVERAGE_SLACK).astype(np.uint32)
-        if pixels.size:
-            samples, seed = self.scene.recipe.auxiliary_samples, self.scene.seed(self.index, "lights")
-            emitters = self.scene.tracer.emitters
-            image[pixels] = render_visible_emission(emitters, self._sensor(), pixels, samples, seed)
-        return image.reshape(*mask.shape[:2], 3)
+        mask = self.buffers["surface_mask"][..., 0]
+        around = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1))
+        is_near = ndimage.binary_dilation(mask < 1.0 - _FULL_COVERAGE_SLACK, around)
+        is_inside = ndimage.binary_erosion(mask == 0, around, border_value=1)
+        image = np.zeros((*mask.shape, 3), np.float32)
+        num_samples = self.scene.recipe.auxiliary_samples
+        seed, emitters = self.scene.seed(self.index, "lights"), self.scene.tracer.emitters
+        for chosen, num in (
+            (is_inside, num_samples),
+            (is_near & ~is_inside, EDGE_SAMPLES * num_samples),
+        ):
+            pixels = np.flatnonzero(chosen).astype(np.uint32)
+            if pixels.size:
+                image[chosen] = render_visible_emission(emitters, self._sensor(), pixels, num, seed)
+        return image
 
     def _clamp_limit(self) -> float:
         """Maximum radiance of a path of two or more bounces: ``firefly_clamp`` in units of the exposed white.

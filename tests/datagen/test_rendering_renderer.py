@@ -240,6 +240,27 @@ def test_emitter_does_not_bleed_into_dark_surroundings(tmp_path: Path) -> None:
     assert beauty[x > 0.25 + 3 * pixel].max() < 0.5  # a thousandth of the lamp
 
 
+def test_light_through_a_gap_thinner_than_a_pixel_is_complete(tmp_path: Path) -> None:
+    """A gap of 0.1 pixels in a black wall, missed by the ground-truth samples of a fifth of its pixels, shows
+    a tenth of the sky's radiance in every view."""
+    scene = SmallScene()
+    scene.slots["black"] = GREY.model_copy(update={"diffuse_albedo": (0.0, 0.0, 0.0)})
+    pixel, gap = 2 / 48, 0.1
+    low = 0.37 * pixel  # within the pixels of row 23
+    scene.parts = {
+        "lower": (quad([-3, 1, -3], [6, 0, 0], [0, 0, 3 + low]), "black"),
+        "upper": (quad([-3, 1, low + gap * pixel], [6, 0, 0], [0, 0, 3]), "black"),
+    }
+    sky = EnvironmentLight(name="sky", radiance=(40, 40, 40))
+    camera = Camera(48, 48, 48, 48, 24, 24, look_at([0, -1, 0], [0, 1, 0]))
+    recipe = RenderRecipe(path_samples=1, auxiliary_samples=16, denoise=False)
+    found = [
+        view.buffers["beauty"][23].mean()
+        for view in renderer(tmp_path, scene, [camera] * 4, recipe, lights=(sky,)).render_views([0, 1, 2, 3])
+    ]
+    assert found == pytest.approx([40 * gap] * 4, rel=0.05)
+
+
 def test_auxiliary_albedo_is_zero_where_nothing_reflects() -> None:
     mask = np.array([[[1.0], [0.5], [0.0]]], np.float32)
     diffuse, specular = np.full((1, 3, 3), 0.4, np.float32), np.full((1, 3, 3), 0.1, np.float32)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Visible emission: light that reaches the camera from emitters and background without a bounce.
 
-It has no noise except at edges. It is therefore traced with as many samples as the ground truth, never
-denoised, and added to the denoised reflected light.
+It has no noise except at edges, where it is traced with more samples. It is never denoised, and added to the
+denoised reflected light.
 """
 
 from __future__ import annotations
