@@ -101,7 +101,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
             continue  # inside an object
         uv = pixel_uv(room.traced.geometry.mesh, room.mesh, camera, seen)
         on_surface = ~np.isnan(uv[..., 0])
-        cosine = -(seen.normal_world * camera.ray_directions()).sum(axis=-1, keepdims=True)
+        cosine = seen.cosine(camera)[..., None]
         color = np.full((size[1], size[0], 3), 0.5, np.float32)
         color[on_surface] = (looked_up(albedo, uv[on_surface]) * cosine[on_surface]).astype(np.float32)
         views.append(CaptureView(f"view-{len(views):03d}", camera, _Shot(color)))

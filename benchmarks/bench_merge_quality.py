@@ -176,9 +176,9 @@ def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None
     return Room(capture, traced, mesh, sides, uvs, TRUTH.read(traced), min(size, MAX_SIDE))
 
 
-def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
+def predictions(room: Room, checkpoint: Path) -> Maps:
     """Maps of all views that ``materials infer`` would merge."""
-    source = CheckpointMaps(checkpoint)
+    source, options = CheckpointMaps(checkpoint), InferOptions()
     with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
         (Path(folder) / "views").mkdir()
         run = Run(Path(folder), options, InferReport(), lambda *_: None)
@@ -193,7 +193,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
     """Sums of squared errors by row of the table ``what`` (``weights`` or ``sizes``) and by map."""
     rows: dict[str, dict[str, float]] = {}
     if what == "weights":
-        maps = predictions(room, checkpoint, InferOptions(weights="confidence"))
+        maps = predictions(room, checkpoint)
         rows["views"] = room.view_errors(maps, room.truth)
         for weights in WEIGHTS:
             rows[weights] = room.atlas_errors(room.merged(maps, room.auto, None, weights))
@@ -209,7 +209,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 def print_seams(room: Room, checkpoint: Path) -> None:
     """Print, for each choice of weights, a row with a room's steps of D and errors."""
-    maps = predictions(room, checkpoint, InferOptions(weights="confidence"))
+    maps = predictions(room, checkpoint)
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:
         merged = room.merged(maps, room.auto, None, weights)

@@ -40,6 +40,10 @@ class ViewGeometry:
     face: NDArray[np.int32]
     is_front: NDArray[np.bool_]
 
+    def cosine(self, camera: Camera) -> NDArray[np.float64]:
+        """Compute the cosine (H, W) of the rays' angle of incidence, 0 where nothing is hit."""
+        return -(self.normal_world * camera.ray_directions()).sum(axis=-1)
+
 
 def mesh_scene(mesh: Mesh) -> mi.Scene:
     """Return a Mitsuba scene for ray tracing that contains only ``mesh``."""

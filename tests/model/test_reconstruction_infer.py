@@ -347,8 +347,8 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
 
 
 def test_inference_with_confidence_continues(rendered: Rendered) -> None:
-    """Confidence is stored with the maps; a view without it is predicted again, to the same maps; given maps
-    have no confidence."""
+    """Confidence is stored with the maps; a view without it is predicted again, to the same maps; maps
+    without confidence are refused."""
     out = rendered.root / "weighted"
     options = InferOptions(atlas=128, precision="float32", batch=2, weights="confidence", has_exr=False)
     infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)

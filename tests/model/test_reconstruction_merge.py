@@ -216,12 +216,10 @@ def test_between_pixels_and_with_weights_equals_brute_force(weights: Weights) ->
 
 
 def resolutions(view: MapView, rng: np.random.Generator) -> np.ndarray:
-    """Random resolutions (H, W), partly 0; 1 at every fourth pixel along both axes, which the typical one is
-    computed from."""
+    """Random resolutions (H, W), partly 0, with a median of 1 over the others."""
     found = np.exp(rng.normal(0, 1, view_shape(view)[:2]))
     found[1::8] = 0
-    found[::4, ::4] = 1
-    return found
+    return np.asarray(found / np.median(found[found > 0]))
 
 
 def view_shape(view: MapView) -> tuple[int, int, int]:
@@ -304,12 +302,18 @@ def test_no_seam_where_a_view_ends() -> None:
     """For inconsistent views and weights that fade at borders, merged D is between the views' values and
     changes gradually where the set of views changes, unlike for medians and equal weights."""
     mesh, size = room_mesh(), 128
+    traced = TracedGeometry(geometry_of(mesh))
     views = [
-        replace(view, maps={name: np.full_like(m, 0.2 + 0.05 * number) for name, m in view.maps.items()})
+        replace(
+            view,
+            maps={name: np.full_like(m, 0.2 + 0.05 * number) for name, m in view.maps.items()},
+            confidence=np.ones(view_shape(view), np.float32),
+            resolution=pixels_per_metre(view.camera, traced.trace_view(view.camera)),
+        )
         for number, view in enumerate(traced_views(mesh, 8))
     ]
     found = {}
-    for weights in ("none", "borders"):
+    for weights in ("none", "borders", "resolution"):
         atlas = empty_atlas(size)
         options = MergeOptions(weights=weights)  # type: ignore[arg-type]
         MapMerger(views, options, None, smooth_regions(mesh)).merge(
@@ -322,6 +326,7 @@ def test_no_seam_where_a_view_ends() -> None:
         assert merged[atlas.count > 0].min() > 0.199 and merged[atlas.count > 0].max() < 0.551
         assert changes.sum() > 300
     assert found["borders"] < 1 / 3 * found["none"], found
+    assert found["resolution"] < 0.4 * found["none"], found  # fewer views share a texel's weight
 
 
 def test_resolution_is_that_of_the_coarser_axis() -> None:
@@ -466,9 +471,10 @@ def test_bad_maps_are_refused() -> None:
     broken = MapView(
         view.camera, {**view.maps, "diffuse_albedo": view.maps["roughness"]}, view.depth_z_m, name="v7"
     )
-    for weights in ("confidence", "resolution"):
-        with pytest.raises(InputError, match=f"a {weights} for every view"):
-            MapMerger(noise_views(mesh, 1), MergeOptions(weights=weights))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="a confidence for every view"):
+        MapMerger(noise_views(mesh, 1), MergeOptions(weights="confidence"))
+    broken = replace(broken, resolution=np.ones((2, 2)))
     with pytest.raises(InputError) as caught:
         MapMerger([broken])
     assert "v7: diffuse_albedo" in str(caught.value) and "roughness = NaN" in str(caught.value)
+    assert "v7: resolution" in str(caught.value)

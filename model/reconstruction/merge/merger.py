@@ -53,7 +53,7 @@ class MapView:
 
     ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W):
     index of each pixel's triangle; ``confidence`` (H, W, 3): optional confidence of D, S and R in [0, 1];
-    ``resolution`` (H, W): pixels per metre on the surface, 0 at pixels without one.
+    ``resolution`` (H, W): pixels per metre on the surface, 0 at pixels without one, None without confidence.
     """
 
     camera: Camera
@@ -80,6 +80,9 @@ class MapView:
             found.append(Problem(self.name, "depth_z_m", got, f"{(*shape, 1)} like its camera"))
         elif not np.isfinite(self.depth_z_m).all():
             found.append(Problem(self.name, "depth_z_m", "NaN or Inf", "finite depth, 0 for none"))
+        if self.resolution is not None and self.resolution.shape != shape:
+            got = f"shape {self.resolution.shape}"
+            found.append(Problem(self.name, "resolution", got, f"{shape} like its camera"))
         if self.confidence is not None and self.confidence.shape != (*shape, 3):
             got = f"shape {self.confidence.shape}"
             found.append(Problem(self.name, "confidence", got, f"{(*shape, 3)} like its camera"))
@@ -96,7 +99,7 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
             view.geometry.face,
             view.name,
             view_maps.get("confidence"),
-            pixels_per_metre(view.camera, view.geometry),
+            pixels_per_metre(view.camera, view.geometry) if "confidence" in view_maps else None,
         )
         for view, view_maps in zip(views, maps, strict=True)
     ]
@@ -107,8 +110,8 @@ class MergeOptions:
     """Options of the merge.
 
     ``fetch``: whether values are interpolated between pixels of similar depth or taken from the nearest
-    pixel; ``tile``: side of a tile in texels; ``weights``: weights of pixels by distance to borders alone, or
-    also by resolution on the surface as far as the maps are confident, or by confidence.
+    pixel; ``tile``: side of a tile in texels; ``weights``: weights of pixels
+    (:mod:`model.reconstruction.merge.weights`).
     """
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
@@ -150,10 +153,9 @@ class MapMerger:
             problems.append(Problem("merge", "", "no views", "at least one view", "add views"))
         if self._rules.is_traced and scene is None:
             problems.append(Problem("merge", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'"))
-        weights = self.options.weights
-        if weights in ("confidence", "resolution") and any(getattr(view, weights) is None for view in views):
-            expected = f"a {weights} for every view"
-            problems.append(Problem("merge", "weights", repr(weights), expected, "use 'borders'"))
+        if self.options.weights == "confidence" and any(view.confidence is None for view in views):
+            expected = "a confidence for every view"
+            problems.append(Problem("merge", "weights", "'confidence'", expected, "use 'borders'"))
         raise_problems(problems)
         self._scene = scene
         self._views = _view_arrays(views, region_of_face, self.options)
@@ -239,10 +241,10 @@ class MapMerger:
 
 
 def _typical_resolution(views: Sequence[MapView]) -> float:
-    """Return the median of the views' pixels per metre; 1 if none has any."""
-    thinned = [view.resolution[::4, ::4].ravel() for view in views if view.resolution is not None]
-    joined = np.concatenate(thinned) if thinned else np.zeros(0)
-    return float(np.median(joined[joined > 0])) if joined.any() else 1.0
+    """Return the median over views of their median pixels per metre; 1 if none has any."""
+    resolutions = [view.resolution for view in views if view.resolution is not None]
+    medians = [np.median(r[r > 0]) for r in resolutions if r.any()]
+    return float(np.median(medians)) if medians else 1.0
 
 
 def _view_arrays(

@@ -51,9 +51,8 @@ def pixels_per_metre(camera: Camera, view: ViewGeometry) -> NDArray[np.float32]:
 
     f: focal length in pixels; cos: cosine of the angle of incidence; z: depth. 0 at pixels without a surface.
     """
-    cosine = -(view.normal_world * camera.ray_directions()).sum(axis=-1)
     depth = view.depth_z_m[..., 0]
-    found = np.sqrt(camera.fx_px * camera.fy_px) * np.maximum(cosine, MIN_COSINE)
+    found = np.sqrt(camera.fx_px * camera.fy_px) * np.maximum(view.cosine(camera), MIN_COSINE)
     return np.divide(found, depth, out=np.zeros_like(depth), where=depth > 0)
 
 

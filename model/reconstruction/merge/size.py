@@ -24,8 +24,7 @@ def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: fl
     for camera, view in views:
         step = max(1, view.face.size // 20_000)
         z = view.depth_z_m.ravel()[::step].astype(np.float64)
-        normal = view.normal_world.reshape(-1, 3)[::step]
-        cosine = -(normal * camera.ray_directions().reshape(-1, 3)[::step]).sum(axis=1)
+        cosine = view.cosine(camera).ravel()[::step]
         hit = z > 0
         focal = np.sqrt(camera.fx_px * camera.fy_px)
         footprints.append(z[hit] / focal / np.sqrt(np.maximum(cosine[hit], _GRAZING_COSINE)))
