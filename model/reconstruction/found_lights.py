@@ -3,7 +3,8 @@
 
 A *lamp* is an emissive surface: triangles, or *panels*, rectangles just in front of a partly emissive
 surface. *Windows* are openings through which rays leave the mesh; light from outside is represented by their
-rectangles if it is near, by an image of the *sky* if it is far. Radiance is in the photographs' unit; power
+rectangles if it is near, by an image of the *sky* if it is far. *Holes* are openings no brighter than the
+surface that the mesh lacks; they do not emit in exports. Radiance is in the photographs' unit; power
 is in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
 """
 
@@ -68,9 +69,7 @@ class FoundLamp:
 
 @dataclass(frozen=True)
 class FoundPatch:
-    """A window or panel, covered by emissive ``rectangles``; ``place_m`` is its centre, ``radiance`` its
-    mean.
-    """
+    """A window, panel or hole covered by ``rectangles``, its centre ``place_m`` and mean ``radiance``."""
 
     slot: str
     rectangles: tuple[Rectangle, ...]
@@ -110,6 +109,7 @@ class FoundLights:
     panels: tuple[FoundPatch, ...] = ()
     windows: tuple[FoundPatch, ...] = ()
     environment: NDArray[np.float32] | None = None
+    holes: tuple[FoundPatch, ...] = ()
 
     @property
     def is_dark(self) -> bool:
@@ -128,6 +128,7 @@ class FoundLights:
             tuple(patch.times(gains.get(patch.slot)) for patch in self.panels),
             tuple(patch.times(gains.get(patch.slot)) for patch in self.windows),
             sky,
+            self.holes,
         )
 
     @property
@@ -153,6 +154,18 @@ class FoundLights:
             mean = sum(window.area_m2 * np.array(window.radiance) for window in self.windows) / area
             rows.append({"kind": "sky", "slot": SKY, "radiance": _rounded(mean, 5)})
         return rows
+
+    def described_holes(self) -> list[dict[str, Any]]:
+        """The mesh's holes as rows of a report: ``slot``, ``place_m``, ``area_m2`` and ``radiance``."""
+        return [
+            {
+                "slot": hole.slot,
+                "place_m": _rounded(hole.place_m, 4),
+                "area_m2": round(hole.area_m2, 6),
+                "radiance": _rounded(hole.radiance, 5),
+            }
+            for hole in self.holes
+        ]
 
 
 def as_color(values: NDArray) -> Color:

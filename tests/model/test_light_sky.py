@@ -41,15 +41,16 @@ from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, Rectangle, lights_text
+from model.reconstruction.light.found import found_lights
 from model.reconstruction.light.lamps import found_lamps
-from model.reconstruction.light.openings import FINE, LeavingRays, found_windows
+from model.reconstruction.light.openings import FINE, LeavingRays, found_openings
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.rectangles import cover, cut, largest_rectangle
 from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import HEIGHT, direction_vectors, directions_of, sky_image
 from oracles.textured_room import room_capture
 from tests.conftest import REPOSITORY
-from tests.model.light_room import LAMP, photographed_room, room_geometry
+from tests.model.light_room import LAMP, photographed_room, quads, room_geometry
 from tests.model.test_found_lights import glb_document
 from tests.model.test_reconstruction_assets import VALIDATOR, needs_bpy
 
@@ -79,7 +80,7 @@ def bundle(
 def test_window_is_where_rays_are_closest() -> None:
     """A window 0.4 m inside of the box is found, although its rays cover 1.5 times its area on the box."""
     rays = bundle(60_000, (3.6, 0.8, 0.9), (1.2, 1.0))
-    (window,) = found_windows(rays, background(), 1.0)
+    (window,) = found_openings(rays, background(), 1.0)
     assert window.area_m2 == pytest.approx(1.2, rel=0.06)
     np.testing.assert_allclose(window.place_m, [3.6, 1.4, 1.4], atol=0.08)
     np.testing.assert_allclose(window.radiance, [1.6, 3.2, 4.8], rtol=0.05)
@@ -91,7 +92,7 @@ def test_window_is_where_rays_are_closest() -> None:
         assert np.cross(rectangle.edge_u_m, rectangle.edge_v_m)[0] < 0  # into the room
 
 
-def test_adjacent_windows_are_separate_and_dark_ones_dropped() -> None:
+def test_adjacent_openings_are_separate_and_dark_ones_dropped() -> None:
     first, second = (
         bundle(40_000, (3.9, 0.3, 0.9), (0.8, 1.0)),
         bundle(20_000, (3.9, 2.0, 0.9), (0.5, 0.6), 1),
@@ -99,10 +100,35 @@ def test_adjacent_windows_are_separate_and_dark_ones_dropped() -> None:
     both = LeavingRays(
         *(np.concatenate([getattr(first, k), getattr(second, k)]) for k in first.__dataclass_fields__)
     )
-    windows = found_windows(both, background(), 1.0)
-    assert [w.slot for w in windows] == ["window-0", "window-1"]
+    windows = found_openings(both, background(), 1.0)
+    assert len(windows) == 2
     np.testing.assert_allclose([w.area_m2 for w in windows], [0.8, 0.3], rtol=0.15)
-    assert found_windows(both, background(), 1e5) == ()
+    assert found_openings(both, background(), 1e5) == ()
+
+
+def test_hole_of_the_mesh_is_no_window() -> None:
+    """The mesh lacks a dark tile and the northern 25 cm of the red wall; the window stays one."""
+    whole = room_geometry()
+    corners = whole.mesh.positions.reshape(-1, 4, 3).copy()
+    names = [quad.name for quad in quads()]
+    west, tile = names.index("west"), names.index("tile-3-2")
+    corners[west, :, 1] = np.minimum(corners[west, :, 1], 2.75)
+    corners[tile] = corners[tile, :1] + 0.002 * (corners[tile] - corners[tile, :1])
+    geometry = replace(whole, mesh=replace(whole.mesh, positions=corners.reshape(-1, 3)))
+    traced = TracedGeometry(geometry)
+    views = [replace(v, geometry=traced.trace_view(v.camera)) for v in photographed_room()]
+    regions = smooth_regions(traced.mesh)
+    lit = light_surfels(views, traced, geometry.emitter_mask(), regions, LightOptions())
+    found = found_lights(lit, traced, geometry)
+    (window,) = found.windows
+    np.testing.assert_allclose(window.place_m, [4.0, 1.5, 1.4], atol=0.06)
+    assert [window.slot, *(hole.slot for hole in found.holes)] == ["window-0", "hole-0", "hole-1"]
+    in_floor, on_wall = found.holes
+    np.testing.assert_allclose(on_wall.place_m, [0, 2.875, 1.25], atol=0.1)
+    np.testing.assert_allclose(in_floor.place_m, [1.75, 1.25, 0], atol=0.1)
+    np.testing.assert_allclose([on_wall.area_m2, in_floor.area_m2], [0.625, 0.25], rtol=0.2)
+    assert [row["slot"] for row in found.described()] == ["lamp-0", "window-0"]
+    assert [row["slot"] for row in found.described_holes()] == ["hole-0", "hole-1"]
 
 
 def test_rectangles_of_a_mask() -> None:

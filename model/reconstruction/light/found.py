@@ -16,7 +16,7 @@ from datagen.light.lighting import Lit
 from datagen.light.surfels import camera_row
 from model.reconstruction.found_lights import FoundLights, RadianceSamples
 from model.reconstruction.light.lamps import found_lamps
-from model.reconstruction.light.openings import found_windows, leaving_rays
+from model.reconstruction.light.openings import divide_openings, found_openings, leaving_rays
 from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import sky_image
 
@@ -26,7 +26,7 @@ _SEED = 0x62616C
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
-    """Collect the recovered lamps, panels, windows and sky of a room with their radiance.
+    """Collect the recovered lamps, panels, windows, sky of a room with their radiance, and its mesh's holes.
 
     The sky is returned only if there are windows and the light from outside depends on direction only.
     """
@@ -34,9 +34,10 @@ def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) ->
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
     rays = leaving_rays(field, lit.surfels)
     median = float(np.median(luminance(lit.surfels.radiance.astype(np.float64))))
-    windows = found_windows(rays, field.background, median)
+    openings = found_openings(rays, field.background, median)
+    windows, holes = divide_openings(openings, lit.surfels, lit.diffuse)
     sky = sky_image(field.background) if windows and field.background.layout.is_far else None
-    return FoundLights(lamps, shining_patches(lit), windows, sky)
+    return FoundLights(lamps, shining_patches(lit), windows, sky, holes)
 
 
 def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> RadianceSamples:

@@ -35,7 +35,14 @@ def lit(traced: TracedCapture, estimate: Estimate, run: Run, options: LightOptio
         )
         with report.step("lights"):
             lights = found_lights(materials.lit, traced.geometry, traced.capture.geometry)
-    run.report.light = {**asdict(report), "lights": lights.described()}
+    holes = lights.described_holes()
+    run.report.light = {**asdict(report), "lights": lights.described(), "holes": holes}
+    if holes:
+        area_m2 = sum(hole["area_m2"] for hole in holes)
+        run.report.notes.append(
+            f"{len(holes)} openings of the mesh ({area_m2:.2f} m2) are no brighter than white paint there: "
+            "they count as holes, not as windows"
+        )
     found = Found(
         lights,
         radiance_samples(traced.views),

@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: MIT
-"""Finds windows: rectangles through which rays from a room's surfaces leave its mesh, and their radiance.
+"""Finds openings: rectangles through which rays from a room's surfaces leave its mesh, and their radiance.
 
 Rays that leave the background's bounding box through one connected part of a face belong to one opening. Its
 plane is the one parallel to the face in which they cover the smallest area. Rays from surfels are
 cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
 through an opening are averaged, regardless of the face of the box through which they leave.
+
+Photographs show the surface that is missing where the mesh has a hole, and a surface that does not emit is no
+brighter than white paint in its place: openings no brighter than that are holes of the mesh, not windows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
-from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.foundation.color import LUMINANCE_WEIGHTS, luminance
 from datagen.light.background import Background, box_squares
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels
@@ -41,6 +46,8 @@ MAX_BLOCK = FINE // 6
 """Maximum side of a rectangle in squares; larger ones are cut to preserve gradients of radiance."""
 DARK = 1e-3
 """Minimum luminance of a window relative to the median over surfels."""
+AROUND = 64
+"""Number of the surfels closest to an opening whose mean diffuse shading is that of white paint in it."""
 _GAP = 1e-3  # from plane to rectangles in box diagonals, so that rectangles never coincide with a wall
 
 
@@ -92,10 +99,10 @@ def _gathered(background: Background, origin: NDArray, direction: NDArray) -> Le
     return LeavingRays(origin, direction, face, background.radiance[bins], background.is_known[bins])
 
 
-def found_windows(
+def found_openings(
     rays: LeavingRays, background: Background, median_luminance: float
 ) -> tuple[FoundPatch, ...]:
-    """Find the windows through which ``rays`` leave, without dark ones, in decreasing order of power."""
+    """Find the openings through which ``rays`` leave, without dark ones, in decreasing order of power."""
     windows: list[FoundPatch] = []
     rest = rays
     for _ in range(MAX_BUNDLES):
@@ -112,7 +119,25 @@ def found_windows(
     floor = DARK * median_luminance
     windows = [window for window in windows if np.array(window.radiance) @ LUMINANCE_WEIGHTS > floor]
     windows.sort(key=lambda window: -window.area_m2 * float(np.array(window.radiance) @ LUMINANCE_WEIGHTS))
-    return tuple(replace(window, slot=f"window-{number}") for number, window in enumerate(windows))
+    return tuple(windows)
+
+
+def divide_openings(
+    openings: Sequence[FoundPatch], surfels: Surfels, diffuse: NDArray[np.float32]
+) -> tuple[tuple[FoundPatch, ...], tuple[FoundPatch, ...]]:
+    """Divide openings into windows and holes of the mesh by the ``diffuse`` shading (N, 3) of the surfels."""
+    white, tree = luminance(diffuse.astype(np.float64)), cKDTree(surfels.position_m)
+    windows: list[FoundPatch] = []
+    holes: list[FoundPatch] = []
+    for opening in openings:
+        _, around = tree.query(opening.place_m, min(AROUND, len(white)))
+        is_hole = float(np.array(opening.radiance) @ LUMINANCE_WEIGHTS) <= float(white[around].mean())
+        (holes if is_hole else windows).append(opening)
+    return _named(windows, "window"), _named(holes, "hole")
+
+
+def _named(patches: Sequence[FoundPatch], kind: str) -> tuple[FoundPatch, ...]:
+    return tuple(replace(patch, slot=f"{kind}-{number}") for number, patch in enumerate(patches))
 
 
 @dataclass(frozen=True)
