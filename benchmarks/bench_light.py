@@ -2,14 +2,15 @@
 """Errors of the views' maps from the network, from the network with albedo scale, and from light, by room.
 
     python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
-        [--worse-mesh] [--ablate] [--checkpoint FILE]
+        [--worse-mesh] [--camera PRESET] [--ablate] [--checkpoint FILE]
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
 of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. Mean squared errors
 are over all surface pixels, and over metal (S above 0.2), white (D above 0.6) and glossy pixels (R below
 0.4). ``--sheet`` writes a picture per room of three views: D of network, light and ground truth, R of light
 and ground truth. ``--worse-mesh`` displaces vertices by 1 cm, keeps three tenths of the triangles and cuts
-holes in 5 % of the area. ``--ablate`` adds a row for each omitted step.
+holes in 5 % of the area. ``--camera`` degrades the photographs (model/evaluation/camera_faults.py).
+``--ablate`` adds a row for each omitted step.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from datagen.foundation.color import srgb_from_linear
 from datagen.geometry.views import TracedCapture, trace_capture
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
+from model.evaluation.camera_faults import PRESETS, as_taken
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.room import prepare_scene
 from model.evaluation.suite import read_suite
@@ -37,6 +39,7 @@ from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.predict.sources import CheckpointMaps
+from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.stages import Estimate, Maps, Run
 
 ABLATIONS = {
@@ -109,7 +112,8 @@ def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, 
     name = f"{traced.capture.name} | {len(truth)}"
     source = CheckpointMaps(checkpoint)
     source.prepare(run.options)
-    network = Estimate(source.maps(traced, run))
+    traced, doubt_at = completed(traced, run)
+    network = Estimate(source.maps(traced, run), doubt_at)
     print(f"{name} | network | {measured(network.maps, truth)}", flush=True)
     level = leveled(traced, network, run)
     print(f"{name} | network, level | {measured(level.maps, truth)}", flush=True)
@@ -134,6 +138,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, nargs="*", default=[4096], help="numbers of photographs")
     parser.add_argument("--sheet", type=Path, help="folder for pictures")
     parser.add_argument("--worse-mesh", action="store_true", help="use an inaccurate mesh")
+    parser.add_argument("--camera", choices=tuple(PRESETS), help="degrade the photographs")
     parser.add_argument("--ablate", action="store_true", help="a row for each omitted step")
     parser.add_argument("--checkpoint", type=Path, default=bundled_checkpoint())
     options = parser.parse_args()
@@ -151,6 +156,12 @@ def main() -> None:
         for count in options.views:
             chosen = replace(capture, views=photographs[:count])
             mesh = "-worse" if options.worse_mesh else ""
+            if options.camera is not None:
+                faults = PRESETS[options.camera]
+                chosen = as_taken(chosen, faults)
+                if faults.geometry is not None:
+                    chosen = replace(chosen, geometry=with_errors(chosen.geometry, faults.geometry))
+                mesh += f"-{options.camera}"
             identity = CheckpointMaps(options.checkpoint).identity[:8]
             name = f"{prepared.capture.stem}-{len(chosen.views)}{mesh}-{identity}"
             out = options.cache / "light" / name

@@ -42,13 +42,14 @@ DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 """Ranges of a segment's residual over which confidence decreases from 1 to 0, since no hypothesis explains
 the observations. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals fit
 worse than correct dielectrics, since they reflect the errors of light and geometry."""
-NETWORK_VARIANCE = 0.03
-"""Variance of the network's R, per view, against which variance of R over hypotheses lowers confidence; the
-latter omits errors of light and geometry that all hypotheses share if views are few."""
+NETWORK_VARIANCE = 0.015
+"""Variance of the network's R, times the root of the number of views, against which variance of R over
+hypotheses lowers confidence; the latter omits errors of light and geometry that all hypotheses share, of
+which the views of a surfel are no independent samples."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e."""
-MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
+MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.06, 0.01
 """Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the
 excess cost, relative to the residual, at which matte is as likely as glossy, since glossy hypotheses fit
 noise slightly better."""
@@ -187,7 +188,7 @@ def decide(
     residual = np.where(is_metal, of_metal, residual)
     low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
     confidence = np.repeat(np.clip((high - residual) / (high - low), 0, 1)[:, None], 3, axis=1)
-    of_network = NETWORK_VARIANCE * views
+    of_network = NETWORK_VARIANCE * np.sqrt(views)
     confidence[:, 2] *= np.where(is_metal, 1.0, of_network / (of_network + variance))
     return SolvedSegments(
         found_s.astype(np.float32),

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Finds light sources that all photographs clip.
 
-Sources are clipped emitters, openings (connected parts of a face of the room's box with a clipped background)
-and patches of neighbouring surfels that are clipped in all views. A source has one radiance per channel,
-which is unknown in clipped channels.
+Sources are clipped emitters, the sky and the ground in openings (connected parts of a face of the room's box
+with a clipped background), and patches of neighbouring surfels that are clipped in all views. A source has
+one radiance per channel, which is unknown in clipped channels.
 """
 
 from __future__ import annotations
@@ -149,8 +149,9 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
     """Return the index (B,) of each bin's opening, -1 for none, and the unchanged clipped ``share`` (B, 3).
 
-    An opening is a connected part of a face of the box with clipped bins. Openings with few clipped pixels,
-    which ``seen`` (B,) counts by bin, are merged with the largest.
+    An opening is a connected part of a face of the box with clipped bins. It is two sources, since light from
+    above the horizon is several times as bright as light from below. Sources with few clipped pixels, which
+    ``seen`` (B,) counts by bin, are merged with the largest.
     """
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
     shape = 6, NEAR.places, NEAR.places, NEAR.directions
@@ -162,7 +163,9 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
         label[face] = np.where(parts > 0, parts - 1 + count, -1)
         count += found
     of_bin = np.where(clipped.reshape(shape), label[..., None], -1).ravel()
-    pixels = np.bincount(of_bin[clipped], seen[clipped], count)
+    rises = np.tile(NEAR.ways()[:, 2] > 0, len(of_bin) // NEAR.directions)
+    of_bin = np.where(of_bin >= 0, 2 * of_bin + rises, -1)
+    pixels = np.bincount(of_bin[clipped], seen[clipped], 2 * count)
     if count:
         few = pixels < MIN_PIXELS * pixels.sum()
         of_bin[clipped] = np.where(few[of_bin[clipped]], int(pixels.argmax()), of_bin[clipped])
