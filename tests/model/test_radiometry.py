@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
 from datagen.light.background import NEAR
@@ -98,19 +99,21 @@ def test_response_curve_is_inverted(curve: float) -> None:
 
 
 def test_clipped_lamp_and_sky_are_recovered_from_lit_surfaces() -> None:
-    """The lamp is found within 10 %, the sky, which lights little of the room, within 15 %.
+    """The lamp is found within 10 %, the luminance of the sky, which lights little of the room, within 5 %.
 
-    Light through the window from above and from below the horizon are separate sources.
+    Light through the window from below the horizon is a source of its own, found within 15 %.
     """
     found = completed()
     assert found.sources is not None and found.clipped_share > 0.04
     of_bin, lamp = found.sources.of_bin, found.sources.of_emitter.max()
     is_clipped, rises = of_bin >= 0, np.tile(NEAR.ways()[:, 2] > 0, len(of_bin) // NEAR.directions)
-    sky, ground = (np.bincount(of_bin[is_clipped & side]).argmax() for side in (rises, ~rises))
-    assert sky != ground
+    (sky,) = np.unique(of_bin[is_clipped & rises])
+    (ground,) = np.setdiff1d(of_bin[is_clipped & ~rises], sky)
     assert found.sources.bound[lamp].max() < 1.1 * LIMIT
     np.testing.assert_allclose(found.radiance[lamp], LAMP, rtol=0.1)
-    np.testing.assert_allclose(found.radiance[[sky, ground]], [SKY, SKY], rtol=0.15)
+    np.testing.assert_allclose(luminance(found.radiance[sky]), luminance(np.array(SKY)), rtol=0.05)
+    np.testing.assert_allclose(found.radiance[sky], SKY, rtol=0.25)
+    np.testing.assert_allclose(found.radiance[ground], SKY, rtol=0.15)
     assert found.spread[[lamp, sky, ground]].max() < 0.2
 
 
