@@ -6,8 +6,8 @@ plane is the one parallel to the face in which they cover the smallest area. Ray
 cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
 through an opening are averaged, regardless of the face of the box through which they leave.
 
-Photographs show the surface that is missing where the mesh has a hole, and a surface that does not emit is no
-brighter than white paint in its place: openings no brighter than that are holes of the mesh, not windows.
+Through a hole of the mesh, photographs show the missing surface, which does not emit and is therefore darker
+than white paint would be there: openings that are no brighter are holes, not windows.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MAX_BLOCK = FINE // 6
 DARK = 1e-3
 """Minimum luminance of a window relative to the median over surfels."""
 AROUND = 64
-"""Number of the surfels closest to an opening whose mean diffuse shading is that of white paint in it."""
+"""Number of surfels around an opening; their mean diffuse shading is the radiance of white paint there."""
 _GAP = 1e-3  # from plane to rectangles in box diagonals, so that rectangles never coincide with a wall
 
 
