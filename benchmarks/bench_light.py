@@ -142,6 +142,9 @@ def main() -> None:
     parser.add_argument("--ablate", action="store_true", help="a row for each omitted step")
     parser.add_argument("--checkpoint", type=Path, default=bundled_checkpoint())
     options = parser.parse_args()
+    faults = PRESETS[options.camera] if options.camera else None
+    of_camera = None if faults is None else faults.geometry
+    error = WORSE_MESH if options.worse_mesh else of_camera
     select_variant()
     print("room | views | method | all D S R | metal | white | glossy")
     for scene in read_suite(options.suite).scenes:
@@ -150,20 +153,17 @@ def main() -> None:
         prepared = prepare_scene(scene, options.cache)
         reading = CaptureOptions(library=prepared.library, max_width_px=scene.resolution[0])
         capture = read_capture(prepared.capture, reading)
-        if options.worse_mesh:
-            capture = replace(capture, geometry=with_errors(capture.geometry, WORSE_MESH))
+        if error is not None:
+            capture = replace(capture, geometry=with_errors(capture.geometry, error))
         photographs = tuple(view for view in capture.views if view.name in prepared.input_names)
         for count in options.views:
             chosen = replace(capture, views=photographs[:count])
-            mesh = "-worse" if options.worse_mesh else ""
-            if options.camera is not None:
-                faults = PRESETS[options.camera]
+            changes = "-worse" if options.worse_mesh else ""
+            if faults is not None:
                 chosen = as_taken(chosen, faults)
-                if faults.geometry is not None:
-                    chosen = replace(chosen, geometry=with_errors(chosen.geometry, faults.geometry))
-                mesh += f"-{options.camera}"
+                changes += f"-{faults.name}"
             identity = CheckpointMaps(options.checkpoint).identity[:8]
-            name = f"{prepared.capture.stem}-{len(chosen.views)}{mesh}-{identity}"
+            name = f"{prepared.capture.stem}-{len(chosen.views)}{changes}-{identity}"
             out = options.cache / "light" / name
             (out / "views").mkdir(parents=True, exist_ok=True)
             report = InferReport(chosen.name, len(chosen.views), len(chosen.geometry.mesh.faces))

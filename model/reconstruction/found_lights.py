@@ -156,16 +156,8 @@ class FoundLights:
         return rows
 
     def described_holes(self) -> list[dict[str, Any]]:
-        """The mesh's holes as rows of a report: ``slot``, ``place_m``, ``area_m2`` and ``radiance``."""
-        return [
-            {
-                "slot": hole.slot,
-                "place_m": _rounded(hole.place_m, 4),
-                "area_m2": round(hole.area_m2, 6),
-                "radiance": _rounded(hole.radiance, 5),
-            }
-            for hole in self.holes
-        ]
+        """The mesh's holes as rows like those of :meth:`described`, of kind hole."""
+        return [_row("hole", h.slot, h.place_m, h.area_m2, h.radiance) for h in self.holes]
 
 
 def as_color(values: NDArray) -> Color:
@@ -181,7 +173,7 @@ def _product(radiance: Color, gain: Color | None) -> Color:
 
 
 def _row(
-    kind: Literal["lamp", "window"], slot: str, place: Color, area: float, radiance: Color
+    kind: Literal["lamp", "window", "hole"], slot: str, place: Color, area: float, radiance: Color
 ) -> dict[str, Any]:
     return {
         "kind": kind,

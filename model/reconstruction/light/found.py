@@ -26,7 +26,7 @@ _SEED = 0x62616C
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
-    """Collect the recovered lamps, panels, windows, sky of a room with their radiance, and its mesh's holes.
+    """Collect the recovered lamps, panels, windows and sky of a room, and the holes of its mesh.
 
     The sky is returned only if there are windows and the light from outside depends on direction only.
     """

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from datagen.foundation.color import LUMINANCE_WEIGHTS, luminance
+from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.light.background import Background, box_squares
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels
@@ -126,7 +126,7 @@ def divide_openings(
     openings: Sequence[FoundPatch], surfels: Surfels, diffuse: NDArray[np.float32]
 ) -> tuple[tuple[FoundPatch, ...], tuple[FoundPatch, ...]]:
     """Divide openings into windows and holes of the mesh by the ``diffuse`` shading (N, 3) of the surfels."""
-    white, tree = luminance(diffuse.astype(np.float64)), cKDTree(surfels.position_m)
+    white, tree = diffuse @ LUMINANCE_WEIGHTS, cKDTree(surfels.position_m)
     windows: list[FoundPatch] = []
     holes: list[FoundPatch] = []
     for opening in openings:
