@@ -48,7 +48,7 @@ from model.reconstruction.stages import MapSource
 
 _MEASURES = 4
 """Revision of the measures; cached figures of another revision are measured again."""
-_RECONSTRUCTION = 14
+_RECONSTRUCTION = 15
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _MATERIALS_FROM_LIGHT = 17
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""

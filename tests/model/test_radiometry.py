@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
-from datagen.light.background import NEAR
+from datagen.light.background import NEAR, photographed_background
+from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import build_surfels
 from model.reconstruction.radiometry.completed import Completed, completed_views
 from model.reconstruction.radiometry.exposures import (
@@ -24,6 +25,8 @@ from model.reconstruction.radiometry.exposures import (
     shown,
     unbent,
 )
+from model.reconstruction.radiometry.recovered import Gathered, SourceField, gather, recovered
+from model.reconstruction.radiometry.sources import Sources, find_sources
 from tests.model.light_room import LAMP, SKY, photographed_room, room_geometry
 from tests.model.test_light_room import EXPOSURE, predicted, solved, wall_error
 
@@ -98,23 +101,71 @@ def test_response_curve_is_inverted(curve: float) -> None:
     np.testing.assert_allclose(unbent(shown(value, curve), curve), value, atol=1e-3)
 
 
-def test_clipped_lamp_and_sky_are_recovered_from_lit_surfaces() -> None:
-    """The lamp is found within 10 %, the luminance of the sky, which lights little of the room, within 5 %.
+def sky_blocks(sources: Sources) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Sources (K,) of the window's blocks of sky, and their mean directions (K, 3)."""
+    ways = np.tile(NEAR.ways(), (len(sources.of_bin) // NEAR.directions, 1))
+    chosen = (sources.of_bin >= 0) & (ways[:, 2] > 0)
+    blocks, of_bin = np.unique(sources.of_bin[chosen], return_inverse=True)
+    return blocks, np.stack([np.bincount(of_bin, way) for way in ways[chosen].T], axis=1) / np.bincount(
+        of_bin
+    )[:, None]
 
-    Light through the window from below the horizon is a source of its own, found within 15 %.
-    """
+
+def test_clipped_lamp_and_sky_are_recovered_from_lit_surfaces() -> None:
+    """The lamp is found within 12 %, a uniform sky, whose blocks light little of the room, within 15 % in the
+    mean and 50 % in each block, the light from below the horizon within 15 %."""
     found = completed()
     assert found.sources is not None and found.clipped_share > 0.04
     of_bin, lamp = found.sources.of_bin, found.sources.of_emitter.max()
-    is_clipped, rises = of_bin >= 0, np.tile(NEAR.ways()[:, 2] > 0, len(of_bin) // NEAR.directions)
-    (sky,) = np.unique(of_bin[is_clipped & rises])
-    (ground,) = np.setdiff1d(of_bin[is_clipped & ~rises], sky)
+    blocks, _ = sky_blocks(found.sources)
+    (ground,) = np.setdiff1d(of_bin[of_bin >= 0], blocks)
     assert found.sources.bound[lamp].max() < 1.1 * LIMIT
-    np.testing.assert_allclose(found.radiance[lamp], LAMP, rtol=0.1)
-    np.testing.assert_allclose(luminance(found.radiance[sky]), luminance(np.array(SKY)), rtol=0.05)
-    np.testing.assert_allclose(found.radiance[sky], SKY, rtol=0.25)
+    np.testing.assert_allclose(found.radiance[lamp], LAMP, rtol=0.12)
+    sky = luminance(found.radiance[blocks]) / luminance(np.array(SKY))
+    assert abs(np.average(sky, weights=np.bincount(of_bin[of_bin >= 0])[blocks]) - 1) < 0.15
+    assert np.abs(sky - 1).max() < 0.5
     np.testing.assert_allclose(found.radiance[ground], SKY, rtol=0.15)
-    assert found.spread[[lamp, sky, ground]].max() < 0.2
+    assert found.spread[[lamp, ground]].max() < 0.2
+
+
+def test_sky_that_is_brighter_near_the_sun_is_recovered() -> None:
+    """With the sky's brightness varying tenfold, the light of surfaces is within 3 % of the truth.
+
+    With one radiance for the whole sky, it is off by more than 12 %.
+    """
+    geometry, views = room_geometry(), taken()
+    traced = TracedGeometry(geometry)
+    mesh, regions, emits = traced.mesh, smooth_regions(traced.mesh), geometry.emitter_mask()
+    surfels = build_surfels(views)
+    low, high = surfels.grid.low, surfels.grid.high
+    emitters = photographed_emitters(views, mesh, emits, regions)
+    background = photographed_background(views, low, high, NEAR)
+    sources = find_sources(views, surfels, emitters, background, emits, regions, mesh)
+    gathered = gather(SourceField(traced.scene, surfels, emitters, background), sources, regions)
+    blocks, direction = sky_blocks(sources)
+    radiance = np.where(sources.is_open, 2.0, sources.bound)
+    radiance[sources.of_emitter.max()] = LAMP
+    sun = direction @ np.array([0.75, -0.6, 0.3])
+    radiance[blocks] = 20 * np.exp(np.log(10.0) * (sun - sun.max()) / np.ptp(sun))[:, None]
+    rng = np.random.default_rng(0)
+    albedo = rng.uniform(0.1, 0.8, (int(gathered.group.max()) + 1, 3))[gathered.group]
+    light = gathered.known + gathered.form @ radiance
+    noise = np.exp(rng.normal(0, 0.05, light.shape))
+    gathered = replace(gathered, radiance=albedo * light * noise)
+
+    def error(sources: Sources, gathered: Gathered) -> float:
+        found = gathered.known + gathered.form @ recovered(gathered, sources).radiance
+        return float(np.sqrt((np.log(found / light) ** 2).mean()))
+
+    sources = replace(sources, is_open=np.ones_like(sources.is_open))
+    assert error(sources, gathered) < 0.03
+    kept = np.setdiff1d(np.arange(len(sources)), blocks[1:])
+    form = gathered.form.copy()
+    form[:, blocks[0]] = form[:, blocks].sum(axis=1)
+    merged = replace(
+        sources, bound=sources.bound[kept], is_open=sources.is_open[kept], neighbours=np.zeros((0, 2), int)
+    )
+    assert error(merged, replace(gathered, form=form[:, kept])) > 0.12
 
 
 def test_materials_of_completed_photographs_are_found() -> None:

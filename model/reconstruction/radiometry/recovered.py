@@ -13,7 +13,7 @@ photographs, are estimated by least squares with Student's t weights and weak pr
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,9 +42,11 @@ MAX_FACTOR = 3000.0
 _SCALE = 0.15  # scale of Student's t, in ln L
 _FREEDOM = 2.0
 _EFFECTIVE = 1000.0  # maximum number of independent points, since errors of neighbours are correlated
-_ALBEDO, _ALBEDO_SPREAD = np.log(0.4), 0.8  # prior of ln D_g
+_ALBEDO, _ALBEDO_SPREAD = np.log(0.3), 1.2  # prior of ln D_g
 _BRIGHTER, _BRIGHTER_SPREAD = np.log(5.0), 2.0  # prior of ln (Le / bound)
 _HUE_SPREAD = 1.0  # spread of ln Le among channels
+_NEIGHBOUR_SPREAD = 0.35  # spread of ln Le between adjacent blocks of sky
+_MIN_SKY_SPREAD = 0.4  # minimum spread of ln Le of such a block, within which a clear sky varies by 2 or 3
 _ROUNDS = 40
 _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 
@@ -77,13 +79,15 @@ class Prior:
     """Normal priors for G regions and S sources.
 
     ``albedo`` (G, 3): mean of ln D; ``brighter`` (S,): mean of ln (radiance / photographed lower bound) in
-    all channels; ``albedo_spread`` and ``brighter_spread``: their standard deviations.
+    all channels; ``albedo_spread`` and ``brighter_spread``: their standard deviations. ``neighbours`` (J, 2):
+    pairs of sources of similar radiance.
     """
 
     albedo: NDArray[np.float64]
     brighter: NDArray[np.float64]
     albedo_spread: float = _ALBEDO_SPREAD
     brighter_spread: NDArray[np.float64] | float = _BRIGHTER_SPREAD
+    neighbours: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
 
 class SourceField:
@@ -173,10 +177,16 @@ def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) 
     """Estimate the radiance of the sources in clipped channels; it is as photographed in the others."""
     if prior is None:
         num_groups = int(gathered.group.max(initial=-1)) + 1
-        prior = Prior(np.full((num_groups, 3), _ALBEDO), np.full(len(sources), _BRIGHTER))
+        prior = Prior(
+            np.full((num_groups, 3), _ALBEDO),
+            np.full(len(sources), _BRIGHTER),
+            neighbours=sources.neighbours,
+        )
     bound = np.maximum(sources.bound, 1e-6 * max(float(sources.bound.max(initial=0)), 1e-12))
     fitted = [_fitted(gathered, sources, bound, prior, start) for start in _STARTS]
     _, factor, spread = min(fitted, key=lambda found: found[0])
+    blocks = np.unique(prior.neighbours)
+    spread[blocks] = np.maximum(spread[blocks], _MIN_SKY_SPREAD)
     return Recovered(np.where(sources.is_open, bound * np.exp(factor), sources.bound), spread)
 
 
@@ -243,6 +253,13 @@ def _derivatives(
         rows = slice(channel * num, (channel + 1) * num)
         hessian[rows, rows] += slope.T @ (weight[:, None] * slope) - of_group.T @ (of_group / total[:, None])
         gradient[rows] += slope.T @ (weight * rest)
+    first, second = prior.neighbours.T
+    link = np.zeros((len(first), num))
+    link[np.arange(len(first)), first], link[np.arange(len(first)), second] = 1, -1
+    steps = link @ np.log(radiance)
+    cost += 0.5 * float(((steps / _NEIGHBOUR_SPREAD) ** 2).sum())
+    gradient += (link.T @ steps).T.ravel() / _NEIGHBOUR_SPREAD**2
+    hessian += np.kron(np.eye(3), link.T @ link) / _NEIGHBOUR_SPREAD**2
     hue = np.log(radiance) - np.log(radiance).mean(axis=1, keepdims=True)
     away = np.where(is_open, (factor - brighter) / brighter_spread, 0.0)
     cost += 0.5 * float((away**2).sum())

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Finds light sources that all photographs clip.
 
-Sources are clipped emitters, the sky and the ground in openings (connected parts of a face of the room's box
+Sources are clipped emitters, blocks of directions in openings (connected parts of a face of the room's box
 with a clipped background), and patches of neighbouring surfels that are clipped in all views. A source has
 one radiance per channel, which is unknown in clipped channels.
 """
@@ -9,7 +9,7 @@ one radiance per channel, which is unknown in clipped channels.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,14 @@ SHUT = 0.9
 """Clipped share of a surfel's pixels from which it counts as clipped in all views."""
 MIN_CELLS = 4
 """Minimum number of surfels in a patch."""
-MIN_BINS, MIN_PIXELS = 8, 0.03
-"""Minimum number of background bins in an opening, and its minimum share of the clipped background pixels."""
+MIN_PIXELS, MAX_OPENINGS = 0.03, 6
+"""Minimum share of the clipped background pixels in an opening, and maximum number of openings; others are
+merged with the largest."""
+BLOCK_OF_HEIGHT, AZIMUTHS_A_BLOCK = (0, 0, 0, 0, 0, 0, 1, 2, 2, 3, 3, 3), 3
+"""Block of each row of directions in an opening, from nadir to zenith, and columns of azimuth per block; all
+directions below the horizon are one block. A clear sky is ten times as bright near the sun as elsewhere."""
 MAX_SOURCES = 24
-"""Maximum number of sources of each kind; further ones are merged into the last."""
+"""Maximum number of sources of each other kind; further ones are merged into the last."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Sources:
 
     ``bound`` (S, 3): photographed radiance, a lower bound in clipped channels; ``is_open`` (S, 3): mask of
     clipped channels; ``of_emitter`` (K,), ``of_bin`` (B,) and ``of_surfel`` (N,): index of the source of each
-    emitter, background bin and surfel, -1 for none.
+    emitter, background bin and surfel, -1 for none. ``neighbours`` (J, 2): pairs of adjacent blocks of sky.
     """
 
     bound: NDArray[np.float64]
@@ -50,6 +54,7 @@ class Sources:
     of_emitter: NDArray[np.int64]
     of_bin: NDArray[np.int64]
     of_surfel: NDArray[np.int64]
+    neighbours: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
     def __len__(self) -> int:
         return len(self.bound)
@@ -99,9 +104,10 @@ def find_sources(
     emitting = photographed_emitters(marked, mesh, emits, region_of_face).radiance
     low, high = background.low, background.high
     bins = photographed_background(marked, low, high, NEAR).radiance
+    of_bin, pairs = _labelled_bins(bins, _seen_bins(marked, low, high))
     parts = [
         (emitters.radiance, *_labelled_emitters(emitting)),
-        (background.radiance, *_labelled_bins(bins, _seen_bins(marked, low, high))),
+        (background.radiance, of_bin, bins),
         (surfels.radiance, *_labelled_surfels(views, surfels)),
     ]
     bound: list[NDArray] = []
@@ -113,7 +119,8 @@ def find_sources(
         opened.append(_label_means(share, label, count))
         labels.append(np.where(label >= 0, label + first, -1))
     is_open = np.concatenate(opened) >= CLIPPED_SHARE
-    return Sources(np.concatenate(bound), is_open, labels[0], labels[1], labels[2])
+    pairs = pairs + len(bound[0])
+    return Sources(np.concatenate(bound), is_open, labels[0], labels[1], labels[2], pairs)
 
 
 def _label_means(values: NDArray, label: NDArray, count: int) -> NDArray[np.float64]:
@@ -146,12 +153,11 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
     return total
 
 
-def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
-    """Return the index (B,) of each bin's opening, -1 for none, and the unchanged clipped ``share`` (B, 3).
+def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the source (B,) of each bin, -1 for none, and the pairs (J, 2) of adjacent blocks of sky.
 
-    An opening is a connected part of a face of the box with clipped bins. It is two sources, since light from
-    above the horizon is several times as bright as light from below. Sources with few clipped pixels, which
-    ``seen`` (B,) counts by bin, are merged with the largest.
+    ``share`` (B, 3) of a bin's pixels is clipped; ``seen`` (B,) counts its clipped pixels. An opening is a
+    connected part of a face of the box with clipped bins. Each block of directions in it is a source.
     """
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
     shape = 6, NEAR.places, NEAR.places, NEAR.directions
@@ -162,14 +168,26 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
         parts, found = ndimage.label(num[face] > 0)
         label[face] = np.where(parts > 0, parts - 1 + count, -1)
         count += found
-    of_bin = np.where(clipped.reshape(shape), label[..., None], -1).ravel()
-    rises = np.tile(NEAR.ways()[:, 2] > 0, len(of_bin) // NEAR.directions)
-    of_bin = np.where(of_bin >= 0, 2 * of_bin + rises, -1)
-    pixels = np.bincount(of_bin[clipped], seen[clipped], 2 * count)
+    opening = np.where(clipped.reshape(shape), label[..., None], -1).ravel()
+    pixels = np.bincount(opening[clipped], seen[clipped], count)
     if count:
-        few = pixels < MIN_PIXELS * pixels.sum()
-        of_bin[clipped] = np.where(few[of_bin[clipped]], int(pixels.argmax()), of_bin[clipped])
-    return _largest(of_bin, MIN_BINS), share
+        rank = np.argsort(np.argsort(-pixels, kind="stable"))
+        few = (pixels < MIN_PIXELS * pixels.sum()) | (rank >= MAX_OPENINGS)
+        opening[clipped] = np.where(few[opening[clipped]], int(pixels.argmax()), opening[clipped])
+    row, column = np.divmod(np.arange(NEAR.directions), NEAR.azimuths)
+    height = np.array(BLOCK_OF_HEIGHT)[row]
+    across = NEAR.azimuths // AZIMUTHS_A_BLOCK
+    block = np.where(height > 0, height * across + column // AZIMUTHS_A_BLOCK, 0)
+    num_blocks = (max(BLOCK_OF_HEIGHT) + 1) * across
+    key = np.where(clipped, opening * num_blocks + np.tile(block, len(opening) // len(block)), -1)
+    kept = np.unique(key[clipped])
+    of_bin = np.where(clipped, np.searchsorted(kept, key), -1)
+    height, azimuth = np.divmod(kept % num_blocks, across)
+    apart = np.abs(azimuth[:, None] - azimuth)
+    steps = np.abs(height[:, None] - height) + np.minimum(apart, across - apart)
+    same_opening = kept[:, None] // num_blocks == kept // num_blocks
+    is_pair = (steps == 1) & same_opening & (np.minimum(height[:, None], height) > 0)
+    return of_bin, np.argwhere(np.triu(is_pair))
 
 
 def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[NDArray[np.int64], NDArray]:

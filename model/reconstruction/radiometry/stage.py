@@ -76,8 +76,9 @@ def notes_of(found: Completed) -> list[str]:
         text = f"{found.clipped_share:.1%} of the pixels are at the sensor's limit"
         unsure = int((found.spread > 0.5).sum())
         if len(found.radiance):
-            text += f"; the radiance of {len(found.radiance)} sources is estimated from illuminated surfaces"
+            text += f"; the radiance of {len(found.radiance)} lamps, sunlit patches and parts of the sky "
+            text += "is estimated from illuminated surfaces"
         if unsure:
-            text += f"; {unsure} of them are uncertain: also photograph them with a shorter exposure"
+            text += f"; {unsure} of them are uncertain: photograph lamps and more sky with a shorter exposure"
         notes.append(text)
     return notes
