@@ -13,9 +13,11 @@ from datagen.light.surfels import CellGrid, Observations, Surfels
 from model.reconstruction.light.confidence import (
     BLOCK_CELLS,
     D_EVIDENCE,
+    DOUBT,
     ImpossibleShares,
     impossible_shares,
     normal_spread,
+    sureness,
     surfel_confidence,
     trust_in_normals,
 )
@@ -33,6 +35,18 @@ def test_confidence_grows_with_the_evidence() -> None:
 def test_mirrors_need_no_photographed_hemisphere() -> None:
     found = surfel_confidence(np.full(2, 0.1), np.array([False, True]))
     np.testing.assert_allclose(found, [[0, 0, 0], [1, 1, 1]], atol=1e-6)
+
+
+def test_uncertain_light_counts_in_the_whole_region() -> None:
+    """Two of 100 surfels have rays that hit the small uncertain source of half of the region's light."""
+    doubt, region = np.zeros(200), np.repeat([0, 1], 100)
+    doubt[[3, 30]] = 50 * np.mean(DOUBT)
+    doubt[150] = DOUBT[1]
+    found = sureness(doubt, np.ones((200, 3)), region)
+    np.testing.assert_allclose(np.delete(found[:100], [3, 30]), 0.5, atol=1e-6)
+    assert found[3] == found[30] == 0
+    np.testing.assert_allclose(np.delete(found[100:], 50), 1, atol=1e-6)
+    assert found[150] == 0
 
 
 def wall(radiance: NDArray) -> Surfels:

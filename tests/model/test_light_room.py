@@ -19,6 +19,7 @@ from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import MAX_ALBEDO
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
 from model.reconstruction.light.view_maps import view_materials
+from model.reconstruction.stages import DoubtAt
 from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry, without_pixels
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -40,13 +41,15 @@ def predicted(
 
 
 def solved(
-    views: tuple[TracedView, ...], maps: list[dict[str, NDArray]], exposure: float = EXPOSURE
+    views: tuple[TracedView, ...],
+    maps: list[dict[str, NDArray]],
+    exposure: float = EXPOSURE,
+    doubt_at: DoubtAt | None = None,
 ) -> LightMaterials:
     geometry = room_geometry()
     traced = TracedGeometry(geometry)
-    regions = smooth_regions(traced.mesh)
-    options = LightOptions()
-    return materials_from_light(views, maps, traced, geometry.emitter_mask(), regions, exposure, options)
+    regions, emits = smooth_regions(traced.mesh), geometry.emitter_mask()
+    return materials_from_light(views, maps, traced, emits, regions, exposure, LightOptions(), doubt_at)
 
 
 @lru_cache(maxsize=1)
@@ -76,6 +79,15 @@ def test_light_of_lamp_and_sky_is_found() -> None:
     np.testing.assert_allclose(field.emitters.radiance, [LAMP], rtol=0.05)
     sky = field.background.radiance[field.background.is_photographed]
     np.testing.assert_allclose(np.median(sky, axis=0), SKY, rtol=0.05)
+
+
+def test_uncertain_light_leaves_the_networks_materials() -> None:
+    """D is still bounded by the light that the surface reflects, at a tenth of the pixels."""
+    maps = predicted(photographed_room())
+    found = solved(photographed_room(), maps, doubt_at=lambda position_m, normal: np.full(len(normal), 99.0))
+    for name, value in maps[0].items():
+        differs = np.abs(np.stack([view[name] for view in found.maps]) - value[0, 0, 0]) > 1e-3
+        assert differs.mean() < (0.1 if name == "diffuse_albedo" else 1e-9), name
 
 
 def test_diffuse_albedo_of_coloured_walls_is_found() -> None:

@@ -168,6 +168,19 @@ def test_sky_that_is_brighter_near_the_sun_is_recovered() -> None:
     assert error(merged, replace(gathered, form=form[:, kept])) > 0.12
 
 
+@pytest.mark.parametrize(("radiance", "is_found"), [(10.0, True), (60.0, False)])
+def test_patches_brighter_than_in_sunlight_are_no_sources(radiance: float, is_found: bool) -> None:
+    """A patch of 10 times its limit is found within 10 %; one of 60 times keeps its limit."""
+    rng = np.random.default_rng(0)
+    num, nowhere = 400, np.zeros(0, np.int64)
+    sources = Sources(np.ones((1, 3)), np.ones((1, 3), bool), nowhere, nowhere, np.zeros(5, np.int64))
+    form = rng.uniform(0, 0.1, (num, 1)) * rng.integers(0, 2, (num, 1))
+    known, group = np.full((num, 3), 0.2), rng.integers(0, 4, num)
+    seen = 0.4 * (known + form * radiance)
+    found = recovered(Gathered(seen, known, form, group), sources)
+    np.testing.assert_allclose(found.radiance, radiance if is_found else 1.0, rtol=0.1)
+
+
 def test_materials_of_completed_photographs_are_found() -> None:
     """D is within 10 % (exact photographs: 6 %), and more than 30 % off without completion."""
     found = completed()

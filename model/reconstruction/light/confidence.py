@@ -154,12 +154,15 @@ def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
     return (1 - (1 - BUMPY_TRUST) * of_room * _ramp(spread, BUMPY)).astype(np.float32)
 
 
-def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
-    """Compute the factor (N,) of the confidence of surfels from the uncertain luminance ``doubt`` (N,) of
-    their diffuse shading ``diffuse`` (N, 3).
+def sureness(doubt: NDArray, diffuse: NDArray, region: NDArray) -> NDArray[np.float64]:
+    """Compute the trust (N,) in the light of surfels from the uncertain luminance ``doubt`` (N,) of their
+    diffuse shading ``diffuse`` (N, 3).
+
+    It is at most the trust in their smooth ``region`` (N,) as a whole, since few rays hit a small source.
     """
-    part = doubt / np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
-    return 1.0 - _ramp(part, DOUBT)
+    shading = np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
+    part = np.bincount(region, doubt) / np.maximum(np.bincount(region, shading), 1e-12)
+    return 1.0 - _ramp(np.maximum(doubt / shading, part[region]), DOUBT)
 
 
 def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:

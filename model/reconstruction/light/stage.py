@@ -20,7 +20,7 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
-from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
+from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight, smoothed
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from model.reconstruction.light.confidence import (
     impossible_shares,
@@ -123,7 +123,9 @@ def materials_from_light(
     with report.step("correction"):
         sure = np.ones(len(surfels))
         if doubt_at is not None:
-            sure = sureness(doubt_at(surfels.position_m, surfels.normal), lit.diffuse)
+            noisy = doubt_at(surfels.position_m, surfels.normal)[:, None]
+            doubt = smoothed(surfels, noisy, options.smoothing_neighbours)
+            sure = sureness(doubt[:, 0], lit.diffuse, region)
         inferred = lamps.share(lit, region) if lamps is not None else np.zeros(len(surfels))
         lit = replace(lit, hidden=np.maximum(lit.hidden, inferred))
         solved, albedo = _solved_surfels(
@@ -183,11 +185,10 @@ def _solved_surfels(
         ones = np.ones_like(albedo)
         return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0], ones, White()), albedo
     confidence = surfel_confidence(lit.irradiance.photographed, segments.is_mirror[segment])
-    confidence *= sure[:, None].astype(np.float32)
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
     of_segment = segments.confidence[segment]
-    trust = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit
+    trust = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit * sure
     confidence *= trust[:, None] * of_segment
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()

@@ -34,11 +34,14 @@ if TYPE_CHECKING:
 
 MAX_POINTS, RAYS = 2500, 576
 """Maximum number of points, and rays per point; noise in a source's light biases its radiance downwards."""
-DOUBT_RAYS = 64
+DOUBT_RAYS = 144
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
 """Minimum number of views of a surfel, and minimum photographed share of its light, for its use."""
 MAX_FACTOR = 3000.0
 """Maximum ratio of a source's radiance to its photographed radiance."""
+MAX_SUNLIT_FACTOR = 30.0
+"""Ratio above which a patch of surface is unlikely even in sunlight: its estimate is rather the light of a
+lamp that no photograph shows, so the patch keeps its photographed radiance."""
 _SCALE = 0.15  # scale of Student's t, in ln L
 _FREEDOM = 2.0
 _EFFECTIVE = 1000.0  # maximum number of independent points, since errors of neighbours are correlated
@@ -46,7 +49,7 @@ _ALBEDO, _ALBEDO_SPREAD = np.log(0.3), 1.2  # prior of ln D_g
 _BRIGHTER, _BRIGHTER_SPREAD = np.log(5.0), 2.0  # prior of ln (Le / bound)
 _HUE_SPREAD = 1.0  # spread of ln Le among channels
 _NEIGHBOUR_SPREAD = 0.35  # spread of ln Le between adjacent blocks of sky
-_MIN_SKY_SPREAD = 0.4  # minimum spread of ln Le of such a block, within which a clear sky varies by 2 or 3
+_MIN_SKY_SPREAD = 0.5  # minimum spread of ln Le of such a block, within which a clear sky varies by 2 or 3
 _ROUNDS = 40
 _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 
@@ -183,21 +186,25 @@ def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) 
             neighbours=sources.neighbours,
         )
     bound = np.maximum(sources.bound, 1e-6 * max(float(sources.bound.max(initial=0)), 1e-12))
-    fitted = [_fitted(gathered, sources, bound, prior, start) for start in _STARTS]
-    _, factor, spread = min(fitted, key=lambda found: found[0])
-    blocks = np.unique(prior.neighbours)
-    spread[blocks] = np.maximum(spread[blocks], _MIN_SKY_SPREAD)
-    return Recovered(np.where(sources.is_open, bound * np.exp(factor), sources.bound), spread)
+    is_open, patches = sources.is_open.copy(), np.unique(sources.of_surfel[sources.of_surfel >= 0])
+    for _ in range(2):
+        fitted = [_fitted(gathered, is_open, bound, prior, start) for start in _STARTS]
+        _, factor, spread = min(fitted, key=lambda found: found[0])
+        dazzling = patches[factor[patches].max(axis=1, initial=0) > np.log(MAX_SUNLIT_FACTOR)]
+        if not len(dazzling):
+            break
+        is_open[dazzling] = False
+    spread[np.unique(prior.neighbours)] = np.maximum(spread[np.unique(prior.neighbours)], _MIN_SKY_SPREAD)
+    return Recovered(np.where(is_open, bound * np.exp(factor), sources.bound), spread)
 
 
 def _fitted(
-    gathered: Gathered, sources: Sources, bound: NDArray, prior: Prior, start: float
+    gathered: Gathered, is_open: NDArray, bound: NDArray, prior: Prior, start: float
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Compute the cost, ln (radiance / bound) (S, 3) and its standard deviation (S,) by damped Gauss-Newton
     steps from the value ``start``.
     """
-    num = len(sources)
-    is_open = sources.is_open
+    num = len(is_open)
     factor = np.where(is_open, start, 0.0)
     damping = 1e-2
     cost, gradient, hessian = _derivatives(gathered, is_open, bound, factor, prior)
