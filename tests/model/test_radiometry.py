@@ -117,7 +117,8 @@ def test_clipped_lamp_and_sky_are_recovered_from_lit_surfaces() -> None:
     found = completed()
     assert found.sources is not None and found.clipped_share > 0.04
     of_bin, lamp = found.sources.of_bin, found.sources.of_emitter.max()
-    blocks, _ = sky_blocks(found.sources)
+    blocks, direction = sky_blocks(found.sources)
+    assert len(blocks) == 3 * 4 and (direction[:, 0] > 0).all()  # the window faces x
     (ground,) = np.setdiff1d(of_bin[of_bin >= 0], blocks)
     assert found.sources.bound[lamp].max() < 1.1 * LIMIT
     np.testing.assert_allclose(found.radiance[lamp], LAMP, rtol=0.12)

@@ -159,8 +159,9 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
     ``share`` (B, 3) of a bin's pixels is clipped; ``seen`` (B,) counts its clipped pixels. An opening is a
     connected part of a face of the box with clipped bins. Each block of directions in it is a source.
     """
-    clipped = (share >= CLIPPED_SHARE).any(axis=1)
     shape = 6, NEAR.places, NEAR.places, NEAR.directions
+    leaves = np.stack([sign * axis > 0 for axis in NEAR.ways().T for sign in (-1, 1)])  # by face
+    clipped = ((share >= CLIPPED_SHARE).any(axis=1).reshape(shape) & leaves[:, None, None]).ravel()
     num = clipped.reshape(shape).sum(axis=3)
     label = np.full(shape[:3], -1, np.int64)
     count = 0
