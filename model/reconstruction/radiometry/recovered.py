@@ -13,7 +13,7 @@ photographs, are estimated by least squares with Student's t weights and weak pr
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,15 +82,13 @@ class Prior:
     """Normal priors for G regions and S sources.
 
     ``albedo`` (G, 3): mean of ln D; ``brighter`` (S,): mean of ln (radiance / photographed lower bound) in
-    all channels; ``albedo_spread`` and ``brighter_spread``: their standard deviations. ``neighbours`` (J, 2):
-    pairs of sources of similar radiance.
+    all channels; ``albedo_spread`` and ``brighter_spread``: their standard deviations.
     """
 
     albedo: NDArray[np.float64]
     brighter: NDArray[np.float64]
     albedo_spread: float = _ALBEDO_SPREAD
     brighter_spread: NDArray[np.float64] | float = _BRIGHTER_SPREAD
-    neighbours: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
 
 class SourceField:
@@ -180,38 +178,38 @@ def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) 
     """Estimate the radiance of the sources in clipped channels; it is as photographed in the others."""
     if prior is None:
         num_groups = int(gathered.group.max(initial=-1)) + 1
-        prior = Prior(
-            np.full((num_groups, 3), _ALBEDO),
-            np.full(len(sources), _BRIGHTER),
-            neighbours=sources.neighbours,
-        )
+        prior = Prior(np.full((num_groups, 3), _ALBEDO), np.full(len(sources), _BRIGHTER))
     bound = np.maximum(sources.bound, 1e-6 * max(float(sources.bound.max(initial=0)), 1e-12))
-    is_open, patches = sources.is_open.copy(), np.unique(sources.of_surfel[sources.of_surfel >= 0])
-    for _ in range(2):
-        fitted = [_fitted(gathered, is_open, bound, prior, start) for start in _STARTS]
+    patches = np.unique(sources.of_surfel[sources.of_surfel >= 0])
+    is_open = sources.is_open.copy()
+    dazzling = patches[:0]
+    while True:
+        is_open[dazzling] = False
+        fitted = [_fitted(gathered, replace(sources, is_open=is_open), bound, prior, s) for s in _STARTS]
         _, factor, spread = min(fitted, key=lambda found: found[0])
         dazzling = patches[factor[patches].max(axis=1, initial=0) > np.log(MAX_SUNLIT_FACTOR)]
         if not len(dazzling):
             break
-        is_open[dazzling] = False
-    spread[np.unique(prior.neighbours)] = np.maximum(spread[np.unique(prior.neighbours)], _MIN_SKY_SPREAD)
+    of_sky = np.unique(sources.neighbours)
+    spread[of_sky] = np.maximum(spread[of_sky], _MIN_SKY_SPREAD)
     return Recovered(np.where(is_open, bound * np.exp(factor), sources.bound), spread)
 
 
 def _fitted(
-    gathered: Gathered, is_open: NDArray, bound: NDArray, prior: Prior, start: float
+    gathered: Gathered, sources: Sources, bound: NDArray, prior: Prior, start: float
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Compute the cost, ln (radiance / bound) (S, 3) and its standard deviation (S,) by damped Gauss-Newton
     steps from the value ``start``.
     """
-    num = len(is_open)
+    num = len(sources)
+    is_open = sources.is_open
     factor = np.where(is_open, start, 0.0)
     damping = 1e-2
-    cost, gradient, hessian = _derivatives(gathered, is_open, bound, factor, prior)
+    cost, gradient, hessian = _derivatives(gathered, sources, bound, factor, prior)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient).reshape(3, num).T
         tried = np.where(is_open, np.clip(factor - np.clip(step, -1, 1), 0.0, np.log(MAX_FACTOR)), 0.0)
-        found = _derivatives(gathered, is_open, bound, tried, prior)
+        found = _derivatives(gathered, sources, bound, tried, prior)
         if found[0] < cost:
             settled = cost - found[0] < 1e-6 * cost
             factor, (cost, gradient, hessian) = tried, found
@@ -228,10 +226,11 @@ def _fitted(
 
 
 def _derivatives(
-    gathered: Gathered, is_open: NDArray, bound: NDArray, factor: NDArray, prior: Prior
+    gathered: Gathered, sources: Sources, bound: NDArray, factor: NDArray, prior: Prior
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Compute the cost and its gradient (3 S,) and Hessian (3 S, 3 S) by ``factor``, without the albedos."""
     num, points, count = len(factor), max(len(gathered.group), 1), len(prior.albedo)
+    is_open = sources.is_open
     brighter, brighter_spread = prior.brighter[:, None], np.reshape(prior.brighter_spread, (-1, 1))
     radiance = bound * np.exp(factor)
     unit = min(1.0, _EFFECTIVE / points)
@@ -260,7 +259,7 @@ def _derivatives(
         rows = slice(channel * num, (channel + 1) * num)
         hessian[rows, rows] += slope.T @ (weight[:, None] * slope) - of_group.T @ (of_group / total[:, None])
         gradient[rows] += slope.T @ (weight * rest)
-    first, second = prior.neighbours.T
+    first, second = sources.neighbours.T
     link = np.zeros((len(first), num))
     link[np.arange(len(first)), first], link[np.arange(len(first)), second] = 1, -1
     steps = link @ np.log(radiance)

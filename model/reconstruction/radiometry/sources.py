@@ -156,39 +156,47 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the source (B,) of each bin, -1 for none, and the pairs (J, 2) of adjacent blocks of sky.
 
-    ``share`` (B, 3) of a bin's pixels is clipped; ``seen`` (B,) counts its clipped pixels. An opening is a
-    connected part of a face of the box with clipped bins. Each block of directions in it is a source.
+    ``share`` (B, 3) of a bin's pixels is clipped; ``seen`` (B,) counts its clipped pixels. Each block of
+    directions in an opening is a source.
     """
-    shape = 6, NEAR.places, NEAR.places, NEAR.directions
-    leaves = np.stack([sign * axis > 0 for axis in NEAR.ways().T for sign in (-1, 1)])  # by face
-    clipped = ((share >= CLIPPED_SHARE).any(axis=1).reshape(shape) & leaves[:, None, None]).ravel()
-    num = clipped.reshape(shape).sum(axis=3)
-    label = np.full(shape[:3], -1, np.int64)
-    count = 0
-    for face in range(6):
-        parts, found = ndimage.label(num[face] > 0)
-        label[face] = np.where(parts > 0, parts - 1 + count, -1)
-        count += found
-    opening = np.where(clipped.reshape(shape), label[..., None], -1).ravel()
-    pixels = np.bincount(opening[clipped], seen[clipped], count)
-    if count:
-        rank = np.argsort(np.argsort(-pixels, kind="stable"))
-        few = (pixels < MIN_PIXELS * pixels.sum()) | (rank >= MAX_OPENINGS)
-        opening[clipped] = np.where(few[opening[clipped]], int(pixels.argmax()), opening[clipped])
+    opening = _openings((share >= CLIPPED_SHARE).any(axis=1), seen)
     row, column = np.divmod(np.arange(NEAR.directions), NEAR.azimuths)
     height = np.array(BLOCK_OF_HEIGHT)[row]
     across = NEAR.azimuths // AZIMUTHS_A_BLOCK
     block = np.where(height > 0, height * across + column // AZIMUTHS_A_BLOCK, 0)
     num_blocks = (max(BLOCK_OF_HEIGHT) + 1) * across
-    key = np.where(clipped, opening * num_blocks + np.tile(block, len(opening) // len(block)), -1)
-    kept = np.unique(key[clipped])
-    of_bin = np.where(clipped, np.searchsorted(kept, key), -1)
+    key = np.where(opening >= 0, opening * num_blocks + np.resize(block, len(opening)), -1)
+    kept = np.unique(key[key >= 0])
     height, azimuth = np.divmod(kept % num_blocks, across)
     apart = np.abs(azimuth[:, None] - azimuth)
     steps = np.abs(height[:, None] - height) + np.minimum(apart, across - apart)
     same_opening = kept[:, None] // num_blocks == kept // num_blocks
     is_pair = (steps == 1) & same_opening & (np.minimum(height[:, None], height) > 0)
-    return of_bin, np.argwhere(np.triu(is_pair))
+    return np.where(key >= 0, np.searchsorted(kept, key), -1), np.argwhere(np.triu(is_pair))
+
+
+def _openings(clipped: NDArray[np.bool_], seen: NDArray) -> NDArray[np.int64]:
+    """Return the opening (B,) of each ``clipped`` bin, -1 for others and for directions into the room.
+
+    An opening is a connected part of a face of the box with clipped bins.
+    """
+    shape = 6, NEAR.places, NEAR.places, NEAR.directions
+    leaves = np.stack([sign * axis > 0 for axis in NEAR.ways().T for sign in (-1, 1)])  # by face
+    clipped = (clipped.reshape(shape) & leaves[:, None, None]).ravel()
+    has_clipped = clipped.reshape(shape).any(axis=3)
+    label = np.full(shape[:3], -1, np.int64)
+    count = 0
+    for face in range(6):
+        parts, found = ndimage.label(has_clipped[face])
+        label[face] = np.where(parts > 0, parts - 1 + count, -1)
+        count += found
+    opening = np.where(clipped.reshape(shape), label[..., None], -1).ravel()
+    if count:
+        pixels = np.bincount(opening[clipped], seen[clipped], count)
+        few = pixels < MIN_PIXELS * pixels.sum()
+        few[np.argsort(-pixels, kind="stable")[MAX_OPENINGS:]] = True
+        opening[clipped] = np.where(few[opening[clipped]], int(pixels.argmax()), opening[clipped])
+    return opening
 
 
 def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[NDArray[np.int64], NDArray]:
