@@ -17,7 +17,7 @@ from model.networks import TRACK_OUTPUTS, MaterialNetwork, input_channels, track
 from model.own_network import OwnNetwork, make_network, try_network
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
-from model.training.dataset import BatchPlan, CropOrder
+from model.training.dataset import BatchPlan, CropOrder, SharedViews, buffer_names
 from model.training.losses import MaterialLoss
 from model.training.perceptual import make_perceptual
 from model.training.sources import TrainingData
@@ -67,7 +67,11 @@ class Models(nn.Module):
 
 @dataclass(frozen=True)
 class TrainingContext:
-    """Objects shared by all phases of a run; ``inherited`` are the datasets of ``initial_checkpoint``."""
+    """Objects shared by all phases of a run.
+
+    ``inherited`` are the datasets of ``initial_checkpoint``, ``shared`` the decoded views with
+    ``data.in_memory``.
+    """
 
     config: TrainingConfig
     data: TrainingData
@@ -77,6 +81,7 @@ class TrainingContext:
     device: torch.device
     ranks: Ranks
     stopwatch: Stopwatch
+    shared: SharedViews | None = None
 
     def order(self, index: int) -> tuple[CropOrder, int]:
         """Return the crop order and the seed of phase ``index``."""
@@ -124,7 +129,11 @@ def make_context(
     if config.compile:
         for part in models.network.trained(("diffuse", "specular")):
             part.compile()
-    return TrainingContext(config, data, models, inherited, loss, device, ranks, stopwatch or Stopwatch())
+    stopwatch = stopwatch or Stopwatch()
+    shared = None
+    if config.data.in_memory:
+        shared = SharedViews(len(data.train), buffer_names(config.network), data.size_px)
+    return TrainingContext(config, data, models, inherited, loss, device, ranks, stopwatch, shared)
 
 
 def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:

@@ -15,9 +15,12 @@ scalars.
 from __future__ import annotations
 
 import json
+import math
+import shutil
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -28,7 +31,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from datagen.formats.base import parse_model
 from datagen.formats.view import ViewRecord
 from datagen.formats.view_places import ViewPlace, read_member
-from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS
+from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS, get_buffer
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.exr import decode_view
 from model.networks import COLOR_STATISTICS, NetworkConfig, input_channels
@@ -39,6 +42,7 @@ from model.training.config import DataConfig
 _GEOMETRY_BUFFERS = ("normal_world", "depth_z_m", "surface_mask")
 _REMEDY = "make the shard again, or train with data.on_bad_view: skip"
 _ORDER_PURPOSE, _CROP_PURPOSE = 0x0D, 0xC4
+_SHARED_MEMORY = Path("/dev/shm")
 _RANGE_SLACK = 1e-3  # tolerance for rounding
 _RADIANCE = ("beauty", *COLOR_STATISTICS, "mirror_sharp", "mirror_broad")
 _ALBEDO = ("reflectance", MATERIAL_MAPS.diffuse_albedo, MATERIAL_MAPS.specular_albedo)
@@ -217,8 +221,52 @@ class BatchPlan(Sampler[list[int]]):
 # --- crops ------------------------------------------------------------------------------------------------
 
 
+class SharedViews:
+    """Decoded views in memory that loader processes share, one tensor (N, H, W, C) per buffer.
+
+    N views of ``size_px`` (width, height) with the buffers ``names``. Raises :class:`InputError` if the
+    shared memory is too small, since writing to it would end the process without a message.
+    """
+
+    def __init__(self, num_views: int, names: Sequence[str], size_px: tuple[int, int]):
+        width, height = size_px
+        shapes = {name: (num_views, height, width, get_buffer(name).num_channels) for name in names}
+        dtypes = {name: torch.from_numpy(np.empty(0, get_buffer(name).dtype)).dtype for name in names}
+        needed = sum(math.prod(shape) * dtypes[name].itemsize for name, shape in shapes.items())
+        free = shutil.disk_usage(_SHARED_MEMORY).free if _SHARED_MEMORY.is_dir() else needed
+        if needed > free:
+            got = f"{free / 1e9:.1f} GB free in {_SHARED_MEMORY}"
+            remedy = "enlarge it (docker run --shm-size), or train with data.in_memory: false"
+            raise input_error("data.in_memory", "", got, f"{needed / 1e9:.1f} GB", remedy)
+        self._buffers = {name: _shared(shape, dtypes[name]) for name, shape in shapes.items()}
+        self._is_stored = _shared((num_views,), torch.uint8)
+        self._records: dict[int, ViewRecord] = {}
+
+    def get(self, index: int, place: ViewPlace) -> DecodedView | None:
+        """View number ``index``, which is at ``place``; None if it has not been stored."""
+        if not self._is_stored[index]:
+            return None
+        if index not in self._records:
+            self._records[index] = read_record(place, _REMEDY)
+        buffers = {name: values[index].numpy() for name, values in self._buffers.items()}
+        return DecodedView(self._records[index], buffers, float(buffers["depth_z_m"].max(initial=0.0)))
+
+    def put(self, index: int, view: DecodedView) -> None:
+        """Store view number ``index``; processes that store it at the same time write the same values."""
+        for name, values in self._buffers.items():
+            values[index].numpy()[...] = view.buffers[name]
+        self._is_stored[index] = 1
+
+
+def _shared(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    """Tensor of zeros in shared memory, of which only pages that are written take space."""
+    storage = torch.UntypedStorage._new_shared(math.prod(shape) * dtype.itemsize)
+    return torch.empty(0, dtype=dtype).set_(storage).reshape(shape)
+
+
 class CropDataset(Dataset[dict[str, Tensor]]):
-    """Crops by sample id (see :class:`BatchPlan`), with a cache of the last ``block_views`` decoded views."""
+    """Crops by sample id (see :class:`BatchPlan`), with a cache of the last ``block_views`` decoded views, or
+    of all with ``in_memory``."""
 
     def __init__(
         self,
@@ -227,6 +275,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         network: NetworkConfig,
         seed: int,
         size_px: tuple[int, int] | None = None,
+        shared: SharedViews | None = None,
     ):
         self.places = list(places)
         self.size_px = size_px
@@ -234,6 +283,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         self.names = buffer_names(network)
         self.seed = seed
         self._cache: OrderedDict[int, DecodedView | None] = OrderedDict()
+        self._shared = shared
 
     def __len__(self) -> int:
         return len(self.places) * self.config.crops_per_view
@@ -243,6 +293,10 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         if index in self._cache:
             self._cache.move_to_end(index)
             return self._cache[index]
+        if self._shared is not None:
+            stored = self._shared.get(index, self.places[index])
+            if stored is not None:
+                return stored
         try:
             view: DecodedView | None = load_view(
                 self.places[index], self.names, self.config.crop_px, self.size_px
@@ -251,6 +305,9 @@ class CropDataset(Dataset[dict[str, Tensor]]):
             if self.config.on_bad_view == "refuse":
                 raise
             view = None
+        if self._shared is not None and view is not None:
+            self._shared.put(index, view)
+            return view
         self._cache[index] = view
         while len(self._cache) > self.config.block_views:
             self._cache.popitem(last=False)

@@ -68,8 +68,9 @@ class Phase:
         if context.ranks.count > 1:
             self.module = DistributedDataParallel(module)
         _, self.seed = context.order(index)
+        data = context.data
         self.dataset = CropDataset(
-            context.data.train, config.data, config.network, self.seed, context.data.size_px
+            data.train, config.data, config.network, self.seed, data.size_px, context.shared
         )
 
     def learning_rate(self, step: int) -> float:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -17,6 +19,7 @@ from model.training.dataset import (
     BatchPlan,
     CropDataset,
     CropOrder,
+    SharedViews,
     flip_sample,
     load_view,
     make_loader,
@@ -250,6 +253,23 @@ def test_loader_yields_the_plan_for_any_number_of_workers(shard, workers):
     assert [b["sample_id"].tolist() for b in batches] == list(plan)
     assert batches[0]["beauty"].shape == (4, 3, 32, 32)
     torch.testing.assert_close(batches[2]["beauty"][1], dataset[list(plan)[2][1]]["beauty"])
+
+
+def test_views_in_memory_are_decoded_once_for_all_workers(shard, monkeypatch):
+    """Batches equal those decoded from shards, and views that workers stored need no shard any more."""
+    places = index_shard(shard)
+    plan = BatchPlan(CropOrder(4, 3, 4, seed=0), 4, stop=6)  # two epochs
+    expected = list(make_loader(CropDataset(places, CONFIG, NETWORK, seed=2), plan, workers=0))
+    shared = SharedViews(4, NAMES, (64, 48))
+    dataset = CropDataset(places, CONFIG, NETWORK, seed=2, size_px=(64, 48), shared=shared)
+    for loader in (make_loader(dataset, plan, workers=2), make_loader(dataset, plan, workers=0)):
+        for batch, other in zip(loader, expected, strict=True):
+            assert batch.keys() == other.keys()
+            assert all(torch.equal(batch[name], other[name]) for name in batch)
+        monkeypatch.setattr("model.training.dataset.decode_view", None)
+    monkeypatch.setattr("model.training.dataset.shutil.disk_usage", lambda path: SimpleNamespace(free=1000))
+    with pytest.raises(InputError, match="shm-size"):
+        SharedViews(4, NAMES, (64, 48))
 
 
 @pytest.mark.parametrize(
