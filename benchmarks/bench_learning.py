@@ -24,6 +24,7 @@ from model.checkpoint import load_checkpoint
 from model.networks import TrackName
 from model.training.config import TrainingConfig, resolve_config
 from model.training.dataset import buffer_names
+from model.training.losses import METAL_ABOVE
 from model.training.sources import TrainingData, open_data, spread
 from model.training.validation import (
     constant_predictor,
@@ -39,7 +40,6 @@ from model.training.validation import (
 TRACKS: tuple[TrackName, ...] = ("diffuse", "specular")
 
 CONSTANT = "constant (training mean)"
-METAL_ABOVE = 0.2  # maximum over channels of a non-metal's specular albedo
 
 Rows = dict[str, dict[str, float]]
 """Metrics (:meth:`MapErrors.metrics`) by method."""

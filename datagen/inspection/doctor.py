@@ -43,7 +43,7 @@ PROGRAMS = {
 }
 """Optional programs by title: command, purpose and Debian package ('' if none)."""
 MIN_BLENDER = (4, 5)
-CHECKPOINTS = ("small.safetensors", "no-rp.safetensors")
+CHECKPOINTS = ("small.safetensors", "light.safetensors", "no-rp.safetensors")
 _AGAIN = "install the project again: pip install --force-reinstall scene-materials, or -e . in a checkout"
 MIN_FREE_GB = 2.0
 _RENDER_PROBE = """

@@ -94,14 +94,14 @@ class DataConfig(StrictModel):
 
 
 class ValidationConfig(StrictModel):
-    """Options of validation, which evaluates whole views after each epoch."""
+    """Options of validation, which evaluates whole views."""
 
     num_views: int = Field(default=40, ge=0)
     """Maximum number of views of the validation split, evenly spaced; 0 turns validation off."""
     num_panels: int = Field(default=4, ge=0)
     """Number of views logged as image panels."""
     every_steps: int | None = Field(default=None, ge=1)
-    """Interval of additional validations in steps, for long epochs."""
+    """Interval of validations in steps; None: after each epoch."""
 
 
 class TrainingConfig(StrictModel):

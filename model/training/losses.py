@@ -32,6 +32,8 @@ from model.training.conditions import (
 )
 from model.training.stopwatch import Stopwatch
 
+METAL_ABOVE = 0.2
+"""Maximum over channels of a non-metal's specular albedo."""
 _LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the logarithm finite at 0
 
 
@@ -44,6 +46,9 @@ class LossConfig(StrictModel):
     map_l2_weight: float = Field(default=0.0, ge=0)
     """Weight of the maps' mean squared errors. L1 alone is minimised by the median, which for specular albedo
     is that of a dielectric where metal is rare (decision 0015)."""
+    metal_weight: float = Field(default=1.0, ge=0)
+    """Factor of the squared errors of metal (true S above 0.2): if a recipe shows metal more often than
+    rooms do, a weight below 1 keeps the network from seeing metal in dark surfaces."""
     perceptual_weight: float = Field(default=1.0, ge=0)
     """Weight of every perceptual term; 0 omits them."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)
@@ -140,6 +145,8 @@ class MaterialLoss(nn.Module):
                 with watch.section("perceptual"):
                     parts["render_perceptual"] = self._distance(pairs, generator)
                 total = total + self.config.perceptual_weight * parts["render_perceptual"]
+        is_metal = truth[MATERIAL_MAPS.specular_albedo].amax(dim=1, keepdim=True) > METAL_ABOVE
+        weights = torch.where(is_metal, self.config.metal_weight, 1.0)
         for name, ours in shown.items():
             theirs = truth[name]
             if self.config.log_maps and name != "roughness":
@@ -149,7 +156,7 @@ class MaterialLoss(nn.Module):
             parts[f"{name}_l1"] = l1_map
             total = total + self.config.map_l1_weight * l1_map
             if self.config.map_l2_weight > 0:
-                parts[f"{name}_l2"] = (ours - theirs).square().mean()
+                parts[f"{name}_l2"] = (weights * (ours - theirs).square()).mean()
                 total = total + self.config.map_l2_weight * parts[f"{name}_l2"]
             if self.perceptual is not None:
                 pair = (ours.expand(-1, 3, -1, -1), theirs.expand(-1, 3, -1, -1))

@@ -86,8 +86,8 @@ class Trainer:
                         log.scalars(total_step, phase.config.name, epoch, "train", values)
                         log.scalars(total_step, phase.config.name, epoch, "speed", speed)
 
-                    every = config.validation.every_steps or phase.num_steps
-                    if is_last or step % phase.steps_per_epoch == 0 or step % every == 0:
+                    every = config.validation.every_steps or phase.steps_per_epoch
+                    if is_last or step % every == 0:
                         self._validate(phase, epoch, log)
 
                     stops = self._stops()

@@ -118,6 +118,23 @@ def test_squared_errors_lead_to_the_mean(scene):
     assert MaterialLoss(LossConfig(**nothing, map_l2_weight=1.0), None).name == "l1+l2+none"
 
 
+def test_metal_weighs_as_configured(scene):
+    """Squared errors of pixels with a true S above 0.2 are scaled, in all maps alike."""
+    truth, geometry = scene
+    is_metal = torch.arange(32) < 16
+    truth = {**truth, "specular_albedo": torch.where(is_metal, 0.8, 0.04).expand(2, 3, 32, 32)}
+    found = {name: values + torch.where(is_metal, 0.2, 0.1) for name, values in truth.items()}
+    nothing = {"num_point_lights": 0, "num_area_lights": 0, "perceptual_weight": 0.0, "map_l1_weight": 0.0}
+
+    def total(weight: float) -> float:
+        config = LossConfig(**nothing, map_l2_weight=1.0, metal_weight=weight)
+        return float(MaterialLoss(config, None)(found, truth, geometry, _draws(1), generator_for(1)).total)
+
+    shown = float(geometry.mask.float().mean())  # pixels without surface have no error
+    for weight in (0.0, 0.3, 1.0):
+        assert total(weight) == pytest.approx(3 * shown * (weight * 0.04 + 0.01) / 2, rel=1e-4)
+
+
 @pytest.mark.parametrize(("count", "calls"), [(None, 6 + 3), (2, 2 + 3), (0, 3)])
 def test_the_perceptual_term_may_use_fewer_re_renderings(scene, count, calls):
     class Counter(torch.nn.Module):
