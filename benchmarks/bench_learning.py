@@ -5,8 +5,8 @@
 
 Computes mean squared errors of every map on the whole views of the validation splits, or only of the dataset
 ``--judge``: for a constant (the training mean), for the exposed median image and the recorded reflectance as
-diffuse albedo, and for each checkpoint with and without the bilateral solver. Writes ``table.md`` and
-``results.json`` into DIR.
+diffuse albedo, and for each checkpoint with and without the bilateral solver. Writes ``table.md``,
+``results.json`` and a picture CHECKPOINT.jpg of each checkpoint's best and worst view into DIR.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from model.networks import TrackName
 from model.training.config import TrainingConfig, resolve_config
 from model.training.dataset import buffer_names
 from model.training.losses import METAL_ABOVE
+from model.training.run_log import view_panel
 from model.training.sources import TrainingData, open_data, spread
 from model.training.validation import (
+    MapErrors,
     constant_predictor,
     evaluate,
     filtered_predictor,
@@ -34,6 +36,7 @@ from model.training.validation import (
     median_predictor,
     network_predictor,
     reflectance_predictor,
+    score_of,
     whole_views,
 )
 
@@ -78,6 +81,24 @@ def compare(
             filtered = filtered_predictor(predict, checkpoint.confidence, checkpoint.card.solver)
             rows[f"{label}, filtered"] = evaluate(filtered, batches)
     return rows
+
+
+def draw_extremes(path: Path, datasets: list[Path], judge: Path | None, target: Path) -> None:
+    """Write a picture of the views with the least and the largest error of the checkpoint ``path``."""
+    from PIL import Image
+
+    network, device = load_checkpoint(path).network, torch.device("cpu")
+    data = open_data(datasets, network.config, 16)
+    predict = network_predictor(network, TRACKS)
+    panels = []
+    for batch in whole_views(judged_views(data, judge), buffer_names(network.config), device):
+        found = predict(batch)
+        errors = MapErrors()
+        errors.add(found, batch)
+        panels.append((score_of(errors.metrics()), view_panel(batch, found)))
+    panels.sort(key=lambda panel: panel[0])
+    pixels = 255 * torch.cat([panels[0][1], panels[-1][1]], dim=2).permute(1, 2, 0)
+    Image.fromarray(pixels.round().byte().numpy()).save(target, quality=88)
 
 
 def metal_errors(
@@ -146,6 +167,8 @@ def main() -> None:
     network = load_checkpoint(args.compare[0]).card.network
     config = resolve_config(args.preset).model_copy(update={"network": network})
     rows = compare(config, args.datasets, {path.stem: path for path in args.compare}, args.judge)
+    for path in args.compare:
+        draw_extremes(path, args.datasets, args.judge, args.out / f"{path.stem}.jpg")
     metal = {path.stem: metal_errors(path, args.datasets, args.judge) for path in args.compare}
     print("specular albedo on metal and elsewhere:", json.dumps(metal, indent=2))
     write_table(rows, {"datasets": [str(dataset) for dataset in args.datasets], "metal": metal}, args.out)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks import bench_learning, bench_learning_curve
 from datagen.assembly.splits import pools_of_split
@@ -104,6 +105,10 @@ def test_checkpoints_with_and_without_light_are_compared(
     bench_learning.main()
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
     assert {"dark", "lit"} < set(rows)
+    with Image.open(tmp_path / "out" / "lit.jpg") as picture:
+        shown = np.asarray(picture, np.float64).reshape(4, 48, 2, 3, 64, 3)
+    best, worst = shown[1:, :, :, 2].mean(axis=(0, 1, 3, 4))  # the column of errors of each view
+    assert best < worst
     errors = []
     for view in Dataset(lit).views(
         split="validation", names=["reflectance", "diffuse_albedo", "surface_mask"]
