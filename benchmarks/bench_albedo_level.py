@@ -94,7 +94,7 @@ def main() -> None:
     arguments = parser.parse_args()
     select_variant()
     if arguments.always:
-        albedo_level.MIN_USED, albedo_level.MAX_IMPOSSIBLE, albedo_level.MAX_SPREAD = 0.0, 1.0, np.inf
+        albedo_level.MIN_USED, albedo_level.MAX_IMPOSSIBLE, albedo_level.SPREAD = 0.0, 1.0, (1e6, 2e6)
     suite = read_suite(arguments.suite)
     print(f"| {COLUMNS} |", "|---" * (COLUMNS.count("|") + 1) + "|", sep="\n")
     for scene in suite.scenes:

@@ -48,7 +48,7 @@ from model.reconstruction.stages import MapSource
 
 _MEASURES = 4
 """Revision of the measures; cached figures of another revision are measured again."""
-_RECONSTRUCTION = 15
+_RECONSTRUCTION = 16
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _MATERIALS_FROM_LIGHT = 18
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from model.reconstruction.level import albedo_level
 from model.reconstruction.level.albedo_level import (
     MAX_IMPOSSIBLE,
-    MAX_SPREAD,
     MIN_POINTS,
     NUM_RAYS,
+    SPREAD,
     AlbedoLevel,
 )
 
@@ -113,9 +113,16 @@ def test_spread_is_half_the_interquartile_range() -> None:
     level = fit(num=30_000, noise=0.3)
     assert level.report.is_applied and level.report.spread == pytest.approx(0.6745 * 0.3, rel=0.04)
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.03)
-    worse = fit(num=30_000, noise=1.1 * MAX_SPREAD / 0.6745, reflected=0.02)
-    assert not worse.report.is_applied and worse.report.spread > MAX_SPREAD
+    worse = fit(num=30_000, noise=1.1 * SPREAD[1] / 0.6745, reflected=0.02)
+    assert not worse.report.is_applied and worse.report.spread > SPREAD[1]
     assert (worse.gains == 1).all() and worse.report.gain != (1.0, 1.0, 1.0)
+
+
+def test_gains_decrease_smoothly_with_the_spread() -> None:
+    """In the middle of the range half of each gain's logarithm is applied."""
+    level = fit(num=30_000, noise=np.mean(SPREAD) / 0.6745)
+    assert level.report.is_applied
+    np.testing.assert_allclose(level.gains[REGIONS], np.sqrt(WANTED), rtol=0.06)
 
 
 @pytest.mark.parametrize(("share", "is_applied"), [(0.9, True), (1.1, False)])

@@ -39,8 +39,10 @@ LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
 """Range of the uncertain share of a point's light over which its weight decreases from 1 to 0."""
 MIN_POINTS, MIN_USED = 200, 0.4
 """Minimum number of points, and minimum of their mean weight, for a correction."""
-MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
-"""Maximum ``spread`` and ``impossible_share`` (:class:`LevelReport`) for a correction."""
+SPREAD, MAX_IMPOSSIBLE = (0.25, 0.35), 0.2
+"""Range of ``spread`` over which the correction decreases to none, and maximum ``impossible_share``
+(:class:`LevelReport`). Where metal is mistaken for a dark dielectric, reflectance varies within regions, and
+their gains would brighten it."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
 _MIN_RADIANCE = 1e-6  # relative to the median
 _POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # Student's t distributions of ln rho
@@ -164,10 +166,13 @@ def fit_level(
         "regions_used": len(regions),
     }
     gain = (float(np.exp(rooms[0])), float(np.exp(rooms[1])), float(np.exp(rooms[2])))
-    if found["spread"] > MAX_SPREAD or found["impossible_share"] > MAX_IMPOSSIBLE:
+    if found["impossible_share"] > MAX_IMPOSSIBLE:
         reason = "light that no photograph shows falls on too much of the room"
         return _unchanged(num_regions, reason, gain=gain, **found)
-    return AlbedoLevel(gains, LevelReport(True, "", gain=gain, **found))
+    trust = np.clip((SPREAD[1] - found["spread"]) / (SPREAD[1] - SPREAD[0]), 0, 1)
+    if trust == 0:
+        return _unchanged(num_regions, "reflectance varies too much within surfaces", gain=gain, **found)
+    return AlbedoLevel(gains**trust, LevelReport(True, "", gain=gain, **found))
 
 
 def clipped_share(views: Sequence[TracedView]) -> float:
