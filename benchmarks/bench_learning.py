@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from datagen.formats.view_places import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
@@ -28,7 +29,7 @@ from model.training.losses import METAL_ABOVE
 from model.training.run_log import view_panel
 from model.training.sources import TrainingData, open_data, spread
 from model.training.validation import (
-    MapErrors,
+    Predictor,
     constant_predictor,
     evaluate,
     filtered_predictor,
@@ -58,9 +59,15 @@ def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
 
 
 def compare(
-    config: TrainingConfig, datasets: list[Path], checkpoints: dict[str, Path], judge: Path | None = None
+    config: TrainingConfig,
+    datasets: list[Path],
+    checkpoints: dict[str, Path],
+    judge: Path | None = None,
+    pictures: Path | None = None,
 ) -> Rows:
-    """Metrics of the baselines and ``checkpoints`` on the validation views of ``datasets`` or ``judge``."""
+    """Metrics of the baselines and ``checkpoints`` on the validation views of ``datasets`` or ``judge``;
+    pictures of each checkpoint's best and worst view are written into the folder ``pictures``.
+    """
     device = torch.device("cpu")
     data = open_data(datasets, config.network, config.data.crop_px)
     read = {path: load_checkpoint(path) for path in checkpoints.values()}
@@ -77,27 +84,21 @@ def compare(
         checkpoint = read[path]
         predict = network_predictor(checkpoint.network, TRACKS)
         rows[label] = evaluate(predict, batches)
+        if pictures is not None:
+            draw_extremes(predict, batches, pictures / f"{label}.jpg")
         if checkpoint.confidence is not None:
             filtered = filtered_predictor(predict, checkpoint.confidence, checkpoint.card.solver)
             rows[f"{label}, filtered"] = evaluate(filtered, batches)
     return rows
 
 
-def draw_extremes(path: Path, datasets: list[Path], judge: Path | None, target: Path) -> None:
-    """Write a picture of the views with the least and the largest error of the checkpoint ``path``."""
+def draw_extremes(predict: Predictor, batches: list[dict[str, Tensor]], target: Path) -> None:
+    """Write a picture of the views with the least and the largest error of ``predict``."""
     from PIL import Image
 
-    network, device = load_checkpoint(path).network, torch.device("cpu")
-    data = open_data(datasets, network.config, 16)
-    predict = network_predictor(network, TRACKS)
-    panels = []
-    for batch in whole_views(judged_views(data, judge), buffer_names(network.config), device):
-        found = predict(batch)
-        errors = MapErrors()
-        errors.add(found, batch)
-        panels.append((score_of(errors.metrics()), view_panel(batch, found)))
-    panels.sort(key=lambda panel: panel[0])
-    pixels = 255 * torch.cat([panels[0][1], panels[-1][1]], dim=2).permute(1, 2, 0)
+    ordered = sorted(batches, key=lambda batch: score_of(evaluate(predict, [batch])))
+    panels = [view_panel(batch, predict(batch)) for batch in (ordered[0], ordered[-1])]
+    pixels = 255 * torch.cat(panels, dim=2).permute(1, 2, 0)
     Image.fromarray(pixels.round().byte().numpy()).save(target, quality=88)
 
 
@@ -166,9 +167,8 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     network = load_checkpoint(args.compare[0]).card.network
     config = resolve_config(args.preset).model_copy(update={"network": network})
-    rows = compare(config, args.datasets, {path.stem: path for path in args.compare}, args.judge)
-    for path in args.compare:
-        draw_extremes(path, args.datasets, args.judge, args.out / f"{path.stem}.jpg")
+    checkpoints = {path.stem: path for path in args.compare}
+    rows = compare(config, args.datasets, checkpoints, args.judge, args.out)
     metal = {path.stem: metal_errors(path, args.datasets, args.judge) for path in args.compare}
     print("specular albedo on metal and elsewhere:", json.dumps(metal, indent=2))
     write_table(rows, {"datasets": [str(dataset) for dataset in args.datasets], "metal": metal}, args.out)

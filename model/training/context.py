@@ -132,7 +132,7 @@ def make_context(
     stopwatch = stopwatch or Stopwatch()
     shared = None
     if config.data.in_memory:
-        shared = SharedViews(len(data.train), buffer_names(config.network), data.size_px)
+        shared = SharedViews(data.train, buffer_names(config.network), data.size_px)
     return TrainingContext(config, data, models, inherited, loss, device, ranks, stopwatch, shared)
 
 

@@ -221,16 +221,40 @@ class BatchPlan(Sampler[list[int]]):
 # --- crops ------------------------------------------------------------------------------------------------
 
 
-class SharedViews:
-    """Decoded views in memory that loader processes share, one tensor (N, H, W, C) per buffer.
+class RecentViews:
+    """The last ``limit`` decoded views by number; None for invalid ones."""
 
-    N views of ``size_px`` (width, height) with the buffers ``names``. Raises :class:`InputError` if the
-    shared memory is too small, since writing to it would end the process without a message.
+    def __init__(self, limit: int):
+        self._limit = limit
+        self._views: OrderedDict[int, DecodedView | None] = OrderedDict()
+
+    def __contains__(self, index: int) -> bool:
+        return index in self._views
+
+    def __getitem__(self, index: int) -> DecodedView | None:
+        self._views.move_to_end(index)
+        return self._views[index]
+
+    def __setitem__(self, index: int, view: DecodedView | None) -> None:
+        self._views[index] = view
+        while len(self._views) > self._limit:
+            self._views.popitem(last=False)
+
+
+class SharedViews:
+    """All views by number, decoded into memory that loader processes share; None for invalid ones.
+
+    Buffers ``names`` of ``places`` are of ``size_px`` (width, height), one tensor (N, H, W, C) each. Raises
+    :class:`InputError` if the shared memory is too small, since writing to it would end the process without a
+    message.
     """
 
-    def __init__(self, num_views: int, names: Sequence[str], size_px: tuple[int, int]):
+    _STORED, _INVALID = 1, 2
+
+    def __init__(self, places: Sequence[ViewPlace], names: Sequence[str], size_px: tuple[int, int]):
+        self._places = places
         width, height = size_px
-        shapes = {name: (num_views, height, width, get_buffer(name).num_channels) for name in names}
+        shapes = {name: (len(places), height, width, get_buffer(name).num_channels) for name in names}
         dtypes = {name: torch.from_numpy(np.empty(0, get_buffer(name).dtype)).dtype for name in names}
         needed = sum(math.prod(shape) * dtypes[name].itemsize for name, shape in shapes.items())
         free = shutil.disk_usage(_SHARED_MEMORY).free if _SHARED_MEMORY.is_dir() else needed
@@ -239,34 +263,38 @@ class SharedViews:
             remedy = "enlarge it (docker run --shm-size), or train with data.in_memory: false"
             raise input_error("data.in_memory", "", got, f"{needed / 1e9:.1f} GB", remedy)
         self._buffers = {name: _shared(shape, dtypes[name]) for name, shape in shapes.items()}
-        self._is_stored = _shared((num_views,), torch.uint8)
+        self._state = _shared((len(places),), torch.uint8)
         self._records: dict[int, ViewRecord] = {}
 
-    def get(self, index: int, place: ViewPlace) -> DecodedView | None:
-        """View number ``index``, which is at ``place``; None if it has not been stored."""
-        if not self._is_stored[index]:
+    def __contains__(self, index: int) -> bool:
+        return bool(self._state[index])
+
+    def __getitem__(self, index: int) -> DecodedView | None:
+        if self._state[index] == self._INVALID:
             return None
         if index not in self._records:
-            self._records[index] = read_record(place, _REMEDY)
+            self._records[index] = read_record(self._places[index], _REMEDY)
         buffers = {name: values[index].numpy() for name, values in self._buffers.items()}
         return DecodedView(self._records[index], buffers, float(buffers["depth_z_m"].max(initial=0.0)))
 
-    def put(self, index: int, view: DecodedView) -> None:
-        """Store view number ``index``; processes that store it at the same time write the same values."""
-        for name, values in self._buffers.items():
-            values[index].numpy()[...] = view.buffers[name]
-        self._is_stored[index] = 1
+    def __setitem__(self, index: int, view: DecodedView | None) -> None:
+        # processes that store a view at the same time write the same values
+        if view is not None:
+            for name, values in self._buffers.items():
+                values[index].numpy()[...] = view.buffers[name]
+        self._state[index] = self._INVALID if view is None else self._STORED
 
 
 def _shared(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
     """Tensor of zeros in shared memory, of which only pages that are written take space."""
+    # Tensor.share_memory_ would write all pages
     storage = torch.UntypedStorage._new_shared(math.prod(shape) * dtype.itemsize)
     return torch.empty(0, dtype=dtype).set_(storage).reshape(shape)
 
 
 class CropDataset(Dataset[dict[str, Tensor]]):
-    """Crops by sample id (see :class:`BatchPlan`), with a cache of the last ``block_views`` decoded views, or
-    of all with ``in_memory``."""
+    """Crops by sample id (see :class:`BatchPlan`); decoded views are kept in ``views``, by default the last
+    ``block_views``."""
 
     def __init__(
         self,
@@ -275,43 +303,29 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         network: NetworkConfig,
         seed: int,
         size_px: tuple[int, int] | None = None,
-        shared: SharedViews | None = None,
+        views: SharedViews | None = None,
     ):
         self.places = list(places)
         self.size_px = size_px
         self.config = config
         self.names = buffer_names(network)
         self.seed = seed
-        self._cache: OrderedDict[int, DecodedView | None] = OrderedDict()
-        self._shared = shared
+        self._views: RecentViews | SharedViews = views or RecentViews(config.block_views)
 
     def __len__(self) -> int:
         return len(self.places) * self.config.crops_per_view
 
     def _view(self, index: int) -> DecodedView | None:
         """Decoded view number ``index``, or None if it is invalid and skipped."""
-        if index in self._cache:
-            self._cache.move_to_end(index)
-            return self._cache[index]
-        if self._shared is not None:
-            stored = self._shared.get(index, self.places[index])
-            if stored is not None:
-                return stored
-        try:
-            view: DecodedView | None = load_view(
-                self.places[index], self.names, self.config.crop_px, self.size_px
-            )
-        except InputError:
-            if self.config.on_bad_view == "refuse":
-                raise
-            view = None
-        if self._shared is not None and view is not None:
-            self._shared.put(index, view)
-            return view
-        self._cache[index] = view
-        while len(self._cache) > self.config.block_views:
-            self._cache.popitem(last=False)
-        return view
+        if index not in self._views:
+            try:
+                place = self.places[index]
+                self._views[index] = load_view(place, self.names, self.config.crop_px, self.size_px)
+            except InputError:
+                if self.config.on_bad_view == "refuse":
+                    raise
+                self._views[index] = None
+        return self._views[index]
 
     def __getitem__(self, crop_id: int) -> dict[str, Tensor]:
         view = self._view(crop_id % len(self) // self.config.crops_per_view)

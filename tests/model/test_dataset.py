@@ -260,16 +260,18 @@ def test_views_in_memory_are_decoded_once_for_all_workers(shard, monkeypatch):
     places = index_shard(shard)
     plan = BatchPlan(CropOrder(4, 3, 4, seed=0), 4, stop=6)  # two epochs
     expected = list(make_loader(CropDataset(places, CONFIG, NETWORK, seed=2), plan, workers=0))
-    shared = SharedViews(4, NAMES, (64, 48))
-    dataset = CropDataset(places, CONFIG, NETWORK, seed=2, size_px=(64, 48), shared=shared)
+    shared = SharedViews(places, NAMES, (64, 48))
+    dataset = CropDataset(places, CONFIG, NETWORK, seed=2, size_px=(64, 48), views=shared)
     for loader in (make_loader(dataset, plan, workers=2), make_loader(dataset, plan, workers=0)):
         for batch, other in zip(loader, expected, strict=True):
             assert batch.keys() == other.keys()
             assert all(torch.equal(batch[name], other[name]) for name in batch)
         monkeypatch.setattr("model.training.dataset.decode_view", None)
+    shared[1] = None  # an invalid view, which is skipped
+    assert dataset[3]["is_skipped"] and not dataset[0]["is_skipped"]
     monkeypatch.setattr("model.training.dataset.shutil.disk_usage", lambda path: SimpleNamespace(free=1000))
     with pytest.raises(InputError, match="shm-size"):
-        SharedViews(4, NAMES, (64, 48))
+        SharedViews(places, NAMES, (64, 48))
 
 
 @pytest.mark.parametrize(

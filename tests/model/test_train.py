@@ -228,6 +228,15 @@ def test_validation_does_not_change_training(dataset, tmp_path):
     assert curves[0] == curves[1]
 
 
+def test_validation_at_intervals_replaces_that_after_epochs(dataset, tmp_path):
+    settings = ("phases=[{name: diffuse, steps: 4}]", "batch_size=4", "data.crops_per_view=1")
+    for name, extra, steps in (("own", ("validation.every_steps=3",), [3, 4]), ("epochs", (), [2, 4])):
+        trainer = Trainer(_config(*settings, *extra), [dataset], tmp_path / name, device=CPU)
+        assert trainer.context.plan(0, 0).steps_per_epoch == 2
+        trainer.run()
+        assert [step for step, _ in read_log(tmp_path / name, "validation", "score")] == steps
+
+
 def test_a_run_is_not_continued_with_other_settings_or_data(dataset, tmp_path):
     out = tmp_path / "run"
     short = ("phases=[{name: diffuse, steps: 1}]",)
