@@ -304,9 +304,14 @@ class _Up(Layer):
         low, high = max(first - _STRIP_MARGIN, 0), min(last + _STRIP_MARGIN, x.shape[2])
         rows = F.interpolate(F.leaky_relu(x[:, :, low:high], _LEAK), scale_factor=2, mode="nearest")
         inside = (min(max(valid[0] - 2 * low, 0), rows.shape[2]), valid[1])
-        rows = _zero_padding(self.conv1(F.pad(rows, (1, 2, 1, 2))), inside)
-        rows = self.conv2(F.pad(rows, (1, 2, 1, 2)))
+        rows = _zero_padding(self._padded_convolution(self.conv1, rows), inside)
+        rows = self._padded_convolution(self.conv2, rows)
         return rows[:, :, 2 * (first - low) : 2 * (last - low)]
+
+    @staticmethod
+    def _padded_convolution(layer: nn.Conv2d, x: Tensor) -> Tensor:
+        """Convolve x, padded by 1 before and 2 after; faster than with a padded copy of x."""
+        return F.conv2d(x, layer.weight, padding=2)[:, :, 1:, 1:]
 
 
 class Track(nn.Module):

@@ -111,7 +111,8 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
     """
     cameras = [camera_row(view) for view in views]
     low, cell_m, shape = _extent(views)
-    cells = [_cells_of(view, row, low, cell_m, shape) for view, row in zip(views, cameras, strict=True)]
+    with ThreadPoolExecutor(num_threads()) as pool:
+        cells = list(pool.map(lambda view, row: _cells_of(view, row, low, cell_m, shape), views, cameras))
     occupied = np.zeros(int(np.prod(shape)) * NUM_SIDES, np.bool_)
     for cell, _, _ in cells:
         occupied[cell[cell >= 0]] = True

@@ -11,7 +11,9 @@ specular part of every observation is computed, shading by unphotographed light 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight, smoothed
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
+from datagen.multiview.compiled import num_threads
 from model.reconstruction.light.confidence import (
     impossible_shares,
     normal_spread,
@@ -132,9 +135,11 @@ def materials_from_light(
             lit, segments, segmentation, specular_albedo, specular, sure, inferred, options
         )
     with report.step("maps"):
-        found: list[dict[str, NDArray]] = [{} for _ in views]
-        for place, (index, view, view_maps) in enumerate(zip(order, ordered, predicted, strict=True)):
-            found[index] = dict(view_materials(surfels, solved, place, view, view_maps))
+        with ThreadPoolExecutor(num_threads()) as pool:
+            made = pool.map(partial(view_materials, surfels, solved), range(len(views)), ordered, predicted)
+            found: list[dict[str, NDArray]] = [{} for _ in views]
+            for index, view_maps in zip(order, made, strict=True):
+                found[index] = dict(view_maps)
         report.confidence = tuple(float(v) for v in solved.confidence.mean(axis=0))
     return LightMaterials(found, report, lit, solved, albedo, segment)
 
