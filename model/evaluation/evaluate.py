@@ -50,7 +50,7 @@ _MEASURES = 4
 """Revision of the measures; cached figures of another revision are measured again."""
 _RECONSTRUCTION = 16
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
-_MATERIALS_FROM_LIGHT = 18
+_MATERIALS_FROM_LIGHT = 19
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""

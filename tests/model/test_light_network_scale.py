@@ -63,7 +63,7 @@ def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
         return replace(found, confidence=confidence)
 
     monkeypatch.setattr(stage, "solve_points", unexplained)
-    monkeypatch.setattr(stage, "trust_in_hidden", lambda hidden: np.full(len(hidden), trust, np.float32))
+    monkeypatch.setattr(stage, "trust_in_hidden", lambda hidden, _: np.full(len(hidden), trust, np.float32))
     found = solved(photographed_room(), too_dark())
     medians = []
     for result in (found, room()):

@@ -219,8 +219,11 @@ def test_light_of_an_unseen_lamp_is_detected(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_confidence_falls_with_the_share_of_hidden_light() -> None:
-    trust = trust_in_hidden(np.array([0.0, 0.3, 0.4, 0.5, 1.0]))
-    np.testing.assert_allclose(trust, [1, 1, 0.5, 0, 0], atol=1e-6)
+    """It falls earlier for sources at unknown places than for lamps that the geometry declares."""
+    hidden, none = np.array([0.0, 0.25, 0.325, 0.4, 1.0]), np.zeros(5)
+    np.testing.assert_allclose(trust_in_hidden(hidden, none), [1, 1, 0.5, 0, 0], atol=1e-6)
+    declared = np.array([0.0, 0.3, 0.4, 0.5, 1.0])
+    np.testing.assert_allclose(trust_in_hidden(none, declared), [1, 1, 0.5, 0, 0], atol=1e-6)
 
 
 def test_unseen_surface_reflects_light() -> None:

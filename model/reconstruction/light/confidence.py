@@ -31,9 +31,11 @@ BLOCK_CELLS = 25
 """Side in cells of the blocks over which shares are computed: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
 """Range of the uncertain share of a surfel's diffuse shading, over which confidence decreases to 0."""
-HIDDEN_LIGHT = (0.3, 0.5)
-"""Range of the share of a smooth region's light that comes from unphotographed lamps, over which the
-confidence of D, S and R decreases from 1 to 0."""
+HIDDEN_LIGHT = (0.25, 0.4)
+"""Range of the share of a smooth region's light that comes from unphotographed sources at unknown places,
+over which the confidence of D, S and R decreases from 1 to 0."""
+DECLARED_LIGHT = (0.3, 0.5)
+"""Like :data:`HIDDEN_LIGHT`, for unphotographed lamps at places that the geometry declares."""
 INFERRED_LIGHT = (0.02, 0.08)
 """Range of the share of a smooth region's light from unphotographed lamps that the geometry declares, over
 which the confidence of S and R decreases from 1 to 0."""
@@ -125,9 +127,12 @@ def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> 
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 
-def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
-    """Compute the factor (N,) of all confidences from the share (N,) of light from unphotographed lamps."""
-    return (1 - _ramp(hidden, HIDDEN_LIGHT)).astype(np.float32)
+def trust_in_hidden(hidden: NDArray, declared: NDArray) -> NDArray[np.float32]:
+    """Compute the factor (N,) of all confidences from the shares (N,) of light from unphotographed sources:
+    ``hidden`` at unknown places, ``declared`` at places that the geometry declares.
+    """
+    unknown = np.maximum(_ramp(hidden, HIDDEN_LIGHT), _ramp(declared, DECLARED_LIGHT))
+    return (1 - unknown).astype(np.float32)
 
 
 def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:

@@ -130,7 +130,6 @@ def materials_from_light(
             doubt = smoothed(surfels, noisy, options.smoothing_neighbours)
             sure = sureness(doubt[:, 0], lit.diffuse, region)
         inferred = lamps.share(lit, region) if lamps is not None else np.zeros(len(surfels))
-        lit = replace(lit, hidden=np.maximum(lit.hidden, inferred))
         solved, albedo = _solved_surfels(
             lit, segments, segmentation, specular_albedo, specular, sure, inferred, options
         )
@@ -193,7 +192,7 @@ def _solved_surfels(
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
     of_segment = segments.confidence[segment]
-    trust = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit * sure
+    trust = impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit * sure
     confidence *= trust[:, None] * of_segment
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
