@@ -30,10 +30,11 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.bench_merge_quality import looked_up, open_room, pixel_uv
+from benchmarks.bench_merge_quality import open_room
 from benchmarks.timing import Stopwatch
 from datagen.formats.capture import Capture, CaptureView, ColorImage
 from datagen.foundation.cameras import Camera
+from datagen.geometry.texture_lookup import looked_up, pixel_uv
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
@@ -99,7 +100,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
         seen = room.traced.geometry.trace_view(camera)
         if (seen.depth_z_m < 0.3).mean() > 0.1:
             continue  # inside an object
-        uv = pixel_uv(room.traced.geometry.mesh, room.mesh, camera, seen)
+        uv = pixel_uv(room.mesh, camera, seen)
         on_surface = ~np.isnan(uv[..., 0])
         cosine = seen.cosine(camera)[..., None]
         color = np.full((size[1], size[0], 3), 0.5, np.float32)

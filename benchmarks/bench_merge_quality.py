@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from datagen.formats.capture import Capture
 from datagen.foundation.buffers import MATERIAL_MAPS
-from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
-from datagen.geometry.traced import ViewGeometry, face_normals, seen_sides, smooth_regions
+from datagen.geometry.texture_lookup import looked_up, pixel_uv
+from datagen.geometry.traced import face_normals, seen_sides, smooth_regions
 from datagen.geometry.views import TracedCapture, trace_capture
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
@@ -108,19 +108,6 @@ class Room:
         return sum(int((~np.isnan(uv[..., 0])).sum()) for uv in self.uv)
 
 
-def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
-    """Interpolate a map (N, N, C) bilinearly at UVs (K, 2); returns values (K, C)."""
-    size = array.shape[0]
-    x = np.clip(uv[:, 0] * size - 0.5, 0, size - 1)
-    y = np.clip((1 - uv[:, 1]) * size - 0.5, 0, size - 1)
-    left, top = x.astype(np.int64), y.astype(np.int64)
-    right, bottom = np.minimum(left + 1, size - 1), np.minimum(top + 1, size - 1)
-    s, t = (x - left)[:, None], (y - top)[:, None]
-    upper = array[top, left] * (1 - s) + array[top, right] * s
-    lower = array[bottom, left] * (1 - s) + array[bottom, right] * s
-    return np.asarray(upper * (1 - t) + lower * t, np.float64)
-
-
 def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
     """Sum of the differences of D (mean over channels) between neighbouring observed texels of smooth true D,
     and number of pairs: for pairs with different numbers of views (``border``) and equal ones (``inside``).
@@ -143,33 +130,13 @@ def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
     return found
 
 
-def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeometry) -> NDArray:
-    """UVs (H, W, 2) of ``unwrapped_mesh`` at the surface under each pixel's centre, NaN off the surface.
-
-    The meshes have the same order of triangles and corners.
-    """
-    assert unwrapped_mesh.uv is not None
-    face = np.maximum(geometry.face, 0)
-    rays = camera.ray_directions()
-    depth = geometry.depth_z_m[..., 0].astype(np.float64)
-    points = camera.position_m + rays * (depth / (rays @ camera.forward))[..., None]
-    a, b, c = np.moveaxis(mesh.triangles()[face], -2, 0)
-    normal = np.cross(b - a, c - a)
-    area = np.maximum((normal**2).sum(axis=-1), 1e-300)
-    s = (np.cross(points - a, c - a) * normal).sum(axis=-1) / area
-    t = (np.cross(b - a, points - a) * normal).sum(axis=-1) / area
-    shares = np.stack([1 - s - t, s, t], axis=-1)[..., None]
-    uv = (shares * unwrapped_mesh.uv[unwrapped_mesh.faces[face]]).sum(axis=-2)
-    return np.where(geometry.surface_mask > 0, uv, np.nan)
-
-
 def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None) -> Room:
     """Read, trace and unwrap a rendered capture, or its first ``num_views`` views."""
     capture = read_capture(shard, CaptureOptions(library=tuple(library)))
     capture = replace(capture, views=capture.views[:num_views])
     traced = trace_capture(capture)
     mesh, unwrap = unwrapped(traced.geometry.mesh)
-    uvs = [pixel_uv(traced.geometry.mesh, mesh, view.camera, view.geometry) for view in traced.views]
+    uvs = [pixel_uv(mesh, view.camera, view.geometry) for view in traced.views]
     footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
     size = atlas_size(footprint_m, unwrap.metres_per_side)
     sides = seen_sides([view.geometry for view in traced.views], len(mesh.faces))

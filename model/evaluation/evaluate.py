@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.formats.base import sha256_file
+from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
@@ -31,6 +33,7 @@ from model.evaluation.baselines import given_maps, maps_files
 from model.evaluation.camera_faults import CameraFaults, as_taken
 from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures
+from model.evaluation.merged_confidence import merged_confidence
 from model.evaluation.metrics import means
 from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_of, open_scene, told
 from model.evaluation.predictions import light_revision, link_files, predictions_folder
@@ -46,7 +49,7 @@ from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import MapSource
 
-_MEASURES = 4
+_MEASURES = 5
 """Revision of the measures; cached figures of another revision are measured again."""
 _RECONSTRUCTION = 16
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
@@ -218,13 +221,15 @@ def _measure(
 ) -> dict[str, Any]:
     found: dict[str, Any] = {}
     seconds: dict[str, float] = {}
+    confidence: dict[str, NDArray[np.float64]] = {}
     if isinstance(method, TruthMethod):
         sceneries = scene.sceneries
     else:
-        asset, found = _reconstruct(suite, scene, method, camera, folder, tell)
+        geometry, found = _reconstruct(suite, scene, method, camera, folder, tell)
         seconds = found["seconds"]
         found |= _map_results("per_view", _per_view(scene, folder))
-        sceneries = recovered_sceneries(scene, asset)
+        sceneries = recovered_sceneries(scene, folder / "asset")
+        confidence = merged_confidence(folder, geometry, {n: scene.view(n).camera for n in scene.inputs})
     start = time.perf_counter()
     renders, images, merged = {}, {}, MapMeasures()
     spread: dict[str, dict[str, float]] = {}
@@ -244,7 +249,14 @@ def _measure(
         if light == OWN:
             for name in scene.inputs:
                 view = rendered[name]
-                merged.add(name, view.maps, scene.truth[OWN][name], scene.surfaces(name), rendered=view)
+                merged.add(
+                    name,
+                    view.maps,
+                    scene.truth[OWN][name],
+                    scene.surfaces(name),
+                    rendered=view,
+                    confidence=confidence.get(name),
+                )
     seconds["render and compare"] = round(time.perf_counter() - start, 2)
     return {
         **found,
@@ -260,8 +272,8 @@ def _measure(
 
 def _reconstruct(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, folder: Path, tell: Tell
-) -> tuple[Path, dict[str, Any]]:
-    """Run ``infer`` for a method unless done; return the asset's folder and the results in the report."""
+) -> tuple[CaptureGeometry, dict[str, Any]]:
+    """Run ``infer`` for a method unless done; return its unwrapped geometry and the results in the report."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
@@ -298,7 +310,7 @@ def _reconstruct(
         "atlas_size": report["atlas_size"],
         "notes": tuple(report["notes"]),
     }
-    return folder / "asset", found
+    return geometry, found
 
 
 def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:

@@ -128,10 +128,11 @@ class MapMeasures:
         found = {}
         for k, name in enumerate(MATERIAL_MAPS):
             order = np.argsort(confidence[:, k], kind="stable")
-            correlation = float(spearmanr(confidence[:, k], -errors[:, k]).statistic)
+            is_constant = min(np.ptp(confidence[:, k]), np.ptp(errors[:, k])) == 0
+            correlation = 0.0 if is_constant else float(spearmanr(confidence[:, k], -errors[:, k]).statistic)
             quarters = np.array_split(errors[order, k], QUARTERS)
             roots = [float(np.sqrt((quarter**2).mean())) for quarter in quarters]
-            found[name] = [0.0 if np.isnan(correlation) else correlation, *roots]
+            found[name] = [correlation, *roots]
         return found
 
 

@@ -137,7 +137,7 @@ def _calibration(result: SuiteResult) -> Table:
                 rows.append((scene.name, method.label, LETTERS[name], *method.calibration[name]))
     quarters = ("least confident (RMSE)", *(f"quarter {k}" for k in range(2, QUARTERS)), "most confident")
     columns = ("scene", "method", "map", "rank correlation", *quarters)
-    caption = "Of predicted maps, by quarter. Rank correlation with small errors: 1 for the same order."
+    caption = "RMSE by quarter of the pixels. Rank correlation with small errors: 1 for the same order."
     return Table("confidence", "Confidence", caption, columns, tuple(rows), (0, 0, 0, 2, 3, 3, 3, 3))
 
 

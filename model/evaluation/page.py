@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color_maps import cividis
+from model.evaluation.confidence_chart import confidence_svg
 from model.evaluation.measure_tables import image_noise
 from model.evaluation.metrics import shown
 from model.evaluation.overview import overview_svg
@@ -54,6 +55,7 @@ def page_html(
         "rendered again and compared with the truth.</p>"
         f'<nav>{links}<a href="#tables">tables</a></nav>',
         f'<div class="wide overview">{overview_svg(result)}</div>',
+        f'<div class="overview">{confidence_svg(result)}</div>',
         *scenes,
         f'<section id="tables"><ul class="notes">{items}</ul>{"".join(t.html() for t in tables)}</section>',
     ]

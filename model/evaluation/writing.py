@@ -9,6 +9,7 @@ from pathlib import Path
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.foundation.images import encode_png
+from model.evaluation.confidence_chart import confidence_svg
 from model.evaluation.measure_tables import measure_tables
 from model.evaluation.overview import overview_svg, standalone
 from model.evaluation.page import page_html
@@ -53,6 +54,8 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
     shutil.rmtree(figures, ignore_errors=True)
     figures.mkdir()
     content["figures/overview.svg"] = standalone(overview_svg(result)).encode()
+    if chart := confidence_svg(result):
+        content["figures/confidence.svg"] = standalone(chart).encode()
     for name, scene in rows.items():
         content[f"figures/{name}-all.png"] = encode_png(sheet(scene, COLUMNS, is_turned=False))
         content[f"figures/{name}-relighting.png"] = encode_png(sheet(scene, RELIGHTING, is_turned=True))

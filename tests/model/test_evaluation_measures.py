@@ -191,6 +191,9 @@ def test_informative_confidence_scores_higher() -> None:
     found = measures.calibration()
     assert found[D][0] == pytest.approx(1) and abs(found[S][0]) < 0.6
     assert found[D][1] > found[D][2] > found[D][3] > found[D][4]
+    constant = MapMeasures()
+    constant.add("a", estimate, truth, _nothing(), confidence=np.ones_like(sure))
+    assert constant.calibration()[D][0] == 0
     without = MapMeasures()
     without.add("a", estimate, truth, _nothing())
     assert without.calibration() == {}
