@@ -69,7 +69,7 @@ MATRIX = {
         "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder datagen.rendering.capture_geometry",
         "model.reconstruction.atlas": "datagen.foundation datagen.multiview.compiled",
         "model.reconstruction.check": f"{_GROUND} mitsuba_plugins datagen.geometry "
-        "model.reconstruction.captures",
+        "datagen.multiview.compiled model.reconstruction.captures",
         "model.reconstruction.found_lights": "",
         "model.reconstruction.stages": "datagen.foundation datagen.geometry "
         "model.reconstruction.infer_options model.reconstruction.found_lights",

@@ -10,6 +10,7 @@ at all, whether another up axis or unit fits better. Every warning names its vie
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,8 @@ from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Advance, Progress, no_advance
 from datagen.geometry.traced import TracedGeometry, seen_sides
-from datagen.geometry.views import TracedCapture
+from datagen.geometry.views import TracedCapture, TracedView
+from datagen.multiview.compiled import num_threads
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
 from model.reconstruction.check.edges import match_edges, mesh_edges
@@ -58,10 +60,12 @@ def check_traced(
     progress: Advance = no_advance,
 ) -> CheckReport:
     """Check a capture that is already read and traced, as :func:`check_capture` does."""
-    looks = [
-        Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
-        for view in traced.views
-    ]
+
+    def look(view: TracedView) -> Look:
+        return Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
+
+    with ThreadPoolExecutor(num_threads()) as pool:
+        looks = list(pool.map(look, traced.views))
     return check_looks(traced.capture, looks, out, progress)
 
 
@@ -76,9 +80,10 @@ def check_looks(
         raise _nothing_seen(capture, looks)
     sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
     report = CheckReport(capture.name, [], notes=list(capture.notes))
-    for look in looks:
-        report.views.append(look.checked(sides))
-        progress(len(report.views), len(looks))
+    with ThreadPoolExecutor(num_threads()) as pool:
+        for checked in pool.map(lambda look: look.checked(sides), looks):
+            report.views.append(checked)
+            progress(len(report.views), len(looks))
     judge(report, looks)
     if report.fit * float(np.median([view.coverage for view in report.views])) < _MIN_FIT:
         _try_other_frames(report, capture, looks)
