@@ -14,10 +14,10 @@ from model.evaluation.page_style import hue
 from model.evaluation.results import SuiteResult
 from model.evaluation.tables import LETTERS
 
-RMSE = (3e-3, 1.0)
+RMSE = (5e-3, 1.0)
 """Range of the logarithmic axis; values outside are drawn at its ends."""
 _TICKS = (0.01, 0.1, 1.0)
-_PANEL_PX, _HEIGHT_PX, _GAP_PX, _LEFT_PX, _TOP_PX, _BOTTOM_PX = 190, 150, 30, 40, 48, 36
+_PANEL_PX, _HEIGHT_PX, _GAP_PX, _LEFT_PX, _TOP_PX, _BOTTOM_PX = 190, 120, 40, 34, 48, 26
 _LINE = "#dfe3e8"
 
 
@@ -71,8 +71,11 @@ def _axes(left: float, title: str) -> list[str]:
         ends = f'x1="{left}" x2="{left + _PANEL_PX}" y1="{y:.1f}" y2="{y:.1f}"'
         parts.append(f'<line {ends} stroke="{_LINE}"/>')
         parts.append(f'<text x="{left - 4}" y="{y + 4:.1f}" text-anchor="end" opacity=".65">{tick:g}</text>')
-    for quarter, label in ((0, "least confident"), (QUARTERS - 1, "most confident")):
-        place = f'x="{_x(left, quarter):.1f}" y="{_TOP_PX + _HEIGHT_PX + 16}" text-anchor="middle"'
+    for x, anchor, label in (
+        (left, "start", "least confident"),
+        (left + _PANEL_PX, "end", "most confident"),
+    ):
+        place = f'x="{x}" y="{_TOP_PX + _HEIGHT_PX + 16}" text-anchor="{anchor}"'
         parts.append(f'<text {place} opacity=".65">{label}</text>')
     return parts
 
