@@ -17,7 +17,8 @@ from datagen.foundation.meshes.mesh import Mesh
 from model.evaluation.confidence_chart import confidence_svg
 from model.evaluation.merged_confidence import merged_confidence
 from model.evaluation.overview import standalone
-from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.evaluation.results import MethodResult, SuiteResult
+from tests.model.suite_results import suite_of
 
 SIZE = 64
 
@@ -56,20 +57,7 @@ def test_an_atlas_without_confidence_has_none(tmp_path: Path) -> None:
 
 def result(calibration: dict[str, list[float]]) -> SuiteResult:
     method = MethodResult(scene="hall", method="ours", kind="network", calibration=calibration)
-    scene = SceneResult(
-        name="hall",
-        num_views=1,
-        num_novel=0,
-        resolution=(3, 2),
-        judged_views=(),
-        novel_views=(),
-        exposures={},
-        figure_views={},
-        path_samples=1,
-        renders={},
-        methods=(method,),
-    )
-    return SuiteResult(suite="s", may_be_known=False, lpips_absence="", scenes=(scene,))
+    return suite_of(method)
 
 
 def test_chart_shows_the_errors_of_the_quarters() -> None:

@@ -23,10 +23,11 @@ from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures, level_figures, measures_of_others
 from model.evaluation.noise import bootstrap_error, difference, seed_spread
 from model.evaluation.rendering import JudgedView
-from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.evaluation.results import MethodResult, SuiteResult
 from model.evaluation.surface_kinds import SurfaceFinder, ViewSurfaces
 from model.training.perceptual import LpipsVgg, lpips_vgg
 from model.training.weights import Convolution
+from tests.model.suite_results import suite_of
 
 SHAPE = (4, 6)
 D, S, R = "diffuse_albedo", "specular_albedo", "roughness"
@@ -284,20 +285,7 @@ def _run(psnr: dict[str, float], mse: dict[str, float], spread: float = 0.0) -> 
         image_views={"own": {"input": {v: {"psnr_srgb_db": p, "lpips_vgg": None} for v, p in psnr.items()}}},
         seed_spread={"own": {"psnr_srgb_db": spread}},
     )
-    scene = SceneResult(
-        name="room",
-        num_views=4,
-        num_novel=0,
-        resolution=(6, 4),
-        judged_views=tuple(psnr),
-        novel_views=(),
-        exposures={},
-        figure_views={},
-        path_samples=1,
-        renders={},
-        methods=(method,),
-    )
-    return SuiteResult(suite="s", may_be_known=True, lpips_absence="", scenes=(scene,))
+    return suite_of(method, tuple(psnr))
 
 
 def test_two_runs_are_compared_beyond_noise(tmp_path: Path) -> None:
