@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 
 import numpy as np
 
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.evaluation.map_measures import QUARTERS
-from model.evaluation.page_style import hue
+from model.evaluation.page_style import GRID, hue, legend
 from model.evaluation.results import SuiteResult
 from model.evaluation.tables import LETTERS
 
@@ -18,7 +17,6 @@ RMSE = (5e-3, 1.0)
 """Range of the logarithmic axis; values outside are drawn at its ends."""
 _TICKS = (0.01, 0.1, 1.0)
 _PANEL_PX, _HEIGHT_PX, _GAP_PX, _LEFT_PX, _TOP_PX, _BOTTOM_PX = 190, 120, 40, 34, 48, 26
-_LINE = "#dfe3e8"
 
 
 def confidence_svg(result: SuiteResult) -> str:
@@ -27,7 +25,7 @@ def confidence_svg(result: SuiteResult) -> str:
     Text is in the current colour, so the chart follows the theme of a page that embeds it.
     """
     lines = [
-        (scene.name if method.method == "ours" else f"{scene.name}, {method.label}", method.calibration)
+        (f"{scene.name}, {method.label}", method.calibration)
         for scene in result.scenes
         for method in scene.methods
         if method.calibration
@@ -36,17 +34,13 @@ def confidence_svg(result: SuiteResult) -> str:
         return ""
     width = _LEFT_PX + len(MATERIAL_MAPS) * (_PANEL_PX + _GAP_PX)
     height = _TOP_PX + _HEIGHT_PX + _BOTTOM_PX
-    parts, x = [], 0.0
-    for place, (label, _) in enumerate(lines):
-        parts.append(f'<circle cx="{x + 5:.0f}" cy="9" r="4" fill="{hue(place)}"/>')
-        parts.append(f'<text x="{x + 13:.0f}" y="13">{html.escape(label)}</text>')
-        x += 26 + 6.2 * len(label)
+    parts, legend_px = legend([label for label, _ in lines])
     for column, (name, letter) in enumerate(zip(MATERIAL_MAPS, LETTERS.values(), strict=True)):
         left = _LEFT_PX + column * (_PANEL_PX + _GAP_PX)
         parts += _axes(left, f"RMSE of {letter}")
         for place, (_, calibration) in enumerate(lines):
             parts += _line(left, calibration[name][1:], hue(place))
-    width = max(width, int(x))
+    width = max(width, int(legend_px))
     return (
         f'<svg viewBox="0 0 {width} {height}" role="img" font-family="system-ui, sans-serif" font-size="11" '
         'fill="currentColor"><title>Errors of the maps by quarter of the pixels in order of confidence'
@@ -69,7 +63,7 @@ def _axes(left: float, title: str) -> list[str]:
     for tick in _TICKS:
         y = _y(tick)
         ends = f'x1="{left}" x2="{left + _PANEL_PX}" y1="{y:.1f}" y2="{y:.1f}"'
-        parts.append(f'<line {ends} stroke="{_LINE}"/>')
+        parts.append(f'<line {ends} stroke="{GRID}"/>')
         parts.append(f'<text x="{left - 4}" y="{y + 4:.1f}" text-anchor="end" opacity=".65">{tick:g}</text>')
     for x, anchor, label in (
         (left, "start", "least confident"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.evaluation.measure_tables import image_noise
-from model.evaluation.page_style import hue
+from model.evaluation.page_style import GRID, hue, legend
 from model.evaluation.results import MethodResult, SuiteResult
 from model.evaluation.tables import LETTERS
 
@@ -20,7 +20,7 @@ PSNR_DB = (10.0, 45.0)
 MSE = (1e-4, 1.0)
 """Range of the logarithmic panels of maps."""
 _LABEL_PX, _PANEL_PX, _GAP_PX, _LINE_PX, _TOP_PX = 104, 148, 36, 9, 52
-_INK, _LINE = "#1d2127", "#dfe3e8"
+_INK = "#1d2127"
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def overview_svg(result: SuiteResult) -> str:
         for tick in panel.ticks:
             x = left + panel.x(tick)
             parts.append(
-                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP_PX}" y2="{height - 6}" stroke="{_LINE}"/>'
+                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP_PX}" y2="{height - 6}" stroke="{GRID}"/>'
             )
             parts.append(
                 f'<text x="{x:.1f}" y="{_TOP_PX - 4}" text-anchor="middle" opacity=".65">{tick:g}</text>'
@@ -101,7 +101,7 @@ def overview_svg(result: SuiteResult) -> str:
                 parts += [_mark(mark, panel, left, y, hue(place)) for mark in panel.marks(method)]
     for row, (name, _) in enumerate(judged):
         y = _TOP_PX + row * block
-        parts.append(f'<line x1="0" x2="{width}" y1="{y}" y2="{y}" stroke="{_LINE}"/>')
+        parts.append(f'<line x1="0" x2="{width}" y1="{y}" y2="{y}" stroke="{GRID}"/>')
         parts.append(f'<text x="0" y="{y + block / 2 + 4}" font-weight="600">{html.escape(name)}</text>')
     return (
         f'<svg viewBox="0 0 {width} {height}" role="img" '
@@ -118,11 +118,7 @@ def standalone(svg: str) -> str:
 
 
 def _legend(labels: Sequence[str], width: int) -> list[str]:
-    parts, x = [], 0.0
-    for place, label in enumerate(labels):
-        parts.append(f'<circle cx="{x + 5:.0f}" cy="9" r="4" fill="{hue(place)}"/>')
-        parts.append(f'<text x="{x + 13:.0f}" y="13">{html.escape(label)}</text>')
-        x += 26 + 6.2 * len(label)
+    parts, _ = legend(labels)
     note = "filled: maps and input views; hollow: novel views; bars: standard errors"
     parts.append(f'<text x="{width - _GAP_PX}" y="13" text-anchor="end" opacity=".65">{note}</text>')
     return parts

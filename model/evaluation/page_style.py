@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Style and script of the page, embedded so that it is self-contained."""
+"""Style and script of the page, embedded so that it is self-contained; parts of its charts."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
 
 STYLE = """
 :root { --ink: #1d2127; --soft: #6a717d; --line: #e3e6ea; --paper: #ffffff; --wash: #f6f7f9; --accent:
@@ -80,6 +85,20 @@ for (const pair of document.querySelectorAll('.pair')) {
   });
 }
 """
+
+
+GRID = "#dfe3e8"
+"""Colour of the lines of charts."""
+
+
+def legend(labels: Sequence[str]) -> tuple[list[str], float]:
+    """SVG elements of a chart's legend in one line, and its width in pixels."""
+    parts, x = [], 0.0
+    for place, label in enumerate(labels):
+        parts.append(f'<circle cx="{x + 5:.0f}" cy="9" r="4" fill="{hue(place)}"/>')
+        parts.append(f'<text x="{x + 13:.0f}" y="13">{html.escape(label)}</text>')
+        x += 26 + 6.2 * len(label)
+    return parts, x
 
 
 def hue(index: int) -> str:

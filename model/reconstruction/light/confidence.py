@@ -34,8 +34,8 @@ DOUBT = (0.15, 0.6)
 HIDDEN_LIGHT = (0.25, 0.4)
 """Range of the share of a smooth region's light that comes from unphotographed sources at unknown places,
 over which the confidence of D, S and R decreases from 1 to 0."""
-DECLARED_LIGHT = (0.3, 0.5)
-"""Like :data:`HIDDEN_LIGHT`, for unphotographed lamps at places that the geometry declares."""
+MOSTLY_INFERRED = (0.3, 0.5)
+"""Like :data:`HIDDEN_LIGHT`, for unphotographed lamps that the geometry declares."""
 INFERRED_LIGHT = (0.02, 0.08)
 """Range of the share of a smooth region's light from unphotographed lamps that the geometry declares, over
 which the confidence of S and R decreases from 1 to 0."""
@@ -127,11 +127,11 @@ def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> 
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 
-def trust_in_hidden(hidden: NDArray, declared: NDArray) -> NDArray[np.float32]:
+def trust_in_hidden(hidden: NDArray, inferred: NDArray) -> NDArray[np.float32]:
     """Compute the factor (N,) of all confidences from the shares (N,) of light from unphotographed sources:
-    ``hidden`` at unknown places, ``declared`` at places that the geometry declares.
+    ``hidden`` at unknown places, ``inferred`` from lamps that the geometry declares.
     """
-    unknown = np.maximum(_ramp(hidden, HIDDEN_LIGHT), _ramp(declared, DECLARED_LIGHT))
+    unknown = np.maximum(_ramp(hidden, HIDDEN_LIGHT), _ramp(inferred, MOSTLY_INFERRED))
     return (1 - unknown).astype(np.float32)
 
 
