@@ -94,7 +94,8 @@ def main() -> None:
     arguments = parser.parse_args()
     select_variant()
     if arguments.always:
-        albedo_level.MIN_USED, albedo_level.MAX_IMPOSSIBLE, albedo_level.SPREAD = 0.0, 1.0, (1e6, 2e6)
+        albedo_level.MIN_USED, albedo_level.EXCESS = 0.0, (1e6, 2e6)
+        albedo_level.MAX_SPREAD, albedo_level.MAX_IMPOSSIBLE = np.inf, 1.0
     suite = read_suite(arguments.suite)
     print(f"| {COLUMNS} |", "|---" * (COLUMNS.count("|") + 1) + "|", sep="\n")
     for scene in suite.scenes:

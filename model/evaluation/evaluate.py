@@ -51,7 +51,7 @@ from model.reconstruction.stages import MapSource
 
 _MEASURES = 5
 """Revision of the measures; cached figures of another revision are measured again."""
-_RECONSTRUCTION = 16
+_RECONSTRUCTION = 17
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _MATERIALS_FROM_LIGHT = 19
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""

@@ -142,8 +142,8 @@ def test_contradictory_evidence_changes_nothing() -> None:
         values = np.exp(random.uniform(np.log(0.03), 0, (*view_maps["diffuse_albedo"].shape[:2], 1)))
         view_maps["diffuse_albedo"] = np.repeat(values, 3, axis=2).astype(np.float16)
     level = level_of(views, maps)
-    assert not level.report.is_applied and "varies too much" in level.report.reason
-    assert level.report.spread > 0.6 and (level.gains == 1).all()
+    assert level.report.trust == 0 and "varies too much" in level.report.reason
+    assert level.report.spread > 0.6 and level.gains.max() == 1
 
 
 @pytest.mark.parametrize(("part", "is_applied"), [(0.05, True), (0.7, False)])

@@ -37,12 +37,12 @@ FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
 0."""
 LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
 """Range of the uncertain share of a point's light over which its weight decreases from 1 to 0."""
-MIN_POINTS, MIN_USED = 200, 0.4
+MIN_POINTS, MIN_USED = 200, 0.3
 """Minimum number of points, and minimum of their mean weight, for a correction."""
-SPREAD, MAX_IMPOSSIBLE = (0.25, 0.35), 0.2
-"""Range of ``spread`` over which the correction decreases to none, and maximum ``impossible_share``
-(:class:`LevelReport`). Where metal is mistaken for a dark dielectric, reflectance varies within regions, and
-their gains would brighten it."""
+EXCESS, MAX_SPREAD, MAX_IMPOSSIBLE = (0.035, 0.045), 0.6, 0.2
+"""Range of ``spread`` x ``impossible_share`` (:class:`LevelReport`) over which increases of D fade to none,
+and maxima of both for any. Unphotographed light and metal taken for a dark dielectric both make reflectance
+vary within regions and exceed 1; as both only add to it, decreases of D are always applied."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
 _MIN_RADIANCE = 1e-6  # relative to the median
 _POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # Student's t distributions of ln rho
@@ -58,8 +58,9 @@ class LevelReport:
     ``used_share``: mean weight of the points, in [0, 1]; ``spread``: half the interquartile range of ln(rho /
     (D + S)) of points about their region's mode, in green; ``region_spread``: half the interquartile range of
     the regions' ln gains, weighted by points; ``impossible_share``: weighted share of points that reflect
-    more than their incident light; ``clipped_share``: share of clipped pixels in the photographs; ``reason``:
-    why no correction is applied, or empty.
+    more than their incident light; ``trust``: the power in [0, 1] of gains above 1 that is applied;
+    ``clipped_share``: share of clipped pixels in the photographs; ``reason``: why D is not corrected, or not
+    increased, or empty.
     """
 
     is_applied: bool
@@ -70,6 +71,7 @@ class LevelReport:
     spread: float = 0.0
     region_spread: float = 0.0
     impossible_share: float = 0.0
+    trust: float = 0.0
     points_used: int = 0
     regions_used: int = 0
     clipped_share: float = 0.0
@@ -166,13 +168,15 @@ def fit_level(
         "regions_used": len(regions),
     }
     gain = (float(np.exp(rooms[0])), float(np.exp(rooms[1])), float(np.exp(rooms[2])))
-    if found["impossible_share"] > MAX_IMPOSSIBLE:
-        reason = "light that no photograph shows falls on too much of the room"
-        return _unchanged(num_regions, reason, gain=gain, **found)
-    trust = np.clip((SPREAD[1] - found["spread"]) / (SPREAD[1] - SPREAD[0]), 0, 1)
-    if trust == 0:
-        return _unchanged(num_regions, "reflectance varies too much within surfaces", gain=gain, **found)
-    return AlbedoLevel(gains**trust, LevelReport(True, "", gain=gain, **found))
+    excess_spread = found["spread"] * found["impossible_share"]
+    trust = float(np.clip((EXCESS[1] - excess_spread) / (EXCESS[1] - EXCESS[0]), 0, 1))
+    reason = ""
+    if found["spread"] > MAX_SPREAD:
+        trust, reason = 0.0, "reflectance varies too much within surfaces"
+    elif found["impossible_share"] > MAX_IMPOSSIBLE or trust == 0:
+        trust, reason = 0.0, "light that no photograph shows falls on too much of the room"
+    gains = np.where(gains > 1, gains**trust, gains)
+    return AlbedoLevel(gains, LevelReport(bool((gains != 1).any()), reason, gain=gain, trust=trust, **found))
 
 
 def clipped_share(views: Sequence[TracedView]) -> float:

@@ -27,8 +27,10 @@ def leveled(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
             advance,
         )
         run.report.albedo_level = asdict(level.report)
+        if level.report.reason:
+            change = "increased" if level.report.is_applied else "corrected"
+            run.report.notes.append(f"the albedo scale is not {change}: {level.report.reason}")
         if not level.report.is_applied:
-            run.report.notes.append(f"the albedo scale is not corrected: {level.report.reason}")
             return estimate
         corrected = []
         for view_maps, view in zip(estimate.maps, traced.views, strict=True):
