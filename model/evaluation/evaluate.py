@@ -57,6 +57,8 @@ _MATERIALS_FROM_LIGHT = 19
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""
+_MESH_NOISE = 1
+"""Revision of the removal of noise from meshes with errors."""
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,8 @@ def _judge(
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
     further += [_TAKEN, camera.model_dump(mode="json")] if camera else []
+    has_error = method.geometry is not None or (camera is not None and camera.geometry is not None)
+    further += [_MESH_NOISE] if has_error else []
     key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *further)
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""The pipeline from a capture to an asset: traced → checked → completed → predicted → leveled → merged →
-filled → balanced → exported.
+"""The pipeline from a capture to an asset: denoised → traced → checked → completed → predicted → leveled →
+merged → filled → balanced → exported.
 
 OUT/state.json      identity of the work: a hash of checkpoint, cameras, geometry and options
 OUT/views/          predicted maps, one EXR per view, which a resumed run reads
@@ -52,6 +52,7 @@ from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.mesh_noise.stage import denoised
 from model.reconstruction.poses.stage import mended
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
@@ -125,6 +126,8 @@ def infer(
         source.prepare(run.options)  # raises before hours of work, and before OUT is assigned
         select_variant()
         report.notes += capture.notes
+        if run.options.smooths_mesh:
+            capture = denoised(capture, run)
         _claim(capture, source, run)
         with ExitStack() as files:
             merged = _merged(_packed(_final_views(capture, source, run), run), run, files)

@@ -63,6 +63,7 @@ class InferOptions(AssetOptions):
     interreflection (``albedo_level``). ``has_punctual``: whether the GLB also contains small lamps as point
     lights. ``is_evened``: whether exposures, vignetting and response are estimated from overlapping
     photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are corrected.
+    ``smooths_mesh``: whether noise of the mesh is removed (``mesh_noise``).
     """
 
     visibility: Annotated[
@@ -96,6 +97,9 @@ class InferOptions(AssetOptions):
         bool,
         typer.Option("--mend-poses", help="Correct poses that are off by millimetres; report by how much."),
     ] = False
+    smooths_mesh: Annotated[
+        bool, typer.Option("--smooth-mesh/--no-smooth-mesh", help="Remove noise of the mesh, if it has any.")
+    ] = True
 
 
 @dataclass
@@ -105,10 +109,10 @@ class InferReport:
     ``atlas_size`` is in texels a side; ``seen_share`` and ``seen_of_visible``: observed share of the texels
     on the surface, and of those on visible triangles; ``exposure``: factor of the networks' input;
     ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty unless
-    requested: ``light``, a :class:`~model.reconstruction.light.options.LightReport` as a dictionary, with the
-    recovered lights; ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`; ``poses``, the
-    corrections of poses; ``albedo_level``, a
-    :class:`~model.reconstruction.level.albedo_level.LevelReport` as a dictionary.
+    requested: ``mesh``, its noise; ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`;
+    ``poses``, the corrections of poses; ``albedo_level``, a
+    :class:`~model.reconstruction.level.albedo_level.LevelReport` as a dictionary; ``light``, a
+    :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, as a dictionary.
     """
 
     name: str = ""
@@ -121,6 +125,7 @@ class InferReport:
     unwrap: dict[str, Any] = field(default_factory=dict)
     precision: str = ""
     is_filtered: bool = False
+    mesh: dict[str, Any] = field(default_factory=dict)
     radiometry: dict[str, Any] = field(default_factory=dict)
     poses: dict[str, Any] = field(default_factory=dict)
     albedo_level: dict[str, Any] = field(default_factory=dict)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Removal of noise from meshes: ``smoothing`` moves vertices, ``stage`` applies it to a capture."""

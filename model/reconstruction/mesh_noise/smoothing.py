@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: MIT
+"""Removes noise from reconstructed meshes, and keeps edges.
+
+Photogrammetry displaces vertices by millimetres, which turns the normals of small triangles by tens of
+degrees. Normals are therefore smoothed by a bilateral filter (Zheng et al. 2011, Bilateral normal filtering
+for mesh denoising), whose weights decrease with distance and with the angle between normals, and vertices are
+moved until the triangles agree with these normals (Sun et al. 2007, Fast and effective feature-preserving
+mesh denoising). Triangles keep their order and their vertices.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
+from datagen.foundation.progress import Advance, no_advance
+from datagen.multiview.compiled import compiled, num_threads
+
+NORMAL_ROUNDS, VERTEX_ROUNDS = 20, 20
+ANGLE_SCALE = 0.35
+"""Standard deviation of the filter's weight over the length of the difference of two unit normals."""
+_BLOCK = 16_384
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def noise_deg(mesh: Mesh) -> float:
+    """Measure noise: the area-weighted median over triangles of the smallest angle across one of its edges.
+
+    It is 0 for modelled surfaces, whose faces are pairs of coplanar triangles, or curve in one direction.
+    """
+    corners = welded(mesh)[1][mesh.faces]
+    area_vector = area_vectors(mesh.triangles())
+    length = np.linalg.norm(area_vector, axis=1)
+    normal = area_vector / np.maximum(length, 1e-300)[:, None]
+    ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    keys = ends[:, 0] * (int(corners.max(initial=0)) + 1) + ends[:, 1]
+    face = np.tile(np.arange(len(corners)), 3)
+    order = np.argsort(keys, kind="stable")
+    keys, face = keys[order], face[order]
+    pair = np.flatnonzero(keys[1:] == keys[:-1])
+    a, b = face[pair], face[pair + 1]
+    is_sound = (length[a] > 0) & (length[b] > 0) & (a != b)
+    a, b = a[is_sound], b[is_sound]
+    angle = np.arccos(np.clip((normal[a] * normal[b]).sum(axis=1), -1, 1))
+    smallest = np.full(len(corners), np.inf)
+    np.minimum.at(smallest, a, angle)
+    np.minimum.at(smallest, b, angle)
+    joined = np.flatnonzero(np.isfinite(smallest))
+    if not len(joined):
+        return 0.0
+    joined = joined[np.argsort(smallest[joined], kind="stable")]
+    area = np.cumsum(length[joined])
+    return float(np.degrees(smallest[joined][np.searchsorted(area, 0.5 * area[-1])]))
+
+
+def smoothed(mesh: Mesh, is_fixed: NDArray[np.bool_], progress: Advance = no_advance) -> Mesh:
+    """Return ``mesh`` without noise and without normals; vertices of the triangles ``is_fixed`` (M,) stay."""
+    positions, vertex = welded(mesh)
+    moved = positions.astype(np.float64)
+    faces = vertex[mesh.faces]
+    first, around = _faces_around(faces, len(positions))
+    rounds = NORMAL_ROUNDS + VERTEX_ROUNDS
+    with ThreadPoolExecutor(num_threads()) as pool:
+        area_vector = area_vectors(moved[faces])
+        area = np.linalg.norm(area_vector, axis=1)
+        normal = area_vector / np.maximum(area, 1e-300)[:, None]
+        centre = moved[faces].mean(axis=1)
+        for k in range(NORMAL_ROUNDS):
+            normal = _in_blocks(pool, _filter_normals, normal, (faces, first, around, area, centre))
+            progress(k + 1, rounds)
+        stays = np.zeros(len(positions), np.bool_)
+        stays[faces[is_fixed].ravel()] = True
+        for k in range(VERTEX_ROUNDS):
+            centre = moved[faces].mean(axis=1)
+            moved = _in_blocks(pool, _fit_vertices, moved, (first, around, centre, normal, stays))
+            progress(NORMAL_ROUNDS + k + 1, rounds)
+    return Mesh(moved[vertex].astype(np.float32), mesh.faces, None, mesh.uv)
+
+
+def _faces_around(faces: Ints, num_vertices: int) -> tuple[Ints, Ints]:
+    """Return the triangles (3M,) by vertex, and the index (V + 1,) of each vertex's first."""
+    order = np.argsort(faces.ravel(), kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=num_vertices))])
+    return first, order // 3
+
+
+def _in_blocks(pool: ThreadPoolExecutor, function: Any, values: Floats, arguments: tuple[Any, ...]) -> Floats:
+    """Compute new ``values`` (N, 3) by ``function``, which reads all old ones, in blocks of rows."""
+    found = np.empty_like(values)
+    starts = range(0, len(values), _BLOCK)
+    list(pool.map(lambda s: function(s, min(s + _BLOCK, len(values)), values, found, *arguments), starts))
+    return found
+
+
+@compiled
+def _square(values: Floats, i: int, j: int) -> float:
+    """Compute the squared distance of two rows of ``values`` (N, 3)."""
+    x, y, z = values[i, 0] - values[j, 0], values[i, 1] - values[j, 1], values[i, 2] - values[j, 2]
+    return float(x * x + y * y + z * z)
+
+
+@compiled
+def _filter_normals(
+    begin: int,
+    end: int,
+    normal: Floats,
+    found: Floats,
+    faces: Ints,
+    first: Ints,
+    around: Ints,
+    area: Floats,
+    centre: Floats,
+) -> None:
+    """Filter the normals of the triangles [begin, end); neighbours share a vertex, and count twice if two."""
+    for i in range(begin, end):
+        spread, count = 0.0, 0
+        for k in range(3):
+            v = faces[i, k]
+            for e in range(first[v], first[v + 1]):
+                spread += _square(centre, around[e], i)
+                count += 1
+        x, y, z = 0.0, 0.0, 0.0
+        for k in range(3):
+            v = faces[i, k]
+            for e in range(first[v], first[v + 1]):
+                j = around[e]
+                distance = _square(centre, j, i) * count / (2 * spread + 1e-300)
+                turn = _square(normal, j, i) / (2 * ANGLE_SCALE**2)
+                weight = area[j] * np.exp(-distance - turn)
+                x += weight * normal[j, 0]
+                y += weight * normal[j, 1]
+                z += weight * normal[j, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0:
+            found[i, 0], found[i, 1], found[i, 2] = x / length, y / length, z / length
+        else:
+            found[i] = normal[i]
+
+
+@compiled
+def _fit_vertices(
+    begin: int,
+    end: int,
+    position: Floats,
+    found: Floats,
+    first: Ints,
+    around: Ints,
+    centre: Floats,
+    normal: Floats,
+    stays: NDArray[np.bool_],
+) -> None:
+    """Move the vertices [begin, end) to the mean of their projections on the planes of their triangles."""
+    for v in range(begin, end):
+        found[v] = position[v]
+        count = first[v + 1] - first[v]
+        if stays[v] or count == 0:
+            continue
+        for e in range(first[v], first[v + 1]):
+            j = around[e]
+            height = 0.0
+            for axis in range(3):
+                height += (centre[j, axis] - position[v, axis]) * normal[j, axis]
+            for axis in range(3):
+                found[v, axis] += height / count * normal[j, axis]
