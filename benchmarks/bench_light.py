@@ -38,7 +38,7 @@ from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.light.options import LightOptions
-from model.reconstruction.mesh_noise.stage import denoised
+from model.reconstruction.mesh.stage import mended_mesh
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.stages import Estimate, Maps, Run
@@ -169,7 +169,8 @@ def main() -> None:
             (out / "views").mkdir(parents=True, exist_ok=True)
             report = InferReport(chosen.name, len(chosen.views), len(chosen.geometry.mesh.faces))
             run = Run(out, InferOptions(materials="both"), report, lambda *_: None)
-            rows(trace_capture(denoised(chosen, run)), run, options.checkpoint, options.sheet, options.ablate)
+            traced = trace_capture(mended_mesh(chosen, run))
+            rows(traced, run, options.checkpoint, options.sheet, options.ablate)
 
 
 if __name__ == "__main__":

@@ -81,8 +81,7 @@ MATRIX = {
         "model.reconstruction.radiometry": "datagen.foundation datagen.geometry datagen.light "
         "model.reconstruction.stages",
         "model.reconstruction.unwrap": f"datagen.foundation {_ATLAS}",
-        "model.reconstruction.mesh_noise": f"{_GROUND} datagen.multiview.compiled "
-        "model.reconstruction.stages",
+        "model.reconstruction.mesh": f"{_GROUND} {_TRACED} model.reconstruction.stages",
         "model.reconstruction.merge": f"datagen.foundation datagen.multiview {_ATLAS} "
         "model.reconstruction.unwrap",
         "model.reconstruction.export": f"{_GROUND} {_ATLAS} datagen.multiview.compiled mitsuba_plugins "
@@ -97,7 +96,7 @@ MATRIX = {
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
         "model.reconstruction.export model.reconstruction.infer_options model.reconstruction.poses "
-        "model.reconstruction.mesh_noise model.reconstruction.report_page model.reconstruction.stages",
+        "model.reconstruction.mesh model.reconstruction.report_page model.reconstruction.stages",
         "model.reconstruction.poses": "datagen.foundation datagen.geometry model.reconstruction.stages",
         "model.reconstruction.photos": f"{_GROUND} datagen.multiview.compiled model.reconstruction.captures "
         "model.reconstruction.infer model.reconstruction.infer_options model.reconstruction.render "

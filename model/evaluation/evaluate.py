@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import sha256_file
-from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
@@ -57,8 +56,8 @@ _MATERIALS_FROM_LIGHT = 19
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""
-_MESH_NOISE = 1
-"""Revision of the removal of noise from meshes with errors."""
+_MENDED_MESH = 1
+"""Revision of the mending of meshes with errors."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,7 @@ def _judge(
     maps = _maps_identity(method, name)
     further += [_TAKEN, camera.model_dump(mode="json")] if camera else []
     has_error = method.geometry is not None or (camera is not None and camera.geometry is not None)
-    further += [_MESH_NOISE] if has_error else []
+    further += [_MENDED_MESH] if has_error else []
     key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *further)
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}
@@ -229,11 +228,11 @@ def _measure(
     if isinstance(method, TruthMethod):
         sceneries = scene.sceneries
     else:
-        geometry, found = _reconstruct(suite, scene, method, camera, folder, tell)
+        found = _reconstruct(suite, scene, method, camera, folder, tell)
         seconds = found["seconds"]
         found |= _map_results("per_view", _per_view(scene, folder))
         sceneries = recovered_sceneries(scene, folder / "asset")
-        confidence = merged_confidence(folder, geometry, {n: scene.view(n).camera for n in scene.inputs})
+        confidence = merged_confidence(folder, {n: scene.view(n).camera for n in scene.inputs})
     start = time.perf_counter()
     renders, images, merged = {}, {}, MapMeasures()
     spread: dict[str, dict[str, float]] = {}
@@ -276,8 +275,8 @@ def _measure(
 
 def _reconstruct(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, folder: Path, tell: Tell
-) -> tuple[CaptureGeometry, dict[str, Any]]:
-    """Run ``infer`` for a method unless done; return its unwrapped geometry and the results in the report."""
+) -> dict[str, Any]:
+    """Run ``infer`` for a method unless done; return the results in its report."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
@@ -308,13 +307,12 @@ def _reconstruct(
     report = json.loads((folder / "report.json").read_bytes())
     stages = {name: round(value, 2) for name, value in report["seconds"].items()}
     stages["unwrap"] = round(stages.get("unwrap", 0.0) + seconds, 2)
-    found = {
+    return {
         "seconds": stages,
         "seen_share": report["seen_share"],
         "atlas_size": report["atlas_size"],
         "notes": tuple(report["notes"]),
     }
-    return geometry, found
 
 
 def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The pipeline from a capture to an asset: denoised → traced → checked → completed → predicted → leveled →
+"""The pipeline from a capture to an asset: mended → traced → checked → completed → predicted → leveled →
 merged → filled → balanced → exported.
 
 OUT/state.json      identity of the work: a hash of checkpoint, cameras, geometry and options
@@ -52,7 +52,7 @@ from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
-from model.reconstruction.mesh_noise.stage import denoised
+from model.reconstruction.mesh.stage import mended_mesh
 from model.reconstruction.poses.stage import mended
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
@@ -126,8 +126,8 @@ def infer(
         source.prepare(run.options)  # raises before hours of work, and before OUT is assigned
         select_variant()
         report.notes += capture.notes
-        if run.options.smooths_mesh:
-            capture = denoised(capture, run)
+        if run.options.mends_mesh:
+            capture = mended_mesh(capture, run)
         _claim(capture, source, run)
         with ExitStack() as files:
             merged = _merged(_packed(_final_views(capture, source, run), run), run, files)

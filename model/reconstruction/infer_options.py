@@ -63,7 +63,7 @@ class InferOptions(AssetOptions):
     interreflection (``albedo_level``). ``has_punctual``: whether the GLB also contains small lamps as point
     lights. ``is_evened``: whether exposures, vignetting and response are estimated from overlapping
     photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are corrected.
-    ``smooths_mesh``: whether noise of the mesh is removed (``mesh_noise``).
+    ``mends_mesh``: whether noise and holes of a reconstructed mesh are removed (``mesh``).
     """
 
     visibility: Annotated[
@@ -97,8 +97,8 @@ class InferOptions(AssetOptions):
         bool,
         typer.Option("--mend-poses", help="Correct poses that are off by millimetres; report by how much."),
     ] = False
-    smooths_mesh: Annotated[
-        bool, typer.Option("--smooth-mesh/--no-smooth-mesh", help="Remove noise of the mesh, if it has any.")
+    mends_mesh: Annotated[
+        bool, typer.Option("--mend-mesh/--no-mend-mesh", help="Smooth a noisy mesh, and fill its holes.")
     ] = True
 
 
@@ -109,8 +109,8 @@ class InferReport:
     ``atlas_size`` is in texels a side; ``seen_share`` and ``seen_of_visible``: observed share of the texels
     on the surface, and of those on visible triangles; ``exposure``: factor of the networks' input;
     ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty unless
-    requested: ``mesh``, its noise; ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`;
-    ``poses``, the corrections of poses; ``albedo_level``, a
+    requested: ``mesh``, its noise and holes; ``radiometry``, the findings of
+    :mod:`~model.reconstruction.radiometry`; ``poses``, the corrections of poses; ``albedo_level``, a
     :class:`~model.reconstruction.level.albedo_level.LevelReport` as a dictionary; ``light``, a
     :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, as a dictionary.
     """

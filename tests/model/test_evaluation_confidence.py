@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
 from model.evaluation.confidence_chart import confidence_svg
 from model.evaluation.merged_confidence import merged_confidence
 from model.evaluation.overview import standalone
@@ -23,13 +23,12 @@ from tests.model.suite_results import suite_of
 SIZE = 64
 
 
-def wall() -> CaptureGeometry:
+def wall() -> Mesh:
     """A square of 2 m in the plane x = 3, whose u increases towards -y and v towards +z."""
     corners = np.array([[3, 1, -1], [3, -1, -1], [3, -1, 1], [3, 1, 1]], np.float32)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     normals = np.tile(np.array([[-1, 0, 0]], np.float32), (4, 1))
-    mesh = Mesh(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32), normals, uv)
-    return CaptureGeometry(mesh, (GeometryPart("wall", 0, 2, None),))
+    return Mesh(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32), normals, uv)
 
 
 def camera() -> Camera:
@@ -43,7 +42,9 @@ def test_confidence_is_that_of_the_texel_at_each_pixel(tmp_path: Path) -> None:
     ramp = np.linspace(0, 255, SIZE)
     atlas = np.stack([*np.meshgrid(ramp, ramp, indexing="ij"), np.full((SIZE, SIZE), 102)], axis=2)
     Image.fromarray(np.round(atlas).astype(np.uint8)).save(tmp_path / "atlas" / "confidence.png")
-    found = merged_confidence(tmp_path, wall(), {"view": camera()})["view"]
+    (tmp_path / "asset").mkdir()
+    (tmp_path / "asset" / "surface.ply").write_bytes(encode_ply(wall()))
+    found = merged_confidence(tmp_path, {"view": camera()})["view"]
     assert found.shape == (2, 3, 3)
     assert not found[:, [0, 2]].any()
     height = 3 * 0.5 / 1.5  # of the upper pixel's centre on the wall, in metres above its middle
@@ -52,7 +53,7 @@ def test_confidence_is_that_of_the_texel_at_each_pixel(tmp_path: Path) -> None:
 
 
 def test_an_atlas_without_confidence_has_none(tmp_path: Path) -> None:
-    assert merged_confidence(tmp_path, wall(), {"view": camera()}) == {}
+    assert merged_confidence(tmp_path, {"view": camera()}) == {}
 
 
 def result(calibration: dict[str, list[float]]) -> SuiteResult:

@@ -16,8 +16,8 @@ from datagen.foundation.meshes.mesh import Mesh, area_vectors
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.infer_options import InferReport
-from model.reconstruction.mesh_noise.smoothing import noise_deg, smoothed
-from model.reconstruction.mesh_noise.stage import denoised
+from model.reconstruction.mesh.smoothing import noise_deg, smoothed
+from model.reconstruction.mesh.stage import mended_mesh
 from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.stages import Run
 from oracles.textured_room import room_capture
@@ -128,24 +128,24 @@ def noisy_capture() -> Capture:
 
 def test_only_noisy_meshes_change(tmp_path: Path) -> None:
     clean, run = room_capture(2, (32, 24)), run_in(tmp_path)
-    assert denoised(clean, run) is clean and run.report.notes == []
+    assert mended_mesh(clean, run) is clean and run.report.notes == []
     assert run.report.mesh == {"noise_deg": 0.0}
     capture, run = noisy_capture(), run_in(tmp_path)
-    found = denoised(capture, run)
+    found = mended_mesh(capture, run)
     assert found.geometry.parts == capture.geometry.parts and found.views is capture.views
     np.testing.assert_array_equal(found.geometry.mesh.faces, capture.geometry.mesh.faces)
     np.testing.assert_array_equal(found.geometry.mesh.positions[-3:], capture.geometry.mesh.positions[-3:])
     report = run.report.mesh
     assert report["noise_deg"] > 4 > 1 > report["left_deg"] and 5 < report["moved_mm_50"] < 40
-    assert report["moved_mm_50"] < report["moved_mm_95"] and "--no-smooth-mesh" in run.report.notes[0]
+    assert report["moved_mm_50"] < report["moved_mm_95"] and "--no-mend-mesh" in run.report.notes[0]
 
 
 @pytest.mark.usefixtures("mitsuba_variant")
 def test_the_asset_has_the_smoothed_mesh_unless_refused(tmp_path: Path) -> None:
     noise = {}
-    for name, smooths in (("smooth", True), ("given", False)):
-        report = infer(noisy_capture(), tmp_path / name, TRUTH, replace(OPTIONS, smooths_mesh=smooths))
+    for name, is_mended in (("smooth", True), ("given", False)):
+        report = infer(noisy_capture(), tmp_path / name, TRUTH, replace(OPTIONS, mends_mesh=is_mended))
         shape = trimesh.load(tmp_path / name / f"{report.name}.glb", force="mesh")
         noise[name] = noise_deg(mesh_of(shape))
-        assert bool(report.mesh) == smooths and any("smoothed" in note for note in report.notes) == smooths
+        assert bool(report.mesh) == is_mended and any("mended" in n for n in report.notes) == is_mended
     assert noise["smooth"] < 0.2 * noise["given"]

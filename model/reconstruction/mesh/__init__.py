@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Mending of reconstructed meshes: ``holes`` fills holes, ``smoothing`` removes noise."""

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""Finds holes of a reconstructed mesh, and fills those in which photographs show a continued surface.
+
+A hole is a simple cycle of boundary edges around which the surface lies in about one plane, and outside of
+the cycle; the rims of vessels and the outlines of open parts are none. Through a window, photographs show a
+surface at another depth, or light: views disagree there about a point on the filling, or it is much brighter
+than the surface around it. Such openings, and those that fewer than two views see, are left open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.capture import Capture, CaptureGeometry, GeometryPart
+from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
+from datagen.geometry.traced import mesh_scene
+from datagen.multiview.compiled import compiled
+from datagen.multiview.visibility import vectors_from_rows
+
+MAX_SIZE = 0.15
+"""Maximum extent of a hole, relative to the diagonal of the mesh's bounding box."""
+MIN_FLAT = 0.5
+"""Minimum cosine of the angle between the normal of the filling and the mean normal around it."""
+MAX_CHANGE, MAX_SPREAD, MAX_SPREADS = np.log(2.0), 0.2, 1.5
+"""Maximum difference of log radiance between filling and surroundings; maximum median deviation of log
+radiance between views, absolute and relative to that of the surroundings. The larger maximum applies."""
+MIN_VIEWS, NUM_POINTS = 2, 12
+"""Minimum number of views of a point, and number of points on each filling and around it."""
+PART = "filled holes"
+_NEAR = 2e-3  # part of the distance to the camera that is not tested for occlusion
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A hole: welded vertex indices ``loop`` (N,), in the order of the filling's triangles, and the triangles
+    ``around`` (N,) at its edges."""
+
+    loop: Ints
+    around: Ints
+
+
+def find_holes(mesh: Mesh, is_ignored: NDArray[np.bool_]) -> list[Hole]:
+    """Find the holes of ``mesh``; triangles ``is_ignored`` (M,) do not belong to the surface."""
+    positions, vertex = welded(mesh)
+    corners = vertex[mesh.faces]
+    normal = area_vectors(positions.astype(np.float64)[corners])
+    length = np.linalg.norm(normal, axis=1)
+    kept = np.flatnonzero(~is_ignored & (length > 0))
+    unit = normal / np.maximum(length, 1e-300)[:, None]
+    size = MAX_SIZE * float(np.linalg.norm(np.ptp(positions, axis=0)))
+    found = []
+    for loop, around in _cycles(*_boundary(corners[kept], len(positions))):
+        points = positions[loop].astype(np.float64)
+        if len(loop) < 3 or np.ptp(points, axis=0).max() > size:
+            continue
+        owners = kept[around]
+        mean = unit[owners].mean(axis=0)
+        filling = np.cross(points - points[0], np.roll(points, -1, axis=0) - points[0]).sum(axis=0)
+        if filling @ mean > MIN_FLAT * np.linalg.norm(filling):
+            found.append(Hole(loop, owners))
+    return found
+
+
+def _boundary(corners: Ints, num_vertices: int) -> tuple[Ints, Ints, Ints]:
+    """Return start, end and triangle (E,) of the edges that a filling would add to triangles (M, 3)."""
+    start = corners.ravel()
+    end = np.roll(corners, -1, axis=1).ravel()
+    forward, backward = start * num_vertices + end, end * num_vertices + start
+    single = np.flatnonzero(~np.isin(forward, backward) & (start != end))
+    return end[single], start[single], single // 3
+
+
+def _cycles(start: Ints, end: Ints, owner: Ints) -> list[tuple[Ints, Ints]]:
+    """Divide directed edges into simple cycles, as vertices and owners (N,) of the edges that leave them."""
+    leaving: dict[int, list[int]] = {}
+    for edge in range(len(start) - 1, -1, -1):
+        leaving.setdefault(int(start[edge]), []).append(edge)
+    cycles = []
+    for first in list(leaving):
+        path: list[int] = []  # edges
+        place: dict[int, int] = {}  # position in the path of the edge that leaves a vertex
+        at = first
+        while leaving.get(at):
+            edge = leaving[at].pop()
+            place[at] = len(path)
+            path.append(edge)
+            at = int(end[edge])
+            if at in place:
+                cycle = np.array(path[place[at] :])
+                cycles.append((start[cycle], owner[cycle]))
+                for closed in path[place[at] :]:
+                    del place[int(start[closed])]
+                del path[len(path) - len(cycle) :]
+    return cycles
+
+
+def triangulated(points: Floats) -> Ints:
+    """Triangulate a polygon (N, 3) that is about flat, by clipping ears; returns indices (N - 2, 3)."""
+    normal = np.cross(points - points[0], np.roll(points, -1, axis=0) - points[0]).sum(axis=0)
+    normal /= max(float(np.linalg.norm(normal)), 1e-300)
+    helper = np.eye(3)[np.argmin(np.abs(normal))]
+    tangent = np.cross(helper, normal)
+    tangent /= np.linalg.norm(tangent)
+    flat = points @ np.stack([tangent, np.cross(normal, tangent)], axis=1)
+    return np.asarray(_clip_ears(np.ascontiguousarray(flat)), np.int64)
+
+
+@compiled
+def _clip_ears(points: Floats) -> Ints:
+    """Triangulate a counter-clockwise polygon (N, 2); if no ear is left, clip the most convex corner."""
+    rest = list(range(len(points)))
+    found = np.empty((len(points) - 2, 3), np.int64)
+    for step in range(len(found)):
+        best, best_turn, best_is_free = 0, -np.inf, False
+        for k in range(len(rest)):
+            a, b, c = rest[k - 1], rest[k], rest[(k + 1) % len(rest)]
+            turn = _turn(points, a, b, c)
+            is_free = turn > 0
+            for other in rest:
+                if other != a and other != b and other != c:
+                    is_left = _turn(points, a, b, other) >= 0 and _turn(points, b, c, other) >= 0
+                    is_free &= not (is_left and _turn(points, c, a, other) >= 0)
+            if is_free > best_is_free or (is_free == best_is_free and turn > best_turn):
+                best, best_turn, best_is_free = k, turn, is_free
+        found[step, 0] = rest[best - 1]
+        found[step, 1] = rest[best]
+        found[step, 2] = rest[(best + 1) % len(rest)]
+        rest.pop(best)
+    return found
+
+
+@compiled
+def _turn(points: Floats, a: int, b: int, c: int) -> float:
+    """Compute twice the signed area of the triangle of three points."""
+    return float(
+        (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
+        - (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])
+    )
+
+
+def filled(capture: Capture) -> tuple[Capture, int]:
+    """Fill the holes of the capture's mesh in which photographs show surface; returns their number, too.
+
+    The triangles are a further part at the end, without UVs: the mesh is then to be unwrapped.
+    """
+    geometry = capture.geometry
+    holes = find_holes(geometry.mesh, geometry.emitter_mask())
+    if not holes:
+        return capture, 0
+    mesh = geometry.mesh
+    positions, vertex = welded(mesh)
+    patches = [hole.loop[triangulated(positions[hole.loop].astype(np.float64))] for hole in holes]
+    is_surface = _is_surface(capture, positions.astype(np.float64), vertex[mesh.faces], holes, patches)
+    chosen = [patch for patch, is_chosen in zip(patches, is_surface, strict=True) if is_chosen]
+    if not chosen:
+        return capture, 0
+    added = np.concatenate(chosen)
+    faces = np.concatenate([vertex[mesh.faces], added]).astype(np.int32)
+    parts = (*geometry.parts, GeometryPart(PART, len(mesh.faces), len(added)))
+    return replace(capture, geometry=CaptureGeometry(Mesh(positions, faces), parts)), len(chosen)
+
+
+def _is_surface(
+    capture: Capture, positions: Floats, corners: Ints, holes: Sequence[Hole], patches: Sequence[Ints]
+) -> NDArray[np.bool_]:
+    """Mask (H,) of the holes in which photographs show a surface that continues the one around it."""
+    random = np.random.default_rng(0x686F6C65)
+    triangles = [t for hole, patch in zip(holes, patches, strict=True) for t in (patch, corners[hole.around])]
+    points = np.concatenate([_points_on(positions[t], random) for t in triangles])
+    whole = Mesh(positions.astype(np.float32), np.concatenate([corners, *patches]).astype(np.int32))
+    level, spread = _seen_radiance(capture, mesh_scene(whole), points)
+    shape = (len(holes), 2, NUM_POINTS)
+    levels, spreads = (_medians(values.reshape(shape)) for values in (level, spread))
+    with np.errstate(invalid="ignore"):  # NaN: not seen
+        is_continued = np.abs(levels[:, 0] - levels[:, 1]) <= MAX_CHANGE
+        agrees = spreads[:, 0] <= np.maximum(MAX_SPREAD, MAX_SPREADS * spreads[:, 1])
+    return np.asarray(is_continued & agrees)
+
+
+def _medians(values: Floats) -> Floats:
+    """Upper median over the last axis without NaN; NaN if there is no other value."""
+    ordered = np.sort(values, axis=-1)  # NaN last
+    count = np.isfinite(values).sum(axis=-1)
+    middle = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[-1] - 1)[..., None], axis=-1)[
+        ..., 0
+    ]
+    return np.where(count > 0, middle, np.nan)
+
+
+def _points_on(triangles: Floats, random: np.random.Generator) -> Floats:
+    """Draw NUM_POINTS points (P, 3) on triangles (K, 3, 3), by area."""
+    area = np.linalg.norm(area_vectors(triangles.astype(np.float64)), axis=1) + 1e-12
+    chosen = triangles[random.choice(len(area), NUM_POINTS, p=area / area.sum())]
+    shares = random.dirichlet(np.ones(3), NUM_POINTS)
+    return np.asarray((shares[..., None] * chosen).sum(axis=1), np.float64)
+
+
+def _seen_radiance(capture: Capture, scene: mi.Scene, points: Floats) -> tuple[Floats, Floats]:
+    """Return the median log radiance (P,) of points over the views that see them, and its median absolute
+    deviation (P,); NaN for points in fewer than :data:`MIN_VIEWS` views."""
+    seen = np.full((len(capture.views), len(points)), np.nan, np.float32)
+    for row, view in zip(seen, capture.views, strict=True):
+        image = view.read()
+        luminance = image.color @ LUMINANCE_WEIGHTS
+        pixels, depth = view.camera.project(points)
+        x, y = np.floor(np.nan_to_num(pixels, nan=-1.0)).astype(np.int64).T
+        height, width = luminance.shape
+        seen_here = np.flatnonzero((depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height))
+        seen_here = seen_here[image.valid_mask[y[seen_here], x[seen_here]]]
+        seen_here = seen_here[_is_visible(scene, view.camera.position_m, points[seen_here])]
+        row[seen_here] = np.log(np.maximum(luminance[y[seen_here], x[seen_here]], 1e-6))
+    seen[:, np.isfinite(seen).sum(axis=0) < MIN_VIEWS] = np.nan
+    level = _medians(seen.T.astype(np.float64))
+    return level, _medians(np.abs(seen.T - level[:, None]))
+
+
+def _is_visible(scene: mi.Scene, eye: Floats, points: Floats) -> NDArray[np.bool_]:
+    """Mask (P,) of the points that nothing hides from ``eye``."""
+    import mitsuba as mi
+
+    if not len(points):
+        return np.zeros(0, np.bool_)
+    way = points - eye
+    distance = np.linalg.norm(way, axis=1)
+    start = np.repeat(eye[None], len(points), axis=0)
+    origin, direction = mi.Point3f(vectors_from_rows(start)), vectors_from_rows(way / distance[:, None])
+    reach: Any = mi.Float(distance * (1 - _NEAR))
+    ray = mi.Ray3f(mi.Ray3f(origin, direction), reach)
+    return np.asarray(~scene.ray_test(ray).numpy().astype(bool), np.bool_)

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: MIT
+"""Holes of meshes: the cycles that count, their triangulation, and the evidence of photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from datagen.formats.capture import Capture, CaptureView, ColorImage
+from datagen.foundation.cameras import Camera
+from datagen.foundation.meshes.mesh import Mesh, area_vectors
+from datagen.geometry.traced import TracedGeometry
+from model.reconstruction.mesh.holes import PART, filled, find_holes, triangulated
+from oracles.textured_room import geometry_of, room_capture, room_mesh
+
+CENTRE, RADIUS_M = np.array([3.0, 0.8, 0.0]), 0.3
+"""Centre and radius of the hole in the room's floor."""
+
+
+def fine(mesh: Mesh) -> Mesh:
+    """The mesh with edges of at most 0.15 m, without UVs."""
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.positions, mesh.faces, 0.15, max_iter=20)
+    return Mesh(np.asarray(vertices, np.float32), np.asarray(faces, np.int32))
+
+
+def without(mesh: Mesh, centre: NDArray, radius_m: float) -> Mesh:
+    """The mesh without the triangles whose centres are near a point."""
+    distance = np.linalg.norm(mesh.triangles().mean(axis=1) - centre, axis=1)
+    return replace(mesh, faces=mesh.faces[distance > radius_m])
+
+
+def num_holes(mesh: Mesh, is_ignored: NDArray[np.bool_] | None = None) -> int:
+    return len(find_holes(mesh, np.zeros(len(mesh.faces), bool) if is_ignored is None else is_ignored))
+
+
+def test_a_hole_is_found_with_its_edges() -> None:
+    mesh = without(fine(room_mesh()), CENTRE, RADIUS_M)
+    (hole,) = find_holes(mesh, np.zeros(len(mesh.faces), bool))
+    triangles = mesh.triangles()[hole.around]
+    assert len(hole.around) == len(hole.loop) > 8
+    assert np.linalg.norm(triangles.mean(axis=1) - CENTRE, axis=1).max() < RADIUS_M + 0.15
+
+
+def test_outlines_rims_and_large_openings_are_no_holes() -> None:
+    room = fine(room_mesh())
+    assert num_holes(room) == 0
+    assert num_holes(without(room, CENTRE, 0.6)) == 0  # larger than MAX_SIZE
+    plane = fine(Mesh(*(np.asarray(a) for a in (room_mesh().positions[:4], room_mesh().faces[:2]))))
+    assert num_holes(plane) == 0
+    cup = fine(room_mesh())
+    low = cup.positions[cup.faces][..., 2].max(axis=1) < 0.4
+    small = np.vstack([cup.positions, [[90, 0, 0], [90, 1, 0], [90, 0, 1]]]).astype(np.float32)
+    faces = np.vstack([cup.faces[low], [np.arange(3) + len(cup.positions)]]).astype(np.int32)
+    assert num_holes(Mesh(small, faces)) == 0  # the rim of a room cut at 0.4 m, in a larger scene
+
+
+def test_holes_that_touch_are_separate() -> None:
+    """Two squares of a grid that share a corner."""
+    shape = trimesh.creation.box((1, 1, 0.001))
+    vertices, faces = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(shape.vertices, shape.faces))
+    vertices, faces = trimesh.remesh.subdivide(vertices, faces)
+    mesh = Mesh(np.asarray(vertices, np.float32) * [8, 8, 8], np.asarray(faces, np.int32))
+    mesh = replace(mesh, positions=np.ascontiguousarray(mesh.positions, np.float32))
+    centre = mesh.triangles().mean(axis=1)
+    top = area_vectors(mesh.triangles())[:, 2] > 0
+    cell = np.floor(centre[:, :2])
+    gone = top & ((cell == [0, 0]).all(axis=1) | (cell == [1, 1]).all(axis=1))
+    assert gone.sum() == 4
+    holes = find_holes(replace(mesh, faces=mesh.faces[~gone]), np.zeros((~gone).sum(), bool))
+    assert sorted(len(hole.loop) for hole in holes) == [4, 4]
+    both = np.zeros(len(mesh.faces), bool)
+    both[np.flatnonzero(top & (cell == [1, 1]).all(axis=1))] = True
+    assert num_holes(mesh, both) == 1  # around a lamp
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]],
+        [[0, 0], [4, 0], [4, 3], [3, 3], [3, 1], [2, 1], [2, 3], [1, 3], [1, 1], [0.5, 3], [0, 3]],
+        [
+            [np.cos(a) * r, np.sin(a) * r]
+            for a, r in zip(np.arange(10) * np.pi / 5, [1, 0.4] * 5, strict=True)
+        ],
+    ],
+    ids=["L", "comb", "star"],
+)
+def test_triangles_cover_a_polygon_once(outline: list[list[float]]) -> None:
+    flat = np.array(outline, float)
+    area = 0.5 * np.cross(flat, np.roll(flat, -1, axis=0)).sum()
+    axes = np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    points = flat @ axes + [3, 1, -2]
+    vectors = area_vectors(points[triangulated(points)])
+    normal = np.cross(*axes)
+    assert len(vectors) == len(flat) - 2 and (vectors @ normal > 0).all()
+    assert 0.5 * np.linalg.norm(vectors, axis=1).sum() == pytest.approx(area)
+
+
+@dataclass(frozen=True)
+class _Painted:
+    """Image source whose photograph is given."""
+
+    color: NDArray[np.float32]
+
+    def read(self, camera: Camera) -> ColorImage:
+        return ColorImage(self.color, np.ones(self.color.shape[:2], bool))
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        raise NotImplementedError
+
+
+def holed_capture(paint: Callable[[Camera, NDArray, NDArray], NDArray], num_views: int = 10) -> Capture:
+    """The room with a hole in its floor; ``paint`` gets the camera, the photograph and the pixels' points,
+    and returns the photograph inside of the hole."""
+    geometry = geometry_of(without(fine(room_mesh()), CENTRE, RADIUS_M))
+    true, holed = TracedGeometry(geometry_of(room_mesh())), TracedGeometry(geometry)
+    views = []
+    for view in room_capture(num_views).views:
+        color, depth = view.read().color, true.trace_view(view.camera).depth_z_m[..., 0]
+        points = view.camera.unproject(view.camera.pixel_centers(), depth)
+        inside = holed.trace_view(view.camera).face < 0
+        painted = np.where(inside[..., None], paint(view.camera, color, points), color)
+        views.append(CaptureView(view.name, view.camera, _Painted(painted.astype(np.float32))))
+    return Capture("room", tuple(views), geometry)
+
+
+def behind(camera: Camera, color: NDArray, points: NDArray) -> NDArray:
+    """A striped floor 3 m below the hole, of the same mean."""
+    ways = points - camera.position_m
+    far = camera.position_m + ways * ((-3 - camera.position_m[2]) / np.minimum(ways[..., 2:], -1e-6))
+    return color.mean() * np.where(np.floor(far[..., :1] * 2) % 2 == 0, 1.6, 0.4) * np.ones(3)
+
+
+def floor(camera: Camera, color: NDArray, points: NDArray) -> NDArray:
+    """The floor that the mesh lacks."""
+    return color
+
+
+@pytest.mark.usefixtures("mitsuba_variant")
+@pytest.mark.parametrize(
+    ("paint", "num_views", "num"),
+    [
+        (floor, 10, 1),
+        (floor, 1, 0),
+        (behind, 10, 0),
+        (lambda camera, color, points: 8 * color, 10, 0),
+        (lambda camera, color, points: color / 8, 10, 0),
+    ],
+    ids=["floor", "one view", "another room", "daylight", "night"],
+)
+def test_photographs_decide(
+    paint: Callable[[Camera, NDArray, NDArray], NDArray], num_views: int, num: int
+) -> None:
+    capture = holed_capture(paint, num_views)
+    found, num_filled = filled(capture)
+    assert num_filled == num
+    if num == 0:
+        assert found is capture
+        return
+    part = found.geometry.parts[-1]
+    assert part.name == PART and part.emission is None and found.geometry.mesh.uv is None
+    mesh = found.geometry.mesh
+    added = mesh.triangles()[part.first_face :]
+    assert np.abs(added[..., 2]).max() < 1e-6
+    assert (area_vectors(added)[:, 2] >= 0).all()  # into the room
+    missing = fine(room_mesh()).areas().sum() - capture.geometry.mesh.areas().sum()
+    assert mesh.areas()[part.first_face :].sum() == pytest.approx(missing, rel=1e-3)
+    before = capture.geometry.mesh
+    np.testing.assert_array_equal(mesh.triangles()[: len(before.faces)], before.triangles())
