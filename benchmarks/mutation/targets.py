@@ -59,6 +59,10 @@ TARGETS = {
     "albedo level": Target(
         ("model/reconstruction/level/albedo_level.py",), ("tests/model/test_albedo_gains.py",)
     ),
+    "mesh mending": Target(
+        ("model/reconstruction/mesh/holes.py", "model/reconstruction/mesh/smoothing.py"),
+        ("tests/model/test_mesh_holes.py", "tests/model/test_mesh_smoothing.py"),
+    ),
     "bilateral solver": Target(("model/bilateral_solver.py",), ("tests/model/test_bilateral_solver.py",)),
     "BSDF": Target(
         ("mitsuba_plugins/beckmann.py", "mitsuba_plugins/cook_torrance.py"),

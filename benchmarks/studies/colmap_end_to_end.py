@@ -273,7 +273,9 @@ class EndToEnd:
             surface = sparse_surface(read_sights(model, Budget(model), MAX_POINT_ERROR_PX))
             mesh = self.capture / "sparse.ply"
             mesh.write_bytes(encode_ply(surface))
-        options = ("--mesh", str(mesh), "--out", str(self.result), "--atlas", self.atlas, "--quiet")
+        options = ["--mesh", str(mesh), "--out", str(self.result), "--atlas", self.atlas, "--quiet"]
+        if self.mesh == "colmap":
+            options.append("--no-mend-mesh")  # as materials photos does with a sparse surface
         run("model.cli", "infer", str(self.capture), *options, log=log)
 
     def pose_errors(self) -> dict[str, float]:

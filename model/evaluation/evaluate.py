@@ -35,7 +35,7 @@ from model.evaluation.map_measures import MapMeasures
 from model.evaluation.merged_confidence import merged_confidence
 from model.evaluation.metrics import means
 from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_of, open_scene, told
-from model.evaluation.predictions import light_revision, link_files, predictions_folder
+from model.evaluation.predictions import light_revision, link_files, mesh_revision, predictions_folder
 from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.rendering import JudgedView
 from model.evaluation.rerendering import figures_of, renderings_of, spread_of
@@ -56,8 +56,6 @@ _MATERIALS_FROM_LIGHT = 19
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""
-_MENDED_MESH = 1
-"""Revision of the mending of meshes with errors."""
 
 
 @dataclass(frozen=True)
@@ -175,8 +173,7 @@ def _judge(
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
     further += [_TAKEN, camera.model_dump(mode="json")] if camera else []
-    has_error = method.geometry is not None or (camera is not None and camera.geometry is not None)
-    further += [_MENDED_MESH] if has_error else []
+    further += mesh_revision(method, camera)
     key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *further)
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}

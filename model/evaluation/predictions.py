@@ -12,8 +12,11 @@ from datagen.foundation.versions import LIGHT_REVISION
 from model.checkpoint import read_card
 from model.evaluation.camera_faults import CameraFaults
 from model.evaluation.opened_scene import OpenedScene, key_of
-from model.evaluation.suite import NetworkMethod
+from model.evaluation.suite import Method, NetworkMethod
 from model.own_network import network_inputs
+
+_MENDED_MESH = 1
+"""Revision of the mending of meshes with errors, which precedes prediction."""
 
 
 def predictions_folder(
@@ -22,16 +25,20 @@ def predictions_folder(
     """Folder for predictions of the checkpoint with the hash ``weights``, named by a hash of their inputs."""
     faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
     names = scene.prepared.input_names
-    return (
-        scene.root
-        / f"predictions-{key_of(weights, method.is_filtered, names, faults, *light_revision(method))}"
-    )
+    revisions = [*light_revision(method), *mesh_revision(method, camera)]
+    return scene.root / f"predictions-{key_of(weights, method.is_filtered, names, faults, *revisions)}"
 
 
 def light_revision(method: NetworkMethod) -> list[int]:
     """Return the revision of recorded light in a list if the method's network uses it as input, else []."""
     inputs = network_inputs(read_card(Path(method.checkpoint)).network)
     return [LIGHT_REVISION] if set(LIGHT_BUFFERS) & set(inputs) else []
+
+
+def mesh_revision(method: Method, camera: CameraFaults | None) -> list[int]:
+    """Return the revision of mended meshes in a list if the mesh of a method has errors, else []."""
+    errors = (method.geometry, camera.geometry if camera else None)
+    return [_MENDED_MESH] if any(error is not None for error in errors) else []
 
 
 def link_files(source: Path, target: Path) -> None:

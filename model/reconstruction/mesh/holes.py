@@ -30,8 +30,9 @@ MIN_FLAT = 0.5
 MAX_CHANGE, MAX_SPREAD, MAX_SPREADS = np.log(2.0), 0.2, 1.5
 """Maximum difference of log radiance between filling and surroundings; maximum median deviation of log
 radiance between views, absolute and relative to that of the surroundings. The larger maximum applies."""
-MIN_VIEWS, NUM_POINTS = 2, 12
-"""Minimum number of views of a point, and number of points on each filling and around it."""
+MIN_VIEWS, NUM_POINTS, MAX_HOLES = 2, 12, 2000
+"""Minimum number of views of a point, number of points on each filling and around it, and maximum number of
+holes, of which those with the most edges count."""
 PART = "filled holes"
 _NEAR = 2e-3  # part of the distance to the camera that is not tested for occlusion
 
@@ -157,6 +158,7 @@ def filled(capture: Capture) -> tuple[Capture, int]:
     """
     geometry = capture.geometry
     holes = find_holes(geometry.mesh, geometry.emitter_mask())
+    holes = sorted(holes, key=lambda hole: -len(hole.loop))[:MAX_HOLES]
     if not holes:
         return capture, 0
     mesh = geometry.mesh

@@ -157,6 +157,11 @@ class ColmapRun:
         write_bytes_atomically(self.work / "mesh.done", b"")
         return mesh
 
+    @property
+    def has_sparse_mesh(self) -> bool:
+        """Whether the mesh is a surface through sparse points."""
+        return (self.work / "mesh.done").is_file()
+
     def _do(self, step: Step) -> None:
         done = self.work / f"{step.name}.done"
         if done.is_file():

@@ -91,8 +91,9 @@ def make_asset(
         if reading.up == "auto":
             reading = replace(reading, up="cameras")
         if options.reading.mesh is None:
-            # a surface through COLMAP's points is in the cameras' frame, but lacks most edges of the room
-            inference = replace(inference, is_checked=False)
+            # a surface through COLMAP's points is in the cameras' frame, but lacks most edges of the room;
+            # sparse points are accurate, and the wide triangles between them are not noise
+            inference = replace(inference, is_checked=False, mends_mesh=not run.has_sparse_mesh)
     report = None
     if not (out / "report.json").is_file():
         opened = replace(read_capture(capture, reading), name="room")
