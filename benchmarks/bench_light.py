@@ -170,6 +170,8 @@ def main() -> None:
             report = InferReport(chosen.name, len(chosen.views), len(chosen.geometry.mesh.faces))
             run = Run(out, InferOptions(materials="both"), report, lambda *_: None)
             traced = trace_capture(mended_mesh(chosen, run))
+            if "left_deg" in report.mesh:
+                print(f"  mesh: {report.mesh}")
             rows(traced, run, options.checkpoint, options.sheet, options.ablate)
 
 
