@@ -15,6 +15,7 @@ from datagen.formats.capture import Capture, CaptureView, ColorImage
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh, area_vectors
 from datagen.geometry.traced import TracedGeometry
+from model.reconstruction.mesh import holes
 from model.reconstruction.mesh.holes import PART, filled, find_holes, triangulated
 from oracles.textured_room import geometry_of, room_capture, room_mesh
 
@@ -59,6 +60,24 @@ def test_outlines_rims_and_large_openings_are_no_holes() -> None:
     assert num_holes(Mesh(small, faces)) == 0  # the rim of a room cut at 0.4 m, in a larger scene
 
 
+def test_a_lampshade_has_no_holes() -> None:
+    """The normals around its openings are 17 degrees off the horizontal; a far triangle makes them small."""
+    angle = 2 * np.pi * np.arange(24) / 24
+    rings = [
+        np.stack([r * np.cos(angle), r * np.sin(angle), np.full(24, z)], axis=1)
+        for r, z in ((0.3, 0), (0.2, 0.33))
+    ]
+    low, high = np.arange(24), np.arange(24) + 24
+    after = np.roll(low, -1)
+    sides = np.concatenate([np.stack([low, after, high], 1), np.stack([after, after + 24, high], 1)])
+    far = [[9, 0, 0], [9, 1, 0], [9, 0, 1]]
+    mesh = Mesh(
+        np.concatenate([*rings, far]).astype(np.float32),
+        np.concatenate([sides, [[48, 49, 50]]]).astype(np.int32),
+    )
+    assert (area_vectors(mesh.triangles())[:-1, 2] > 0).all() and num_holes(mesh) == 0
+
+
 def test_holes_that_touch_are_separate() -> None:
     """Two squares of a grid that share a corner."""
     shape = trimesh.creation.box((1, 1, 0.001))
@@ -71,8 +90,8 @@ def test_holes_that_touch_are_separate() -> None:
     cell = np.floor(centre[:, :2])
     gone = top & ((cell == [0, 0]).all(axis=1) | (cell == [1, 1]).all(axis=1))
     assert gone.sum() == 4
-    holes = find_holes(replace(mesh, faces=mesh.faces[~gone]), np.zeros((~gone).sum(), bool))
-    assert sorted(len(hole.loop) for hole in holes) == [4, 4]
+    found = find_holes(replace(mesh, faces=mesh.faces[~gone]), np.zeros((~gone).sum(), bool))
+    assert sorted(len(hole.loop) for hole in found) == [4, 4]
     both = np.zeros(len(mesh.faces), bool)
     both[np.flatnonzero(top & (cell == [1, 1]).all(axis=1))] = True
     assert num_holes(mesh, both) == 1  # around a lamp
@@ -154,7 +173,9 @@ def floor(camera: Camera, color: NDArray, points: NDArray) -> NDArray:
     ids=["floor", "one view", "another room", "daylight", "night"],
 )
 def test_photographs_decide(
-    paint: Callable[[Camera, NDArray, NDArray], NDArray], num_views: int, num: int
+    paint: Callable[[Camera, NDArray, NDArray], NDArray],
+    num_views: int,
+    num: int,
 ) -> None:
     capture = holed_capture(paint, num_views)
     found, num_filled = filled(capture)
@@ -172,3 +193,14 @@ def test_photographs_decide(
     assert mesh.areas()[part.first_face :].sum() == pytest.approx(missing, rel=1e-3)
     before = capture.geometry.mesh
     np.testing.assert_array_equal(mesh.triangles()[: len(before.faces)], before.triangles())
+
+
+@pytest.mark.usefixtures("mitsuba_variant")
+def test_the_largest_holes_are_filled(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture, other = holed_capture(floor), CENTRE - np.array([0.8, 0.1, 0.0])
+    both = replace(capture, geometry=geometry_of(without(capture.geometry.mesh, other, 0.12)))
+    assert filled(both)[1] == 2
+    monkeypatch.setattr(holes, "MAX_HOLES", 1)
+    found, num_filled = filled(both)
+    added = found.geometry.mesh.triangles()[found.geometry.parts[-1].first_face :]
+    assert num_filled == 1 and np.linalg.norm(added.mean(axis=(0, 1)) - CENTRE) < 0.15

@@ -236,7 +236,7 @@ def _is_visible(scene: mi.Scene, eye: Floats, points: Floats) -> NDArray[np.bool
         return np.zeros(0, np.bool_)
     way = points - eye
     distance = np.linalg.norm(way, axis=1)
-    start = np.repeat(eye[None], len(points), axis=0)
+    start = np.broadcast_to(eye, points.shape)
     origin, direction = mi.Point3f(vectors_from_rows(start)), vectors_from_rows(way / distance[:, None])
     reach: Any = mi.Float(distance * (1 - _NEAR))
     ray = mi.Ray3f(mi.Ray3f(origin, direction), reach)
