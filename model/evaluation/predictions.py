@@ -15,7 +15,7 @@ from model.evaluation.opened_scene import OpenedScene, key_of
 from model.evaluation.suite import Method, NetworkMethod
 from model.own_network import network_inputs
 
-_MENDED_MESH = 1
+_MENDED_MESH = 2
 """Revision of the mending of meshes with errors, which precedes prediction."""
 
 

@@ -28,8 +28,9 @@ MAX_SIZE = 0.15
 MIN_FLAT = 0.5
 """Minimum cosine of the angle between the normal of the filling and the mean normal around it."""
 MAX_CHANGE, MAX_SPREAD, MAX_SPREADS = np.log(2.0), 0.2, 1.5
-"""Maximum difference of log radiance between filling and surroundings; maximum median deviation of log
-radiance between views, absolute and relative to that of the surroundings. The larger maximum applies."""
+"""Maximum difference of log radiance between filling and surroundings; maximum deviation of log radiance
+between views (median over views, mean over points), absolute and relative to that of the surroundings. The
+larger maximum applies."""
 MIN_VIEWS, NUM_POINTS, MAX_HOLES = 2, 12, 2000
 """Minimum number of views of a point, number of points on each filling and around it, and maximum number of
 holes, of which those with the most edges count."""
@@ -184,8 +185,9 @@ def _is_surface(
     whole = Mesh(positions.astype(np.float32), np.concatenate([corners, *patches]).astype(np.int32))
     level, spread = _seen_radiance(capture, mesh_scene(whole), points)
     shape = (len(holes), 2, NUM_POINTS)
-    levels, spreads = (_medians(values.reshape(shape)) for values in (level, spread))
+    levels, seen = _medians(level.reshape(shape)), np.isfinite(spread).reshape(shape)
     with np.errstate(invalid="ignore"):  # NaN: not seen
+        spreads = np.nan_to_num(spread).reshape(shape).sum(axis=2) / seen.sum(axis=2)
         is_continued = np.abs(levels[:, 0] - levels[:, 1]) <= MAX_CHANGE
         agrees = spreads[:, 0] <= np.maximum(MAX_SPREAD, MAX_SPREADS * spreads[:, 1])
     return np.asarray(is_continued & agrees)
