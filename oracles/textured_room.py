@@ -77,7 +77,7 @@ def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4)
     return cameras
 
 
-class _MapSource:
+class MapSource:
     """Image source of a view with ground-truth ``maps``; the diffuse albedo serves as its photograph."""
 
     def __init__(self, maps: dict[str, NDArray]):
@@ -138,7 +138,7 @@ def room_capture(
             Camera(*size, focal, focal, size[0] / 2, size[1] / 2, c.world_from_camera) for c in cameras
         ]
     views = [
-        CaptureView(f"view_{k:02d}", camera, _MapSource(view_maps(mesh, camera)))
+        CaptureView(f"view_{k:02d}", camera, MapSource(view_maps(mesh, camera)))
         for k, camera in enumerate(cameras)
     ]
     return Capture("room", tuple(views), geometry_of(mesh))

@@ -197,10 +197,8 @@ def _medians(values: Floats) -> Floats:
     """Upper median over the last axis without NaN; NaN if there is no other value."""
     ordered = np.sort(values, axis=-1)  # NaN last
     count = np.isfinite(values).sum(axis=-1)
-    middle = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[-1] - 1)[..., None], axis=-1)[
-        ..., 0
-    ]
-    return np.where(count > 0, middle, np.nan)
+    index = np.minimum(count // 2, values.shape[-1] - 1)
+    return np.where(count > 0, np.take_along_axis(ordered, index[..., None], axis=-1)[..., 0], np.nan)
 
 
 def _points_on(triangles: Floats, random: np.random.Generator) -> Floats:
@@ -219,7 +217,7 @@ def _seen_radiance(capture: Capture, scene: mi.Scene, points: Floats) -> tuple[F
         image = view.read()
         luminance = image.color @ LUMINANCE_WEIGHTS
         pixels, depth = view.camera.project(points)
-        x, y = np.floor(np.nan_to_num(pixels, nan=-1.0)).astype(np.int64).T
+        x, y = np.floor(np.clip(np.nan_to_num(pixels, nan=-1.0), -1, 1e9)).astype(np.int64).T
         height, width = luminance.shape
         seen_here = np.flatnonzero((depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height))
         seen_here = seen_here[image.valid_mask[y[seen_here], x[seen_here]]]

@@ -159,7 +159,7 @@ class ColmapRun:
 
     @property
     def has_sparse_mesh(self) -> bool:
-        """Whether the mesh is a surface through sparse points."""
+        """Whether the mesh is made from sparse instead of dense points."""
         return (self.work / "mesh.done").is_file()
 
     def _do(self, step: Step) -> None:
