@@ -159,7 +159,7 @@ class ColmapRun:
 
     @property
     def has_sparse_mesh(self) -> bool:
-        """Whether the mesh is made from sparse instead of dense points."""
+        """True if the mesh was triangulated from COLMAP's sparse points, without dense depth."""
         return (self.work / "mesh.done").is_file()
 
     def _do(self, step: Step) -> None:
