@@ -23,6 +23,9 @@ from mitsuba_plugins.variant import select_variant
 if TYPE_CHECKING:
     import mitsuba as mi
 
+PIXEL_RAYS = 16
+"""Number of rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
+
 
 @dataclass(frozen=True)
 class ViewGeometry:
@@ -102,6 +105,29 @@ class TracedGeometry:
             np.where(hit, face, -1).astype(np.int32).reshape(shape),
             (hit & np.asarray(outside.numpy(), dtype=bool)).reshape(shape),
         )
+
+    def faces_at(self, origin_m: NDArray, direction: NDArray) -> NDArray[np.int32]:
+        """Return the triangle (K,) that each ray hits first, -1 for none.
+
+        Rays start at ``origin_m`` (K, 3) in unit directions ``direction`` (K, 3).
+        """
+        import mitsuba as mi
+
+        ray = mi.Ray3f(mi.Point3f(vectors_from_rows(origin_m)), vectors_from_rows(direction))
+        pi = self.scene.ray_intersect_preliminary(ray)
+        hit = np.asarray(pi.is_valid().numpy(), dtype=bool)
+        return np.where(hit, np.asarray(pi.prim_index.numpy()).astype(np.int64), -1).astype(np.int32)
+
+
+def rays_within_pixels(camera: Camera, pixel: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return unit directions (K, :data:`PIXEL_RAYS`, 3) of rays through pixels with flat indices (K,)."""
+    step = np.arange(PIXEL_RAYS)
+    inverse = sum((step >> bit & 1) / 2 ** (bit + 1) for bit in range(PIXEL_RAYS.bit_length() - 1))
+    x = (pixel % camera.width_px)[:, None] + (step + 0.5) / PIXEL_RAYS
+    y = (pixel // camera.width_px)[:, None] + inverse + 0.5 / PIXEL_RAYS
+    toward = camera.unproject(np.stack([x, y], axis=-1), np.ones(x.shape)) - camera.position_m
+    unit: NDArray[np.float64] = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
+    return unit
 
 
 def reachable_faces(

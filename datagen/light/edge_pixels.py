@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.traced import PIXEL_RAYS, TracedGeometry, rays_within_pixels
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
 from datagen.light.cells import unmixed_cells
@@ -34,8 +34,6 @@ from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels, build_surfels, weighted_medians
 
-RAYS = 16
-"""Rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
 SHARE_ERROR = 0.04
 """Standard error of a_p, due to the finite numbers of rays here and of samples in the photographed pixel."""
 TEXTURE = 0.5
@@ -71,10 +69,11 @@ def unmixed(
     ``emits`` (M,) and ``region_of_face`` (M,) are as in :func:`~datagen.light.lighting.light_surfels`.
     """
     surfels = build_surfels(views)
-    emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
+    emitters = photographed_emitters(views, traced, emits, region_of_face)
     grid = surfels.grid
     background = photographed_background(views, grid.low, grid.high)
     field = RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
+    is_emitter = emits[surfels.face]  # photographed_emitters has its own estimate
     edges = [_edge_pixels(surfels, index, view) for index, view in enumerate(views)]
     parts = [_parts(field, view, at, region_of_face) for view, at in zip(views, edges, strict=True)]
     colors = [view.color.reshape(-1, 3)[at] for view, at in zip(views, edges, strict=True)]
@@ -86,11 +85,11 @@ def unmixed(
     slope = edge_slope(color, share, other, surfels.radiance[owner], ~surfels.is_mixed[owner])
     share, other = 1 - slope * (1 - share), slope * other
     divisor = np.maximum(share, MIN_SHARE)
-    behind = other @ LUMINANCE_WEIGHTS / np.maximum(1 - share, 1 / RAYS)
+    behind = other @ LUMINANCE_WEIGHTS / np.maximum(1 - share, 1 / PIXEL_RAYS)
     own = (color - other) / divisor[:, None]
     variance = np.square(SHARE_ERROR * behind / divisor) + _TINY
     found = _shrunk(surfels, region_of_face, owner, own, variance)
-    found = np.where(surfels.is_mixed[owner, None], found, color).astype(np.float32)
+    found = np.where((surfels.is_mixed & ~is_emitter)[owner, None], found, color).astype(np.float32)
     ends = np.cumsum([0, *map(len, edges)])
     result = []
     for view, at, first, last in zip(views, edges, ends[:-1], ends[1:], strict=True):
@@ -194,31 +193,26 @@ def _parts(
         radiance = np.where(leaves[..., None], outside[:, None], radiance)
         is_known = is_known | leaves
     counts = is_known & ~is_own
-    other = (radiance * counts[..., None]).sum(axis=1) / RAYS
+    other = (radiance * counts[..., None]).sum(axis=1) / PIXEL_RAYS
     return (1 - counts.mean(axis=1)).astype(np.float32), other.astype(np.float32)
 
 
 def _rays_through(
     field: RadianceField, view: TracedView, pixel: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int32]]:
-    """Radiance (K, RAYS, 3) along rays through each pixel, whether it is known (K, RAYS), and the triangle
-    hit by each ray (K, RAYS), -1 for none.
+    """Radiance (K, J, 3) along J = :data:`~datagen.geometry.traced.PIXEL_RAYS` rays through each pixel,
+    whether it is known (K, J), and the triangle hit by each ray (K, J), -1 for none.
     """
     import drjit as dr
     import mitsuba as mi
 
-    camera, step = view.camera, np.arange(RAYS)
-    inverse = sum((step >> bit & 1) / 2 ** (bit + 1) for bit in range(RAYS.bit_length() - 1))
-    x = (pixel % camera.width_px)[:, None] + (step + 0.5) / RAYS
-    y = (pixel // camera.width_px)[:, None] + inverse + 0.5 / RAYS
-    ends = camera.unproject(np.stack([x, y], axis=-1).reshape(-1, 2), np.ones(x.size))
-    toward = ends - camera.position_m
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    toward = rays_within_pixels(view.camera, pixel).reshape(-1, 3)
     direction: Any = mi.Vector3f(np.ascontiguousarray(toward.T, np.float32))
-    met = field.meet(mi.Ray3f(mi.Point3f(*camera.position_m.tolist()), direction), mi.Bool(True))
+    position = mi.Point3f(*view.camera.position_m.tolist())
+    met = field.meet(mi.Ray3f(position, direction), mi.Bool(True))
     face = dr.select(dr.isfinite(met.distance_m), mi.Int32(met.face), -1)
     dr.eval(met, face)
-    shape = len(pixel), RAYS
+    shape = len(pixel), PIXEL_RAYS
     radiance = np.asarray(met.radiance.numpy()).reshape(3, *shape).transpose(1, 2, 0)
     return (
         radiance,

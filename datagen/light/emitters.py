@@ -3,7 +3,7 @@
 
 The capture's geometry may mark emitters; others are detected where the radiance of a surface exceeds that of
 a white surface (``model.reconstruction.light.lamps``). The emissive triangles of one smooth region form one
-emitter with the median radiance of its pixels.
+emitter of uniform radiance.
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.foundation.meshes.mesh import Mesh
-from datagen.geometry.traced import seen_sides
+from datagen.geometry.traced import PIXEL_RAYS, TracedGeometry, rays_within_pixels, seen_sides
 from datagen.geometry.views import TracedView
 
 MIN_PIXELS = 4
 """Minimum number of pixels of an emitter in all views; with fewer, it counts as unphotographed."""
+MAX_PIXELS = 5000
+"""Approximate maximum number of pixels from which the radiance of an emitter is computed."""
+MIN_COVERED = 0.3
+"""Minimum share of a pixel that an emitter covers."""
 
 
 @dataclass(frozen=True)
@@ -57,34 +60,72 @@ class Emitters:
 
 
 def photographed_emitters(
-    views: Sequence[TracedView], mesh: Mesh, emits: NDArray[np.bool_], region_of_face: NDArray[np.int32]
+    views: Sequence[TracedView],
+    traced: TracedGeometry,
+    emits: NDArray[np.bool_],
+    region_of_face: NDArray[np.int32],
 ) -> Emitters:
     """Emitters of the triangles in the mask ``emits`` (M,), one per smooth region of ``region_of_face`` (M,).
 
-    The radiance is 0 if the views show fewer than :data:`MIN_PIXELS` pixels of the emitter.
+    The radiance is the median of the pixels that show nothing else. Without :data:`MIN_PIXELS` of them, as
+    behind blinds, it is that of the pixels' radiance divided by the share that the emitter covers, as if the
+    rest were black. It is 0 if the views show fewer than :data:`MIN_PIXELS` pixels of the emitter.
     """
+    mesh = traced.mesh
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
         none, sides = np.zeros(0, np.float32), np.ones(len(mesh.faces), np.float32)
         return Emitters(of_face, none.reshape(0, 3), sides, of_face[:0], none.reshape(0, 3, 3), none)
     regions, of_face[emits] = np.unique(region_of_face[emits], return_inverse=True)
-    colors: list[list[NDArray]] = [[] for _ in regions]
-    for view in views:
-        face = view.geometry.face.ravel()
-        pixel = np.flatnonzero((face >= 0) & view.valid_mask.ravel())
-        emitter = of_face[face[pixel]]
-        pixel, emitter = pixel[emitter >= 0], emitter[emitter >= 0]
-        for which in np.unique(emitter):
-            colors[which].append(view.color.reshape(-1, 3)[pixel[emitter == which]])
+    color, share, emitter = _emitter_pixels(views, traced, of_face, len(regions))
     radiance = np.zeros((len(regions), 3), np.float32)
-    for which, parts in enumerate(colors):
-        if sum(len(part) for part in parts) >= MIN_PIXELS:
-            radiance[which] = np.median(np.concatenate(parts), axis=0)
+    for which in np.unique(emitter):
+        mine = emitter == which
+        whole, partial = mine & (share == 1), mine & (share >= MIN_COVERED)
+        if whole.sum() >= MIN_PIXELS:
+            radiance[which] = np.median(color[whole], axis=0)
+        elif partial.sum() >= MIN_PIXELS:
+            radiance[which] = np.median(color[partial] / share[partial, None], axis=0)
     sides = seen_sides([view.geometry for view in views], len(mesh.faces))
     triangles = np.flatnonzero(emits).astype(np.int32)
     vertices = mesh.positions[mesh.faces[triangles]].astype(np.float32)
     dark = Emitters(of_face, radiance, sides, triangles, vertices, np.zeros(len(triangles), np.float32))
     return dark.with_radiance(radiance)
+
+
+def _emitter_pixels(
+    views: Sequence[TracedView], traced: TracedGeometry, of_face: NDArray[np.int32], num_emitters: int
+) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.int32]]:
+    """Sample pixels whose centre shows an emitter: radiance (K, 3), covered share (K,) and emitter (K,)."""
+    pixels = []
+    for view in views:
+        face = view.geometry.face.ravel()
+        pixel = np.flatnonzero((face >= 0) & view.valid_mask.ravel())
+        emitter = of_face[face[pixel]]
+        pixels.append((pixel[emitter >= 0], emitter[emitter >= 0]))
+    count = np.bincount(np.concatenate([emitter for _, emitter in pixels]), minlength=num_emitters)
+    step = np.maximum(1, count // MAX_PIXELS)
+    passed = np.zeros(num_emitters, np.int64)
+    colors, origins, directions, emitters = [], [], [], []
+    for view, (pixel, emitter) in zip(views, pixels, strict=True):
+        chosen = []
+        for which in np.unique(emitter):
+            mine = np.flatnonzero(emitter == which)
+            chosen.append(mine[(passed[which] + np.arange(len(mine))) % step[which] == 0])
+            passed[which] += len(mine)
+        if not chosen:
+            continue
+        at = np.concatenate(chosen)
+        colors.append(view.color.reshape(-1, 3)[pixel[at]])
+        directions.append(rays_within_pixels(view.camera, pixel[at]).reshape(-1, 3))
+        origins.append(np.broadcast_to(view.camera.position_m, directions[-1].shape))
+        emitters.append(emitter[at])
+    if not colors:
+        return np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0, np.int32)
+    found = np.concatenate(emitters)
+    face = traced.faces_at(np.concatenate(origins), np.concatenate(directions)).reshape(-1, PIXEL_RAYS)
+    is_own = (face >= 0) & (of_face[np.maximum(face, 0)] == found[:, None])
+    return np.concatenate(colors), is_own.mean(axis=1), found
 
 
 class EmitterSampler:

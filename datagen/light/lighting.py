@@ -92,7 +92,7 @@ def light_surfels(
     with step("surfels"):
         surfels = build_surfels(views)
     with step("field"):
-        emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
+        emitters = photographed_emitters(views, traced, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.high)
         region = region_of_face[surfels.face]

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Joins the meshes of a configuration into a capture's geometry (a world-space mesh, its parts and lamps)."""
+"""Joins the meshes of a configuration into a capture's geometry (a world-space mesh, its parts and lamps).
+
+Lights that cameras see as surfaces are parts with emission, like the emissive parts of assets: photographs
+show them in front of other surfaces.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,18 +15,29 @@ import numpy as np
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
+from datagen.formats.light_changes import moved_light
+from datagen.formats.lights import AreaLight, Light, SphereLight
 from datagen.formats.package import Package
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, joined, without_degenerate
 from datagen.foundation.meshes.ply import decode_ply
 from datagen.library import Library
 from datagen.rendering.geometry import placed_mesh
+from datagen.rendering.lights import area_light_mesh
+
+_LIGHTS = "lights/"
+
+
+def light_of_part(name: str) -> str | None:
+    """Return the name of the light that the part ``name`` represents; None for parts of assets."""
+    return name.removeprefix(_LIGHTS) if name.startswith(_LIGHTS) else None
 
 
 def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Join all placed parts into one geometry; also return notes on properties that it cannot represent.
+    """Join all placed parts and visible lights into one geometry; also return notes on properties that it
+    cannot represent.
 
     Raises :class:`InputError` for packages that differ from the configuration's, singular transforms and
     unusable meshes.
@@ -34,12 +50,36 @@ def configuration_geometry(
             remedy = "name the library that the capture was rendered with by --library"
             raise input_error(package.path, "hash", package.sha256, str(expected), remedy)
         found.append(_parts_of(package, placed, library))
-    return _geometry([part for parts in found for part in parts])
+    return _geometry([part for parts in found for part in parts] + _lamps(configuration.lights))
 
 
 def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Like :func:`configuration_geometry`, for one package with its own materials."""
-    return _geometry(_parts_of(package, placed, None))
+    """Like :func:`configuration_geometry`, for one package with its own materials and lights."""
+    asset, matrix = package.asset, placed.world_from_asset
+    lights = asset.lights if isinstance(asset, ObjectAsset | EnvironmentAsset) else ()
+    moved = [moved_light(light, matrix, package.id) for light in lights]
+    return _geometry(_parts_of(package, placed, None) + _lamps(moved))
+
+
+def lamp_mesh(light: Light) -> Mesh | None:
+    """World-space mesh of a light that cameras see as a surface; None for other lights.
+
+    A sphere becomes a polyhedron of equal area.
+    """
+    if isinstance(light, AreaLight):
+        return area_light_mesh(light) if light.is_visible else None
+    if isinstance(light, SphereLight):
+        from trimesh.creation import icosphere
+
+        ball = icosphere(subdivisions=3)
+        corners = ball.vertices * (light.radius_m * np.sqrt(4 * np.pi / ball.area)) + light.position_m
+        return Mesh(corners.astype(np.float32), ball.faces.astype(np.int32))
+    return None
+
+
+def without_lamps(lights: Iterable[Light]) -> tuple[Light, ...]:
+    """Return the ``lights`` that cameras do not see as surfaces."""
+    return tuple(light for light in lights if lamp_mesh(light) is None)
 
 
 @dataclass(frozen=True)
@@ -72,6 +112,15 @@ def _parts_of(package: Package, placed: PlacedAsset, library: Library | None) ->
         name = f"{placed.name}/{part.name}"
         found.append(_PlacedPart(name, mesh, emission if is_lamp else None, has_opacity))
     return found
+
+
+def _lamps(lights: Iterable[Light]) -> list[_PlacedPart]:
+    parts = []
+    for light in lights:
+        mesh = lamp_mesh(light)
+        if mesh is not None and isinstance(light, AreaLight | SphereLight) and any(light.radiance):
+            parts.append(_PlacedPart(f"{_LIGHTS}{light.name}", mesh, light.radiance, False))
+    return parts
 
 
 def _geometry(found: list[_PlacedPart]) -> tuple[CaptureGeometry, tuple[str, ...]]:

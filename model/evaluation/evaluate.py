@@ -50,8 +50,10 @@ from model.reconstruction.stages import MapSource
 
 _MEASURES = 5
 """Revision of the measures; cached figures of another revision are measured again."""
-_RECONSTRUCTION = 17
+_RECONSTRUCTION = 18
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
+_TRUE_SCENE = 17
+"""Revision of the second rendering of the scene itself."""
 _MATERIALS_FROM_LIGHT = 19
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
@@ -174,7 +176,8 @@ def _judge(
     maps = _maps_identity(method, name)
     further += [_TAKEN, camera.model_dump(mode="json")] if camera else []
     further += mesh_revision(method, camera)
-    key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *further)
+    revision = _TRUE_SCENE if method.kind == "truth" else _RECONSTRUCTION
+    key = key_of(revision, own, weights, suite.atlas, scene.inputs, maps, *further)
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}
     rendering = [None if r is None else r.model_dump(mode="json") for r in (suite.render, suite.truth)]

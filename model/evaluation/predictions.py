@@ -15,6 +15,8 @@ from model.evaluation.opened_scene import OpenedScene, key_of
 from model.evaluation.suite import Method, NetworkMethod
 from model.own_network import network_inputs
 
+_GEOMETRY = 2
+"""Revision of the geometry of captures, which predictions depend on."""
 _MENDED_MESH = 2
 """Revision of the mending of meshes with errors, which precedes prediction."""
 
@@ -25,7 +27,7 @@ def predictions_folder(
     """Folder for predictions of the checkpoint with the hash ``weights``, named by a hash of their inputs."""
     faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
     names = scene.prepared.input_names
-    revisions = [*light_revision(method), *mesh_revision(method, camera)]
+    revisions = [_GEOMETRY, *light_revision(method), *mesh_revision(method, camera)]
     return scene.root / f"predictions-{key_of(weights, method.is_filtered, names, faults, *revisions)}"
 
 

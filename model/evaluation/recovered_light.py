@@ -11,6 +11,7 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.capture import GeometryPart
 from datagen.formats.package import open_package
 from datagen.formats.standalone import configuration_of
+from datagen.rendering.capture_geometry import light_of_part
 from model.evaluation.opened_scene import MODIFIED, OWN, RECOVERED, OpenedScene
 from model.evaluation.scenery import Scenery, recovered_scenery
 
@@ -19,11 +20,11 @@ Emission = dict[str, tuple[float, float, float]]
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
     """Sceneries of the package ``asset``: one for each light of the scene, one for recovered lights."""
-    parts = scene.capture.geometry.parts
-    sceneries = {}
+    parts, sceneries = scene.capture.geometry.parts, {}
+    lamps = {name for part in parts if (name := light_of_part(part.name)) is not None}
     for light, truth in scene.sceneries.items():
         gain = scene.modified_gain if light == MODIFIED else 1.0
-        sceneries[light] = recovered_scenery(truth, asset, own_emission(asset, parts, gain))
+        sceneries[light] = recovered_scenery(truth, asset, own_emission(asset, parts, gain), lamps)
     report = json.loads((asset.parent / "report.json").read_bytes())
     if report["light"].get("lights"):
         sceneries[RECOVERED] = relit_scenery(scene.sceneries[OWN], asset)

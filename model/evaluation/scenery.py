@@ -6,7 +6,7 @@ Own light: the scene's lamps and lights. Modified light: these times a gain, plu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from datagen.formats.shard import ShardReader
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
 from datagen.library import Library
+from datagen.rendering.capture_geometry import lamp_mesh
 from model.evaluation.room import PreparedScene
 from model.evaluation.suite import InsertedObject, ModifiedLight
 
@@ -101,12 +102,12 @@ def true_scenery(prepared: PreparedScene) -> Scenery:
 
 
 def recovered_scenery(
-    truth: Scenery, asset: Path, emission: dict[str, tuple[float, float, float]]
+    truth: Scenery, asset: Path, emission: dict[str, tuple[float, float, float]], lamps: Collection[str] = ()
 ) -> Scenery:
     """Return ``truth`` with the surfaces of ``asset``, the package of a reconstruction, in place of its room.
 
-    ``emission``, RGB radiance by slot, replaces that of the package's lamps; all other lights and inserted
-    objects are those of ``truth``.
+    ``emission``, RGB radiance by slot, replaces that of the package's lamps, which represent the visible
+    lights named ``lamps``; all other lights and inserted objects are those of ``truth``.
     """
     package = open_package(asset)
     configuration = truth.configuration
@@ -114,6 +115,9 @@ def recovered_scenery(
     changes = {
         "environment": PlacedAsset(name="environment", asset=package.id, emission=emission),
         "objects": inserted,
+        "lights": tuple(
+            light for light in configuration.lights if light.name not in lamps or lamp_mesh(light) is None
+        ),
         "assets": {**configuration.assets, package.id: package.sha256},
     }
     return Scenery(configuration.model_copy(update=changes), (*truth.library, asset))

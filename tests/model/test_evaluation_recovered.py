@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +87,22 @@ def test_lamps_of_the_scene_light_a_reconstruction(
             "found-0": off,
         }
         assert configuration.lights == (SUN,)
+
+
+def test_lights_that_the_geometry_shows_are_lamps(reconstruction: Path, mitsuba_variant: str) -> None:
+    """A light that is a lamp of the reconstruction does not shine a second time; an added one of its name,
+    which is invisible, does."""
+    panel = AreaLight(name="bulb", origin_m=(0, 0, 2), edge_u_m=(1, 0, 0), edge_v_m=(0, -1, 0), radiance=TRUE)
+    hidden = panel.model_copy(update={"is_visible": False})
+    scene = opened(reconstruction, 1.0)
+    parts = (GeometryPart("wall", 0, 5), GeometryPart("lights/bulb", 5, 1, TRUE))
+    own = scene.sceneries[OWN]
+    configuration = own.configuration.model_copy(update={"lights": (SUN, panel, hidden)})
+    sceneries = {OWN: replace(own, configuration=configuration)}
+    shown = replace(scene, sceneries=sceneries, capture=Seen(Geometry(parts)))
+    lit = recovered_sceneries(shown, reconstruction)[OWN].configuration  # type: ignore[arg-type]
+    assert lit.lights == (SUN, hidden)
+    assert lit.environment.emission["lamp-0"] == TRUE
 
 
 def test_recovered_lights_replace_those_of_the_scene(reconstruction: Path, mitsuba_variant: str) -> None:

@@ -136,12 +136,12 @@ def test_sky_that_is_brighter_near_the_sun_is_recovered() -> None:
     """
     geometry, views = room_geometry(), taken()
     traced = TracedGeometry(geometry)
-    mesh, regions, emits = traced.mesh, smooth_regions(traced.mesh), geometry.emitter_mask()
+    regions, emits = smooth_regions(traced.mesh), geometry.emitter_mask()
     surfels = build_surfels(views)
     low, high = surfels.grid.low, surfels.grid.high
-    emitters = photographed_emitters(views, mesh, emits, regions)
+    emitters = photographed_emitters(views, traced, emits, regions)
     background = photographed_background(views, low, high, NEAR)
-    sources = find_sources(views, surfels, emitters, background, emits, regions, mesh)
+    sources = find_sources(views, surfels, emitters, background, emits, regions, traced)
     gathered = gather(SourceField(traced.scene, surfels, emitters, background), sources, regions)
     blocks, direction = sky_blocks(sources)
     radiance = np.where(sources.is_open, 2.0, sources.bound)

@@ -19,7 +19,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
-from datagen.rendering.capture_geometry import package_geometry
+from datagen.rendering.capture_geometry import package_geometry, without_lamps
 from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.options import Exposure
 from model.reconstruction.captures.photograph_files import unread_problems
@@ -82,4 +82,4 @@ def read_package(
     ]
     if missing:
         notes = (*notes, f"no photographs for {len(missing)} cameras: {', '.join(missing[:8])}")
-    return Capture(asset.id, tuple(views), geometry, asset.lights, notes)
+    return Capture(asset.id, tuple(views), geometry, without_lamps(asset.lights), notes)

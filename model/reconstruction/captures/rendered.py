@@ -18,7 +18,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.exr import decode_view
 from datagen.library import Library
-from datagen.rendering.capture_geometry import configuration_geometry
+from datagen.rendering.capture_geometry import configuration_geometry, without_lamps
 
 
 @dataclass(frozen=True)
@@ -86,4 +86,4 @@ def read_shard(shard: Path, library: Library) -> Capture:
         source = ShardSource(shard, info.name, info.offset_data, info.size)
         views.append(CaptureView(name, record.camera.camera(), source))
     geometry, notes = configuration_geometry(configuration, library)
-    return Capture(configuration.id, tuple(views), geometry, configuration.lights, notes)
+    return Capture(configuration.id, tuple(views), geometry, without_lamps(configuration.lights), notes)

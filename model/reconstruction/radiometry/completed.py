@@ -67,9 +67,9 @@ def completed_views(
     if not num_clipped:
         return Completed(found, radiometry, np.zeros((0, 3)), np.zeros(0), share)
     grid = surfels.grid
-    emitters = photographed_emitters(found, traced.mesh, emits, region_of_face)
+    emitters = photographed_emitters(found, traced, emits, region_of_face)
     background = photographed_background(found, grid.low, grid.high, NEAR)
-    sources = find_sources(found, surfels, emitters, background, emits, region_of_face, traced.mesh)
+    sources = find_sources(found, surfels, emitters, background, emits, region_of_face, traced)
     radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
     if len(sources):
         field = SourceField(traced.scene, surfels, emitters, background)

@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import NEAR, Background, photographed_background
 from datagen.light.emitters import Emitters, photographed_emitters
@@ -94,14 +94,14 @@ def find_sources(
     background: Background,
     emits: NDArray[np.bool_],
     region_of_face: NDArray[np.int32],
-    mesh: Mesh,
+    traced: TracedGeometry,
 ) -> Sources:
     """Find the clipped sources in ``views``.
 
     ``emits`` (M,): mask of triangles known to emit; ``region_of_face`` (M,): smooth region of each triangle.
     """
     marked = [replace(view, color=_mask_of(view).astype(np.float32)) for view in views]
-    emitting = photographed_emitters(marked, mesh, emits, region_of_face).radiance
+    emitting = photographed_emitters(marked, traced, emits, region_of_face).radiance
     low, high = background.low, background.high
     bins = photographed_background(marked, low, high, NEAR).radiance
     of_bin, pairs = _labelled_bins(bins, _seen_bins(marked, low, high))
