@@ -63,7 +63,8 @@ def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
         clipped = tuple(replace(v, color=np.minimum(v.color, limit)) for v in traced.views)
         traced = replace(traced, views=clipped)
     maps = list(predicted(traced, checkpoint))
-    level = albedo_level.find_level(traced.views, maps, traced.geometry, region_of_face)
+    emits = capture.geometry.emitter_mask()
+    level = albedo_level.find_level(traced.views, maps, traced.geometry, emits, region_of_face)
     sums = np.zeros(5)
     for view, view_maps, seen in zip(capture.views, maps, traced.views, strict=True):
         face = seen.geometry.face
@@ -94,8 +95,7 @@ def main() -> None:
     arguments = parser.parse_args()
     select_variant()
     if arguments.always:
-        albedo_level.MIN_USED, albedo_level.EXCESS = 0.0, (1e6, 2e6)
-        albedo_level.MAX_SPREAD, albedo_level.MAX_IMPOSSIBLE = np.inf, 1.0
+        albedo_level.MIN_USED, albedo_level.IMPOSSIBLE, albedo_level.MAX_SPREAD = 0.0, (1.0, 2.0), np.inf
     suite = read_suite(arguments.suite)
     print(f"| {COLUMNS} |", "|---" * (COLUMNS.count("|") + 1) + "|", sep="\n")
     for scene in suite.scenes:

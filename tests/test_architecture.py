@@ -75,7 +75,8 @@ MATRIX = {
         "model.reconstruction.infer_options model.reconstruction.found_lights",
         "model.reconstruction.predict": f"{_GROUND} {_TRACED} datagen.light {_NETWORKS} model.checkpoint "
         "model.devices model.reconstruction.infer_options model.reconstruction.stages",
-        "model.reconstruction.level": f"datagen.foundation {_TRACED} model.reconstruction.stages",
+        "model.reconstruction.level": "datagen.foundation datagen.geometry datagen.light "
+        "model.reconstruction.stages",
         "model.reconstruction.light": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.found_lights "
         "model.reconstruction.stages model.reconstruction.radiometry",
         "model.reconstruction.radiometry": "datagen.foundation datagen.geometry datagen.light "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gains from points of given reflectance and irradiance, and the rays that gather irradiance."""
+"""Gains from points of given reflectance and irradiance."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from model.reconstruction.level import albedo_level
 from model.reconstruction.level.albedo_level import (
-    EXCESS,
-    MAX_IMPOSSIBLE,
+    IMPOSSIBLE,
     MIN_POINTS,
-    NUM_RAYS,
     AlbedoLevel,
 )
 
@@ -31,10 +29,13 @@ def leaving(reflected: float = 0.4) -> NDArray[np.float64]:
     return reflected * WANTED[np.arange(NUM) % 3] * ARRIVING / np.pi
 
 
-def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_level.Points:
-    """Points that alternate between the three regions, with outgoing ``radiance`` (N, 3)."""
-    nowhere, which = np.zeros_like(radiance), np.arange(len(radiance)) % 3
-    return albedo_level.Points(nowhere, nowhere, radiance, np.full_like(radiance, reflected), REGIONS[which])
+def points_of(
+    radiance: NDArray[np.float64], arriving: NDArray[np.float64], reflected: float = 0.4
+) -> albedo_level.Points:
+    """Points that alternate between the three regions, with outgoing ``radiance`` and irradiance
+    ``arriving`` (N, 3)."""
+    which = np.arange(len(radiance)) % 3
+    return albedo_level.Points(radiance, arriving, np.full_like(radiance, reflected), REGIONS[which])
 
 
 def fit(
@@ -47,14 +48,13 @@ def fit(
     rho = reflected * WANTED[which] * factor
     known = np.broadcast_to(np.asarray(coverage, dtype=float), num)
     fields = {
-        "position_m": np.zeros((num, 3)),
-        "normal": np.zeros((num, 3)),
         "radiance": rho * arriving / np.pi,
+        "irradiance": arriving,
         "reflected": np.full((num, 3), reflected),
         "region": REGIONS[which],
     }
     points = albedo_level.Points(**{**fields, **changes})
-    return albedo_level.fit_level(points, arriving * known[:, None], known, 4, 0.01)
+    return albedo_level.fit_level(points, known, 4, 0.01)
 
 
 def test_gains_are_per_region_and_the_rooms_elsewhere() -> None:
@@ -69,12 +69,12 @@ def test_gains_are_per_region_and_the_rooms_elsewhere() -> None:
     assert report.region_spread == pytest.approx(0.5 * np.log(1.3 / 0.9), rel=0.03)
 
 
-def test_points_with_little_known_light_count_less() -> None:
-    """Points have full weight from a known share of light of 0.9, half at 0.75 and none below 0.6."""
+def test_points_with_little_photographed_light_count_less() -> None:
+    """Points have full weight from a photographed share of light of 0.8, half at 0.6 and none below 0.4."""
     random = np.random.default_rng(0)
-    coverage = random.choice([0.5, 0.75, 0.9, 1.0], NUM)
+    coverage = random.choice([0.3, 0.6, 0.8, 1.0], NUM)
     level = fit(coverage=coverage)
-    weight = np.select([coverage == 0.5, coverage == 0.75], [0.0, 0.5], 1.0)
+    weight = np.select([coverage == 0.3, coverage == 0.6], [0.0, 0.5], 1.0)
     assert level.report.used_share == pytest.approx(weight.mean(), abs=1e-9)
     assert level.report.points_used == (weight > 0).sum()
     assert level.report.coverage == pytest.approx(coverage.mean())
@@ -95,7 +95,7 @@ def test_points_without_incident_light_are_not_used() -> None:
     """Without photographed incident light the reflectance would be unbounded."""
     arriving = ARRIVING.copy()
     arriving[:60] = 0.0
-    level = albedo_level.fit_level(points_of(leaving()), arriving, np.ones(NUM), 4, 0.0)
+    level = albedo_level.fit_level(points_of(leaving(), arriving), np.ones(NUM), 4, 0.0)
     assert level.report.points_used == NUM - 60 and level.report.impossible_share == 0.0
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
 
@@ -104,7 +104,7 @@ def test_a_surface_may_reflect_all_incident_light() -> None:
     """A reflectance of exactly 1 is possible."""
     left = np.random.default_rng(7).uniform(0.1, 0.5, (NUM, 3))
     for factor, share in ((1.0, 0.0), (0.999, 1.0)):
-        level = albedo_level.fit_level(points_of(left), left * np.pi * factor, np.ones(NUM), 4, 0.0)
+        level = albedo_level.fit_level(points_of(left, left * np.pi * factor), np.ones(NUM), 4, 0.0)
         assert level.report.impossible_share == share
 
 
@@ -124,28 +124,21 @@ def fit_excess(noise: float, share: float) -> AlbedoLevel:
     return level
 
 
-def test_increases_fade_where_reflectance_varies_and_exceeds_one() -> None:
+def test_increases_fade_where_reflectance_exceeds_one() -> None:
     """Unphotographed light and unknown metal only increase reflectance, so decreases are applied in full."""
-    level = fit_excess(0.26, 0.17)
-    excess = level.report.spread * level.report.impossible_share
-    assert EXCESS[0] < excess < EXCESS[1]
-    trust = (EXCESS[1] - excess) / (EXCESS[1] - EXCESS[0])
+    level = fit_excess(0.1, 0.15)
+    low, high = IMPOSSIBLE
+    trust = (high - level.report.impossible_share) / (high - low)
     assert level.report.trust == pytest.approx(trust) and 0.2 < trust < 0.8
-    full = fit_excess(0.05, 0.17)
+    full = fit_excess(0.1, 0.08)
     assert full.report.trust == 1 and full.report.reason == ""
     expected = np.where(WANTED > 1, WANTED**trust, WANTED)
     np.testing.assert_allclose(level.gains[REGIONS], expected, rtol=0.1)
     np.testing.assert_allclose(full.gains[REGIONS], WANTED, rtol=0.1)
-    none = fit_excess(0.4, 0.19)
+    none = fit_excess(0.1, 0.21)
     assert none.report.is_applied and none.report.trust == 0 and "no photograph shows" in none.report.reason
     np.testing.assert_allclose(none.gains[REGIONS], np.minimum(WANTED, 1), rtol=0.15)
     assert none.gains.max() == 1
-
-
-@pytest.mark.parametrize(("share", "trust"), [(0.9, 1), (1.1, 0)])
-def test_too_many_impossible_points_increase_nothing(share: float, trust: float) -> None:
-    level = fit_excess(0.0, share * MAX_IMPOSSIBLE)
-    assert level.report.trust == trust
 
 
 @pytest.mark.parametrize(("num", "is_applied"), [(MIN_POINTS, True), (MIN_POINTS - 1, False)])
@@ -154,9 +147,9 @@ def test_few_points_change_nothing(num: int, is_applied: bool) -> None:
     assert level.report.is_applied == is_applied and level.gains.shape == (4, 3)
 
 
-@pytest.mark.parametrize(("coverage", "is_applied"), [(0.7, True), (0.68, False)])
+@pytest.mark.parametrize(("coverage", "is_applied"), [(0.53, True), (0.51, False)])
 def test_little_weight_changes_nothing(coverage: float, is_applied: bool) -> None:
-    """A known share of 0.69 has 0.3 of the full weight."""
+    """A photographed share of 0.52 has 0.3 of the full weight."""
     assert fit(coverage=coverage).report.is_applied == is_applied
 
 
@@ -189,22 +182,6 @@ def test_outliers_do_not_move_a_regions_gain() -> None:
     spread = np.exp(0.05 * random.normal(size=(NUM, 1)))
     level = fit(radiance=0.25 * lit * spread * ARRIVING / np.pi, reflected=0.25)
     np.testing.assert_allclose(level.gains[REGIONS], 1.0, rtol=0.06)
-
-
-def test_rays_are_cosine_weighted_with_one_per_stratum() -> None:
-    normal = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.36, -0.48, -0.8]])
-    rays = albedo_level.cosine_rays(normal, np.random.default_rng(3)).reshape(3, NUM_RAYS, 3)
-    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=1e-9)
-    cosine = np.einsum("nrc,nc->nr", rays, normal)
-    assert cosine.min() > 0
-    side = round(np.sqrt(NUM_RAYS))
-    strata = np.sort(np.floor((1 - cosine**2) * side).astype(int), axis=1)
-    np.testing.assert_array_equal(strata, np.tile(np.repeat(np.arange(side), side), (3, 1)))
-    np.testing.assert_allclose(rays.mean(axis=1), 2 / 3 * normal, atol=0.01)  # tangential parts cancel
-    across = rays - cosine[..., None] * normal[:, None]
-    for k in range(3):  # uniformly around the normal
-        spread = across[k].T @ across[k] / NUM_RAYS
-        np.testing.assert_allclose(spread, 0.25 * (np.eye(3) - np.outer(normal[k], normal[k])), atol=0.01)
 
 
 def test_weighted_quantiles_follow_the_cumulative_weights() -> None:

@@ -15,16 +15,16 @@ from model.reconstruction.stages import Estimate, Run
 
 def leveled(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
     """Correct the albedo scale of the maps, unless evidence is weak; files on disk keep the prediction."""
-    with run.stage("level") as advance:
+    with run.stage("level"):
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(
             traced.views,
             estimate.maps,
             traced.geometry,
+            traced.capture.geometry.emitter_mask(),
             region_of_face,
             clipped_share(traced.views),
             estimate.doubt_at,
-            advance,
         )
         run.report.albedo_level = asdict(level.report)
         if level.report.reason:
