@@ -28,8 +28,9 @@ MIN_SHADING = 1e-3
 MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
 """Approximate maximum number of surfels, and number of rays per surfel, that search for unphotographed
 surfaces."""
-MAX_RATIO_SURFELS = 8000
-"""Approximate maximum number of surfels from which the room's typical reflectance is computed."""
+MAX_RATIO_SURFELS, MIN_RATIO_PHOTOGRAPHED, SURFELS_OF_ROOM = 8000, 0.8, 4.0
+"""Approximate maximum number of surfels from which typical reflectances are computed, minimum photographed
+share of their light, and the number at which a region's median and the room's have equal weight."""
 MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
 """Rays per mixed surfel for the bound on its radiance, and the known shares of its incident light at which
 the bound starts to act and acts fully."""
@@ -95,7 +96,6 @@ def light_surfels(
         emitters = photographed_emitters(views, traced, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.high)
-        region = region_of_face[surfels.face]
 
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
         with step("field"):
@@ -107,7 +107,7 @@ def light_surfels(
             scene_field = RadianceField(traced.scene, own, emitters, background)
             hidden = np.zeros(len(own))
             if options.estimates_unseen:
-                scene_field, hidden = _estimated(scene_field, own, size_m, region, options)
+                scene_field, hidden = _estimated(scene_field, own, size_m, region_of_face, options)
         with step("irradiance"):
             return _lit(own, Baker(scene_field, size_m), hidden, options.irradiance_rays, options)
 
@@ -165,18 +165,27 @@ def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
 
 
 def _estimated(
-    scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
+    scene_field: RadianceField,
+    surfels: Surfels,
+    size_m: float,
+    region_of_face: NDArray,
+    options: GatherOptions,
 ) -> tuple[RadianceField, NDArray[np.float64]]:
     """Return the radiance field with estimates for unphotographed surfaces, and the share (N,) of each
     surfel's light that comes from unphotographed lamps.
 
-    The estimate is the room's typical reflectance times the incident light times the fitted gain.
+    The estimate is the typical reflectance of the smooth region times the incident light times the fitted
+    gain.
     """
-    position, facing = _unknown_surface(scene_field, surfels, size_m)
+    position, facing, face = _unknown_surface(scene_field, surfels, size_m)
+    region = region_of_face[surfels.face]
     extended = scene_field
     radiance = np.zeros((len(position), 3), np.float32)
     if len(position):
-        reflectance = _typical_reflectance(Baker(scene_field, size_m), surfels, options)
+        of_region = typical_reflectance(
+            Baker(scene_field, size_m), surfels, region, int(region_of_face.max()) + 1, options
+        )
+        reflectance = of_region[region_of_face[face]]
         for _ in range(ESTIMATE_ROUNDS):
             lit = Baker(extended, size_m).irradiance(position, facing, options.estimate_rays)
             arriving = lit.diffuse / np.maximum(lit.known, 2 * MIN_KNOWN)[:, None]
@@ -193,26 +202,44 @@ def _estimated(
     return fitted, gains.hidden
 
 
-def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:
-    """Find a position and normal (K, 3) in each cell of unknown radiance that the surfels' rays hit."""
+def _unknown_surface(
+    scene_field: RadianceField, surfels: Surfels, size_m: float
+) -> tuple[NDArray, NDArray, NDArray[np.int64]]:
+    """Find a position and normal (K, 3) and the triangle (K,) in each cell of unknown radiance that the
+    surfels' rays hit.
+    """
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
     origin, normal = surfels.position_m[::step], surfels.normal[::step]
     ray = cosine_rays(origin, normal, ESTIMATE_RAYS_A_SURFEL, Baker(scene_field, size_m).start_m, seed=0)
-    position, facing = scene_field.unknown_hits(ray)
+    position, facing, face = scene_field.unknown_hits(ray)
     keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
     chosen = first[keys >= 0]
-    return position[chosen], facing[chosen]
+    return position[chosen], facing[chosen], face[chosen]
 
 
-def _typical_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) -> NDArray[np.float64]:
-    """Median reflectance pi L / E (3,) of surfels in mostly photographed light; 0.4 if there are none."""
+def typical_reflectance(
+    baker: Baker, surfels: Surfels, region: NDArray, num_regions: int, options: GatherOptions
+) -> NDArray[np.float64]:
+    """Typical reflectance pi L / E (``num_regions``, 3) of smooth regions: the median over surfels in mostly
+    photographed light, shrunk towards that of the room, which is 0.4 if there are none.
+
+    ``region`` (N,) is the index of each surfel's region.
+    """
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)
-    used = (lit.photographed > 0.8) & (lit.diffuse.min(axis=1) > 0)
+    used = (lit.photographed > MIN_RATIO_PHOTOGRAPHED) & (lit.diffuse.min(axis=1) > 0)
     if not used.any():
-        return np.full(3, 0.4)
+        return np.full((num_regions, 3), 0.4)
     ratio = surfels.radiance[::step][used] * lit.known[used, None] / lit.diffuse[used]
-    return np.clip(np.median(ratio, axis=0), *_REFLECTANCE_RANGE)
+    log_ratio = np.log(np.clip(ratio, *_REFLECTANCE_RANGE))
+    of_room = np.median(log_ratio, axis=0)
+    found = np.repeat(of_room[None], num_regions, axis=0)
+    of_sample = region[::step][used]
+    for which in np.unique(of_sample):
+        own = log_ratio[of_sample == which]
+        weight = len(own) / (len(own) + SURFELS_OF_ROOM)
+        found[which] += weight * (np.median(own, axis=0) - of_room)
+    return np.exp(found)
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:

@@ -244,19 +244,21 @@ class RadianceField:
         )
         return _End(met, row, si.p, normal, missed)
 
-    def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray]:
-        """Return positions (K, 3) and ray-facing normals (K, 3) of hits on surfaces of unknown radiance."""
+    def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray, NDArray[np.int64]]:
+        """Return positions (K, 3), ray-facing normals (K, 3) and triangles (K,) of hits on surfaces of
+        unknown radiance.
+        """
         import drjit as dr
         import mitsuba as mi
 
         end = self._end_of(ray, mi.Bool(True))
         is_unknown = ~end.leaves & ~end.met.is_known
-        dr.eval(is_unknown, end.position, end.normal)
+        dr.eval(is_unknown, end)
         chosen = np.flatnonzero(is_unknown.numpy())
         position, normal = (
             np.asarray(values.numpy()).reshape(3, -1).T[chosen] for values in (end.position, end.normal)
         )
-        return position, normal
+        return position, normal, np.asarray(end.met.face.numpy())[chosen].astype(np.int64)
 
     def estimated(self, ray: Any) -> Estimated:
         """Select the rays whose radiance is estimated."""

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Typical reflectance of smooth regions, by which unphotographed surfaces are assumed to reflect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.light.bake import Irradiance
+from datagen.light.lighting import MIN_RATIO_PHOTOGRAPHED, SURFELS_OF_ROOM, GatherOptions, typical_reflectance
+
+NUM = 90
+TRUE = np.array([0.2, 0.6, 0.8])
+"""Reflectance of the regions 0, 1 and 2; region 3 has no surfels."""
+REGION = np.repeat([0, 1, 2], [40, 49, 1])
+SHADING = np.random.default_rng(1).uniform(0.5, 2.0, (NUM, 3)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """The fields of surfels that the function reads."""
+
+    position_m: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    radiance: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.radiance)
+
+
+@dataclass(frozen=True)
+class Baker:
+    """Returns half of the true shading as known."""
+
+    photographed: NDArray[np.float32]
+
+    def irradiance(self, position_m: NDArray, normal: NDArray, num_rays: int) -> Irradiance:
+        half = np.full(NUM, 0.5, np.float32)
+        return Irradiance(0.5 * SHADING, half, self.photographed)
+
+
+def typical(photographed: NDArray | float = 1.0, radiance: NDArray | None = None) -> NDArray[np.float64]:
+    nowhere = np.zeros((NUM, 3))
+    surfels: Any = Surfels(nowhere, nowhere, TRUE[REGION, None] * SHADING if radiance is None else radiance)
+    baker: Any = Baker(np.broadcast_to(np.float32(photographed), (NUM,)))
+    return typical_reflectance(baker, surfels, REGION, 4, GatherOptions())
+
+
+def test_regions_have_the_median_of_their_surfels() -> None:
+    """It is shrunk towards the room's median, most for regions with few surfels."""
+    found, room = typical(), np.log(0.6)
+    for which, count in enumerate(np.bincount(REGION)):
+        weight = count / (count + SURFELS_OF_ROOM)
+        expected = np.exp(weight * np.log(TRUE[which]) + (1 - weight) * room)
+        np.testing.assert_allclose(found[which], expected, rtol=1e-6)
+    np.testing.assert_allclose(found[3], 0.6, rtol=1e-6)
+    assert found[0, 0] == pytest.approx(0.2, rel=0.12)
+
+
+def test_surfels_in_unphotographed_light_do_not_count() -> None:
+    """Reflectances that are three times too high, where too little of the light is photographed, are ignored;
+    with all of them, the albedo 0.4 is assumed."""
+    photographed = np.where(np.arange(NUM) % 5 < 3, MIN_RATIO_PHOTOGRAPHED - 0.01, 0.9)
+    wrong = TRUE[REGION, None] * SHADING * np.where(np.arange(NUM) % 5 < 3, 3.0, 1.0)[:, None]
+    assert typical(photographed, wrong)[0, 1] == pytest.approx(0.2, rel=0.3)
+    np.testing.assert_array_equal(typical(MIN_RATIO_PHOTOGRAPHED), np.full((4, 3), 0.4))
+
+
+def test_reflectance_is_between_0_05_and_0_9() -> None:
+    found = typical(radiance=SHADING * np.where(REGION == 0, 1e-3, 50.0)[:, None])
+    assert found.min() > 0.049 and found.max() < 0.901
