@@ -73,7 +73,6 @@ def unmixed(
     grid = surfels.grid
     background = photographed_background(views, grid.low, grid.high)
     field = RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
-    is_emitter = emits[surfels.face]  # photographed_emitters has its own estimate
     edges = [_edge_pixels(surfels, index, view) for index, view in enumerate(views)]
     parts = [_parts(field, view, at, region_of_face) for view, at in zip(views, edges, strict=True)]
     colors = [view.color.reshape(-1, 3)[at] for view, at in zip(views, edges, strict=True)]
@@ -89,7 +88,7 @@ def unmixed(
     own = (color - other) / divisor[:, None]
     variance = np.square(SHARE_ERROR * behind / divisor) + _TINY
     found = _shrunk(surfels, region_of_face, owner, own, variance)
-    found = np.where((surfels.is_mixed & ~is_emitter)[owner, None], found, color).astype(np.float32)
+    found = np.where(surfels.is_mixed[owner, None], found, color).astype(np.float32)
     ends = np.cumsum([0, *map(len, edges)])
     result = []
     for view, at, first, last in zip(views, edges, ends[:-1], ends[1:], strict=True):

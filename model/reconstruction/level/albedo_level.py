@@ -121,8 +121,7 @@ def find_level(
     grid = surfels.grid
     emitters = photographed_emitters(views, traced, emits, region_of_face)
     background = photographed_background(views, grid.low, grid.high)
-    chosen = np.flatnonzero(~emits[surfels.face])
-    chosen = np.sort(np.random.default_rng(0).permutation(chosen)[:NUM_POINTS])
+    chosen = np.sort(np.random.default_rng(0).permutation(len(surfels))[:NUM_POINTS])
     position, normal = surfels.position_m[chosen], surfels.normal[chosen]
 
     def lit_by(surfels: Surfels, background: Background) -> Irradiance:
