@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 
@@ -61,25 +62,27 @@ def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeom
     return _geometry(_parts_of(package, placed, None) + _lamps(moved))
 
 
-def lamp_mesh(light: Light) -> Mesh | None:
-    """World-space mesh of a light that cameras see as a surface; None for other lights.
-
-    A sphere becomes a polyhedron of equal area.
-    """
+def is_lamp(light: Light) -> TypeGuard[AreaLight | SphereLight]:
+    """Return whether cameras see a light as an emitting surface."""
     if isinstance(light, AreaLight):
-        return area_light_mesh(light) if light.is_visible else None
-    if isinstance(light, SphereLight):
-        from trimesh.creation import icosphere
+        return light.is_visible and any(light.radiance)
+    return isinstance(light, SphereLight) and any(light.radiance)
 
-        ball = icosphere(subdivisions=3)
-        corners = ball.vertices * (light.radius_m * np.sqrt(4 * np.pi / ball.area)) + light.position_m
-        return Mesh(corners.astype(np.float32), ball.faces.astype(np.int32))
-    return None
+
+def lamp_mesh(lamp: AreaLight | SphereLight) -> Mesh:
+    """World-space mesh of a lamp; a sphere becomes a polyhedron of equal area."""
+    if isinstance(lamp, AreaLight):
+        return area_light_mesh(lamp)
+    from trimesh.creation import icosphere
+
+    ball = icosphere(subdivisions=3)
+    corners = ball.vertices * (lamp.radius_m * np.sqrt(4 * np.pi / ball.area)) + lamp.position_m
+    return Mesh(corners.astype(np.float32), ball.faces.astype(np.int32))
 
 
 def without_lamps(lights: Iterable[Light]) -> tuple[Light, ...]:
-    """Return the ``lights`` that cameras do not see as surfaces."""
-    return tuple(light for light in lights if lamp_mesh(light) is None)
+    """Return the ``lights`` that are not lamps."""
+    return tuple(light for light in lights if not is_lamp(light))
 
 
 @dataclass(frozen=True)
@@ -115,12 +118,11 @@ def _parts_of(package: Package, placed: PlacedAsset, library: Library | None) ->
 
 
 def _lamps(lights: Iterable[Light]) -> list[_PlacedPart]:
-    parts = []
-    for light in lights:
-        mesh = lamp_mesh(light)
-        if mesh is not None and isinstance(light, AreaLight | SphereLight) and any(light.radiance):
-            parts.append(_PlacedPart(f"{_LIGHTS}{light.name}", mesh, light.radiance, False))
-    return parts
+    return [
+        _PlacedPart(f"{_LIGHTS}{light.name}", lamp_mesh(light), light.radiance, False)
+        for light in lights
+        if is_lamp(light)
+    ]
 
 
 def _geometry(found: list[_PlacedPart]) -> tuple[CaptureGeometry, tuple[str, ...]]:

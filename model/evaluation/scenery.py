@@ -25,7 +25,7 @@ from datagen.formats.shard import ShardReader
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
 from datagen.library import Library
-from datagen.rendering.capture_geometry import lamp_mesh
+from datagen.rendering.capture_geometry import is_lamp
 from model.evaluation.room import PreparedScene
 from model.evaluation.suite import InsertedObject, ModifiedLight
 
@@ -116,7 +116,7 @@ def recovered_scenery(
         "environment": PlacedAsset(name="environment", asset=package.id, emission=emission),
         "objects": inserted,
         "lights": tuple(
-            light for light in configuration.lights if light.name not in lamps or lamp_mesh(light) is None
+            light for light in configuration.lights if light.name not in lamps or not is_lamp(light)
         ),
         "assets": {**configuration.assets, package.id: package.sha256},
     }
