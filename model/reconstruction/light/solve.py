@@ -42,22 +42,26 @@ DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 """Ranges of a segment's residual over which confidence decreases from 1 to 0, since no hypothesis explains
 the observations. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals fit
 worse than correct dielectrics, since they reflect the errors of light and geometry."""
-NETWORK_VARIANCE = 0.015
+NETWORK_VARIANCE = 0.03
 """Variance of the network's R, times the root of the number of views, against which variance of R over
 hypotheses lowers confidence; the latter omits errors of light and geometry that all hypotheses share, of
 which the views of a surfel are no independent samples."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
-"""Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e."""
-MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.06, 0.01
+"""Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
+segment of :data:`REFERENCE_OBSERVATIONS`."""
+MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.018, 0.01
 """Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the
 excess cost, relative to the residual, at which matte is as likely as glossy, since glossy hypotheses fit
 noise slightly better."""
+REFERENCE_OBSERVATIONS, COOLING, MAX_HEAT = 3000.0, 0.75, 10.0
+"""Temperatures are multiplied by (observations of the segment / the first value)^-:data:`COOLING`, at most by
+the last value. Errors of independent observations would give the exponent 1."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels from which its other segments may become metal."""
-MIN_ADVANTAGE = -0.05
-"""Lower bound on each segment's advantage of metal in a region's mean, so that few dark segments do not
-dominate."""
+MIN_LOG_RATIO, MAX_LOG_RATIO = 0.3, 2.0
+"""Minimum over a metal region of the mean of ln (residual as dielectric / residual as metal) times the root
+of the mean evidence, and the bound on each segment's, so that few segments do not dominate."""
 MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
 """Maximum roughness of a mirror, minimum residual of the best dielectric, and maximum ratio of the residual
 as metal to it. Moving mirror images have no other explanation, so mirrors need no photographed hemisphere."""
@@ -76,7 +80,7 @@ class PriorWeights:
     """
 
     specular_albedo: float = 0.02
-    roughness: float = 0.0005
+    roughness: float = 0.0001
     metal: float = 0.015
 
 
@@ -146,8 +150,8 @@ def decide(
     ``views`` (G,): mean number of views of a surfel; ``group`` (G,): smooth region; ``size`` (G,): number of
     surfels. A dielectric is the mean of the matte (S = 0, R = 1) and glossy hypotheses, weighted by
     likelihood. Mirrors need no evidence. Other segments of a region become metal, within
-    :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is metal or the mean advantage of metal over it
-    exceeds the required one.
+    :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is metal or its residuals as metal are below those
+    as dielectric by :data:`MIN_LOG_RATIO`.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -159,8 +163,10 @@ def decide(
     of_glossy = costs.dielectric[:, :, 1:].reshape(len(root), -1).min(axis=1)
     residual = np.minimum(of_matte, of_glossy)
     noise = np.maximum(residual, MIN_NOISE)
-    found_s, found_r, square_r = _expected(glossy / (GLOSSY_TEMPERATURE * noise)[:, None, None])
-    matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / (MATTE_TEMPERATURE * noise))
+    observations = np.maximum(size * views, 1) / REFERENCE_OBSERVATIONS
+    heat = noise * np.minimum(observations**-COOLING, MAX_HEAT)
+    found_s, found_r, square_r = _expected(glossy / (GLOSSY_TEMPERATURE * heat)[:, None, None])
+    matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / (MATTE_TEMPERATURE * heat))
     found_s, found_r = (1 - matte) * found_s, matte + (1 - matte) * found_r
     variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
@@ -176,12 +182,13 @@ def decide(
     is_mirror &= (residual >= MIRROR_RESIDUAL) & (views >= MIRROR_VIEWS) & (size >= MIRROR_SURFELS)
     required = np.where(is_mirror, 0, required)
     is_metal = (advantage > required) & (albedo >= MIN_METAL)
-    excess = np.maximum(advantage, MIN_ADVANTAGE) - required
-    share, excess_of_region, albedo_of_region = (
+    ratio = np.log(noise / np.maximum(of_metal, MIN_NOISE))
+    share, ratio_of_region, evidence_of_region, albedo_of_region = (
         np.bincount(group, size * values) / np.maximum(np.bincount(group, size), 1)
-        for values in (is_metal, excess, albedo)
+        for values in (is_metal, np.clip(ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO), evidence, albedo)
     )
-    spreads = (share >= METAL_SHARE) | ((excess_of_region > 0) & (albedo_of_region >= MIN_METAL))
+    is_evident = ratio_of_region * np.sqrt(evidence_of_region) > MIN_LOG_RATIO
+    spreads = (share >= METAL_SHARE) | (is_evident & (albedo_of_region >= MIN_METAL))
     is_metal |= spreads[group] & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
