@@ -59,7 +59,7 @@ REFERENCE_OBSERVATIONS, COOLING, MAX_HEAT = 3000.0, 0.75, 10.0
 the last value. Errors of independent observations would give the exponent 1."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels from which its other segments may become metal."""
-MIN_LOG_RATIO, MAX_LOG_RATIO = 0.3, 2.0
+MIN_LOG_RATIO, MAX_LOG_RATIO = 0.35, 2.0
 """Minimum over a metal region of the mean of ln (residual as dielectric / residual as metal) times the root
 of the mean evidence, and the bound on each segment's, so that few segments do not dominate."""
 MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
