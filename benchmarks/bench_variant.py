@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Seconds by stage of a configuration's views in one Mitsuba variant, and differences from another's images.
 
-    datagen run light --out planned --configurations 1 --views 8
+    datagen plan light --out planned --configurations 1 --views 8
     SCENE_MATERIALS_VARIANT=llvm_ad_rgb python -m benchmarks.bench_variant planned --out llvm.npz
     SCENE_MATERIALS_VARIANT=cuda_ad_rgb python -m benchmarks.bench_variant planned --compare llvm.npz
 

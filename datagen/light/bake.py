@@ -81,7 +81,7 @@ class Baker:
         self.size_m = size_m
         self.start_m = _START * size_m
         self._sampler = EmitterSampler(field.emitters)
-        rectangles = bright_rectangles(field.cells, field.is_emitter)
+        rectangles = bright_rectangles(field.cells)
         self.guide = BrightGuide(rectangles) if rectangles else None
 
     def irradiance(self, position_m: NDArray, normal: NDArray, num_rays: int, seed: int = 0) -> Irradiance:

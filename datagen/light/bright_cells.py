@@ -26,14 +26,12 @@ of clusters. A cluster with share s of the power and share a of the area adds th
 """
 
 
-def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[BrightRectangle]:
+def bright_rectangles(cells: Cells) -> list[BrightRectangle]:
     """Rectangles around the clusters of bright ``cells`` that rays seldom hit, by decreasing variance.
 
-    ``is_emitter`` (K,): whether each row of the cells' radiance belongs to an emitter; emitters are sampled
-    separately.
+    Emitters have no cells; they are sampled separately.
     """
     keys = np.flatnonzero(cells.index >= 0)
-    keys = keys[~is_emitter[cells.index[keys]]]
     if not len(keys):
         return []
     level = luminance(cells.radiance[cells.index[keys]].astype(np.float64))

@@ -114,8 +114,6 @@ class RadianceField:
         self.emitters = emitters
         self.background = background
         self.cells = cells or surfel_cells(surfels)
-        self.is_emitter = np.zeros(len(self.cells.radiance), bool)
-        self.is_emitter[: len(surfels)] = emitters.of_face[surfels.face] >= 0
         self.outer = outer
         levels = pyramid(self.cells) + ([] if outer is None else [outer])
         self._levels = [self._upload(level) for level in levels]

@@ -42,7 +42,7 @@ def square(height_m: float, corners: tuple[int, ...]) -> tuple[NDArray, NDArray]
     return np.column_stack([flat, np.full(4, height_m)]), np.stack([order[[0, 1, 2]], order[[0, 2, 3]]])
 
 
-def room(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> tuple[RadianceField, Surfels]:
+def room(radiance: NDArray, *, sky: float = 0.0) -> tuple[RadianceField, Surfels]:
     """Return the radiance field and surfels of a ceiling above a floor of radiance 1 under a uniform sky."""
     (above, faces_above), (below, faces_below) = square(0.51, (0, 1, 2, 3)), square(0.01, (4, 7, 6, 5))
     faces = np.concatenate([faces_above, faces_below]).astype(np.int32)
@@ -65,7 +65,7 @@ def room(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> tu
         grid, position.astype(np.float32), normal, face, colors.astype(np.float32), unmixed, observations, no,
         (), (),
     )  # fmt: skip
-    of_face = np.array([0, 0, -1, -1] if names_lamp else [-1] * 4, np.int32)
+    of_face = np.full(4, -1, np.int32)
     emitters = Emitters(
         of_face, no.reshape(0, 3), np.ones(4, np.float32), no.astype(np.int32), no.reshape(0, 3, 3), no
     )
@@ -107,7 +107,7 @@ def arriving(point: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def test_the_lamp_is_the_only_rectangle() -> None:
-    (found,) = bright_rectangles(guided().field.cells, guided().field.is_emitter)
+    (found,) = bright_rectangles(guided().field.cells)
     np.testing.assert_allclose(found.corner_m, [0.1, -0.1, 0.51], atol=1e-9)
     np.testing.assert_allclose(found.u_m + found.v_m, [0.08, 0.08, 0], atol=1e-9)
     np.testing.assert_array_equal(found.normal, [0, 0, -1])
@@ -120,12 +120,7 @@ def test_large_or_weak_light_has_no_rectangle(bright: tuple[slice, slice]) -> No
     radiance = np.ones((CELLS, CELLS))
     radiance[bright] = 15.0
     field, _ = room(radiance)
-    assert bright_rectangles(field.cells, field.is_emitter) == []
-
-
-def test_named_lamps_have_no_rectangle() -> None:
-    field, _ = room(ceiling_radiance(), names_lamp=True)
-    assert bright_rectangles(field.cells, field.is_emitter) == []
+    assert bright_rectangles(field.cells) == []
 
 
 def test_irradiance_is_right_with_few_rays() -> None:
