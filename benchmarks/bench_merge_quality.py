@@ -41,10 +41,11 @@ from model.reconstruction.infer import map_stages
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MergeOptions, map_views
-from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.merge.size import atlas_size, pixel_density
 from model.reconstruction.merge.weights import Weights
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.stages import Estimate, Run
+from model.reconstruction.unwrap.repacked import repacked
 from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "borders", "resolution", "confidence")
@@ -135,10 +136,10 @@ def open_room(shard: Path, library: Sequence[Path], num_views: int | None = None
     capture = read_capture(shard, CaptureOptions(library=tuple(library)))
     capture = replace(capture, views=capture.views[:num_views])
     traced = trace_capture(capture)
-    mesh, unwrap = unwrapped(traced.geometry.mesh)
+    density = pixel_density((view.camera, view.geometry) for view in traced.views)
+    mesh, unwrap = repacked(*unwrapped(traced.geometry.mesh), density)
     uvs = [pixel_uv(mesh, view.camera, view.geometry) for view in traced.views]
-    footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
-    size = atlas_size(footprint_m, unwrap.metres_per_side)
+    size = atlas_size(density.footprint_m, unwrap.metres_per_side)
     sides = seen_sides([view.geometry for view in traced.views], len(mesh.faces))
     return Room(capture, traced, mesh, sides, uvs, TRUTH.read(traced), min(size, MAX_SIDE))
 

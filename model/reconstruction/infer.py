@@ -51,12 +51,13 @@ from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
-from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.merge.size import PixelDensity, atlas_size, pixel_density
 from model.reconstruction.mesh.stage import mended_mesh
 from model.reconstruction.poses.stage import mended
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import Estimate, Found, MapSource, MapStage, Run
+from model.reconstruction.unwrap.repacked import repacked
 from model.reconstruction.unwrap.uv import unwrapped
 
 __all__ = ["InferOptions", "InferReport", "infer"]
@@ -68,15 +69,15 @@ MEMORY_ATLAS = 4096
 class FinalViews:
     """The views with their final maps.
 
-    ``sides`` (M,): the outer side of each triangle, 1 for the front, -1 for the back. ``footprint_m``: side
-    of a fine pixel's footprint on the surface, None if no surface is visible. ``can_be_seen`` (M,): mask of
-    the triangles visible in a view or from a surface visible in a view.
+    ``sides`` (M,): the outer side of each triangle, 1 for the front, -1 for the back. ``density``: pixels per
+    metre of the surface in the views. ``can_be_seen`` (M,): mask of the triangles visible in a view or from a
+    surface visible in a view.
     """
 
     views: list[MapView]
     geometry: TracedGeometry
     sides: NDArray[np.float32]
-    footprint_m: float | None
+    density: PixelDensity
     can_be_seen: NDArray[np.bool_]
     found: Found
 
@@ -194,9 +195,9 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
     for stage in map_stages(source, run.options):
         estimate = stage(traced, estimate, run)
     sides = seen_sides([view.geometry for view in traced.views], run.report.num_triangles)
-    footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
+    density = pixel_density((view.camera, view.geometry) for view in traced.views)
     views = map_views(traced.views, estimate.maps)
-    return FinalViews(views, traced.geometry, sides, footprint_m, visible_faces(traced), estimate.found)
+    return FinalViews(views, traced.geometry, sides, density, visible_faces(traced), estimate.found)
 
 
 def _check(traced: TracedCapture, run: Run) -> None:
@@ -221,9 +222,10 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
     report, options = run.report, run.options
     with run.stage("unwrap") as advance:
         mesh, unwrap = unwrapped(final.geometry.mesh, options.jobs, advance)
+        mesh, unwrap = repacked(mesh, unwrap, final.density)
         size = options.atlas
         if size == "auto":
-            size = atlas_size(final.footprint_m, unwrap.metres_per_side)
+            size = atlas_size(final.density.footprint_m, unwrap.metres_per_side)
         report.atlas_size = size
         report.unwrap = {**asdict(unwrap), "texels_per_m": size / unwrap.metres_per_side}
         report.notes += unwrap.notes

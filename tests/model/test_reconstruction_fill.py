@@ -19,7 +19,7 @@ from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.export.atlas_images import map_bytes, write_atlas_images
 from model.reconstruction.merge.fill import fill_unseen, nearest_labels
-from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.merge.size import atlas_size, pixel_density
 from model.reconstruction.unwrap.charts import chart_of_faces
 from oracles.textured_room import geometry_of, room_mesh
 
@@ -119,7 +119,7 @@ def test_size_follows_the_density_of_pixels() -> None:
             20 * scale, 20 * scale, 200.0 * scale, 200.0 * scale, 10.0 * scale, 10.0 * scale, pose
         )
         view = TracedGeometry(geometry_of(mesh)).trace_view(camera)
-        sizes.append(atlas_size(pixel_footprint_m([(camera, view)]), 4.0))
+        sizes.append(atlas_size(pixel_density([(camera, view)]).footprint_m, 4.0))
     assert sizes == [
         512,
         1024,

@@ -4,32 +4,49 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 from datagen.geometry.traced import ViewGeometry
 
 MIN_SIZE, MAX_SIZE = 256, 16384
+MAX_PIXELS = 20_000
+FINE_QUANTILE = 0.9
+"""Quantile of pixels per metre that counts as fine."""
 _GRAZING_COSINE = 0.1  # bounds the footprints of grazing views
 
 
-def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: float = 0.1) -> float | None:
-    """Compute the side in metres of a fine pixel's footprint on the surface; None if no surface is visible.
-
-    The result is the ``quantile`` over pixels of z / f / sqrt(cos), with depth z, focal length f in pixels
-    and cosine of the angle of incidence.
+@dataclass(frozen=True)
+class PixelDensity:
+    """Samples of the views' pixels on the surface: the ``face`` (K,) that a pixel shows, and the pixels per
+    metre there (K,), f sqrt(cos) / z, with focal length f in pixels, cosine of the angle of incidence and
+    depth z.
     """
-    footprints = []
+
+    face: NDArray[np.int32]
+    per_m: NDArray[np.float64]
+
+    @property
+    def footprint_m(self) -> float | None:
+        """Side of a fine pixel's footprint on the surface in metres; None if no surface is visible."""
+        return float(1 / np.quantile(self.per_m, FINE_QUANTILE)) if len(self.per_m) else None
+
+
+def pixel_density(views: Iterable[tuple[Camera, ViewGeometry]]) -> PixelDensity:
+    """Sample up to :data:`MAX_PIXELS` pixels of each view."""
+    faces, densities = [np.zeros(0, np.int32)], [np.zeros(0)]
     for camera, view in views:
-        step = max(1, view.face.size // 20_000)
+        step = max(1, view.face.size // MAX_PIXELS)
         z = view.depth_z_m.ravel()[::step].astype(np.float64)
         cosine = view.cosine(camera).ravel()[::step]
         hit = z > 0
         focal = np.sqrt(camera.fx_px * camera.fy_px)
-        footprints.append(z[hit] / focal / np.sqrt(np.maximum(cosine[hit], _GRAZING_COSINE)))
-    joined = np.concatenate(footprints) if footprints else np.zeros(0)
-    return float(np.quantile(joined, quantile)) if joined.size else None
+        faces.append(view.face.ravel()[::step][hit])
+        densities.append(focal * np.sqrt(np.maximum(cosine[hit], _GRAZING_COSINE)) / z[hit])
+    return PixelDensity(np.concatenate(faces), np.concatenate(densities))
 
 
 def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:

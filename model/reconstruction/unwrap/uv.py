@@ -47,7 +47,8 @@ class UvReport:
 
     ``source``: origin of the UVs; ``rejected``: fault of the mesh's UVs, or ''; ``coverage``: share of the
     atlas with a surface; ``metres_per_side``: median length on the surface that corresponds to the atlas
-    side; ``stretch``: ratio of the 95th to the 5th percentile of texel density by area, ideally 1;
+    side, on the finest charts if ``is_repacked``, i.e. their scales were changed; ``stretch``: ratio of the
+    95th to the 5th percentile of texel density by area before, ideally 1;
     ``padding_texels``: see :func:`padding_texels`; ``num_blender_faces``: triangles unwrapped by Blender
     after xatlas failed; ``num_fallback_faces``: triangles placed individually.
     """
@@ -60,6 +61,7 @@ class UvReport:
     num_fallback_faces: int = 0
     num_blender_faces: int = 0
     padding_texels: int | None = None
+    is_repacked: bool = False
 
     @property
     def notes(self) -> list[str]:
@@ -95,7 +97,7 @@ def own_uv_fault(mesh: Mesh) -> str:
     if low < -_RANGE_SLACK or high > 1 + _RANGE_SLACK:
         return f"UVs run from {low:.3g} to {high:.3g}, outside [0, 1]"
     areas = mesh.areas()
-    unmapped = float(areas[_uv_areas(mesh) <= 1e-12].sum() / max(areas.sum(), 1e-30))
+    unmapped = float(areas[uv_areas(mesh) <= 1e-12].sum() / max(areas.sum(), 1e-30))
     if unmapped > _MAX_UNMAPPED:
         return f"{unmapped:.1%} of the surface has UVs without area"
     surface = TexelSurface(mesh, face_normals(mesh), _CHECK_SIZE)
@@ -104,7 +106,8 @@ def own_uv_fault(mesh: Mesh) -> str:
     return f"{share:.1%} of the layout overlaps itself" if share > _MAX_OVERLAP else ""
 
 
-def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
+def uv_areas(mesh: Mesh) -> NDArray[np.float64]:
+    """Compute the areas (M,) of the triangles' UVs."""
     assert mesh.uv is not None
     corners = mesh.uv.astype(np.float64)[mesh.faces]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -133,13 +136,13 @@ def padding_texels(mesh: Mesh) -> int | None:
 def _report(
     mesh: Mesh, source: Literal["mesh", "xatlas"], rejected: str, num_fallback: int = 0, num_blender: int = 0
 ) -> UvReport:
-    areas, uv_areas = mesh.areas(), _uv_areas(mesh)
-    usable = (areas > 0) & (uv_areas > 0)
-    density = np.sqrt(uv_areas[usable] / areas[usable])
+    areas, of_uv = mesh.areas(), uv_areas(mesh)
+    usable = (areas > 0) & (of_uv > 0)
+    density = np.sqrt(of_uv[usable] / areas[usable])
     order = np.argsort(density)
     share = np.cumsum(areas[usable][order]) / areas[usable].sum()
     low, middle, high = (density[order][np.searchsorted(share, q)] for q in (0.05, 0.5, 0.95))
-    coverage = float(min(uv_areas.sum(), 1.0))
+    coverage = float(min(of_uv.sum(), 1.0))
     return UvReport(
         source,
         rejected,

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: MIT
+"""Scales an unwrap's charts to the pixels that show them.
+
+A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts most
+texels would show what no photograph does. Charts therefore get as many texels per metre as views have pixels,
+and unphotographed ones fewer, unless this saves little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh, compacted
+from model.reconstruction.merge.size import FINE_QUANTILE, PixelDensity
+from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.uv import UvReport, padding_texels, shelf_packed, uv_areas
+from model.reconstruction.unwrap.xatlas_process import PACK_RESOLUTION, PADDING
+
+MAX_REDUCTION = 8.0
+"""Ratio of the finest texels per metre to those of unphotographed charts."""
+MAX_SIDE_RATIO = 0.8
+"""Maximum ratio of the atlas sides after and before, for equal texels on the finest charts, at which charts
+are repacked."""
+
+
+def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh, UvReport]:
+    """Return ``mesh`` with its charts scaled to the views' pixels and packed again, and its ``report``; both
+    unchanged if this saves little. Triangles keep their order, but vertices may be split.
+    """
+    if density.footprint_m is None:
+        return mesh, report
+    assert mesh.uv is not None
+    chart = np.unique(chart_of_faces(mesh), return_inverse=True)[1]
+    num = int(chart.max()) + 1
+    finest = 1 / density.footprint_m
+    wanted = np.clip(_chart_densities(density, chart, num), finest / MAX_REDUCTION, finest)
+    area_m2, area_uv = (np.bincount(chart, areas, num) for areas in (mesh.areas(), uv_areas(mesh)))
+    texels = np.where(area_uv > 0, wanted * np.sqrt(area_m2 / np.maximum(area_uv, 1e-30)), 0.0)  # per UV unit
+    corners = mesh.uv.astype(np.float64)[mesh.faces]
+    low, high = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
+    for k in range(3):
+        np.minimum.at(low, chart, corners[:, k])
+        np.maximum.at(high, chart, corners[:, k])
+    boxes = (high - low) * texels[:, None]
+    gap = PADDING * shelf_packed(boxes)[1] / PACK_RESOLUTION
+    places, side = shelf_packed(boxes + gap)
+    if side > MAX_SIDE_RATIO * report.metres_per_side * finest:
+        return mesh, report
+    local = (corners - low[chart][:, None]) * texels[chart][:, None, None]
+    uv = (local + places[chart][:, None] + 0.5 * gap) / side
+    index = mesh.faces.ravel()
+    split = Mesh(
+        mesh.positions[index],
+        np.arange(len(index), dtype=np.int32).reshape(-1, 3),
+        None if mesh.normals is None else mesh.normals[index],
+        uv.reshape(-1, 2).astype(np.float32),
+    )
+    made = compacted(split)
+    return made, replace(
+        report,
+        is_repacked=True,
+        coverage=float(uv_areas(made).sum()),
+        metres_per_side=side / finest,
+        padding_texels=padding_texels(made),
+    )
+
+
+def _chart_densities(density: PixelDensity, chart: NDArray, num: int) -> NDArray[np.float64]:
+    """Compute the fine pixels per metre of each of ``num`` charts, 0 if no pixel shows it; ``chart`` (M,) is
+    that of each triangle.
+    """
+    which = chart[density.face]
+    order = np.lexsort((density.per_m, which))
+    count = np.bincount(which, minlength=num)
+    fine = np.cumsum(count) - count + np.floor(FINE_QUANTILE * np.maximum(count - 1, 0)).astype(np.int64)
+    found = np.zeros(num)
+    found[count > 0] = density.per_m[order][fine[count > 0]]
+    return found
