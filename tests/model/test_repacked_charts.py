@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""Tests of charts scaled to the pixels that show them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.merge.size import PixelDensity
+from model.reconstruction.unwrap.repacked import MAX_REDUCTION, repacked
+from model.reconstruction.unwrap.uv import UvReport, own_uv_fault, uv_areas
+
+SIDES_M = (1.0, 1.0, 40.0)  # two table tops and a lawn
+DENSITY = 100.0
+
+
+def quads() -> Mesh:
+    """Return three squares whose UVs have the same scale, 50 m to the side of the atlas."""
+    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    flat = [side * unit for side in SIDES_M]
+    corners = np.array([[1, 41], [3, 41], [1, 0.5]], np.float32)
+    positions = np.concatenate([np.column_stack([p, np.full(4, k)]) for k, p in enumerate(flat)])
+    uv = np.concatenate([p + corner for p, corner in zip(flat, corners, strict=True)]) / 50
+    faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * k for k in range(3)])
+    return Mesh(positions.astype(np.float32), faces.astype(np.int32), None, uv.astype(np.float32))
+
+
+def seen(per_m: list[float]) -> PixelDensity:
+    """Return ten pixels on each triangle, with ``per_m`` pixels per metre by square; none where it is 0."""
+    face = np.repeat(np.arange(6, dtype=np.int32), 10)
+    values = np.repeat(np.array(per_m), 20)
+    return PixelDensity(face[values > 0], values[values > 0])
+
+
+def texels_per_m(mesh: Mesh, side: float) -> NDArray[np.float64]:
+    return side * np.sqrt(uv_areas(mesh) / mesh.areas())
+
+
+def report_of(mesh: Mesh) -> UvReport:
+    return UvReport("mesh", "", float(uv_areas(mesh).sum()), 50.0, 1.0)
+
+
+def test_charts_have_as_many_texels_as_pixels() -> None:
+    mesh = quads()
+    made, report = repacked(mesh, report_of(mesh), seen([DENSITY, DENSITY / 2, 0.0]))
+    assert report.is_repacked
+    assert not own_uv_fault(made)
+    assert report.metres_per_side < 0.2 * 50
+    got = texels_per_m(made, DENSITY * report.metres_per_side)
+    expected = DENSITY * np.repeat([1, 1 / 2, 1 / MAX_REDUCTION], 2)
+    np.testing.assert_allclose(got, expected, rtol=1e-4)
+    np.testing.assert_allclose(report.coverage, uv_areas(made).sum(), rtol=1e-6)
+    assert report.padding_texels is not None
+    assert report.padding_texels >= 1
+
+
+def test_triangles_keep_order_and_shape() -> None:
+    mesh = quads()
+    made, _ = repacked(mesh, report_of(mesh), seen([DENSITY, DENSITY / 2, 0.0]))
+    np.testing.assert_array_equal(made.positions[made.faces], mesh.positions[mesh.faces])
+    assert made.uv is not None
+    assert mesh.uv is not None
+    before, after = mesh.uv[mesh.faces], made.uv[made.faces]
+    edges = [np.diff(values, axis=1) for values in (before, after)]
+    scale = np.linalg.norm(edges[1], axis=2) / np.linalg.norm(edges[0], axis=2)
+    np.testing.assert_allclose(edges[1], scale[:, :1, None] * edges[0], atol=1e-6)
+
+
+def test_layouts_that_save_little_are_kept() -> None:
+    """The lawn needs the fine texels itself, or no photograph shows the mesh."""
+    mesh = quads()
+    for density in (seen([DENSITY, DENSITY, DENSITY]), seen([0.0, 0.0, 0.0])):
+        made, report = repacked(mesh, report_of(mesh), density)
+        assert made is mesh
+        assert not report.is_repacked
+
+
+def test_fine_pixels_count_but_not_the_finest() -> None:
+    """A chart has the density of the ninth of ten pixels, not that of one pixel of a near view."""
+    mesh = quads()
+    density = seen([DENSITY, DENSITY / 4, 0.0])
+    per_m = density.per_m.copy()
+    per_m[20] = DENSITY
+    made, report = repacked(mesh, report_of(mesh), PixelDensity(density.face, per_m))
+    got = texels_per_m(made, DENSITY * report.metres_per_side)
+    np.testing.assert_allclose(got[2:4], DENSITY / 4, rtol=1e-4)
