@@ -55,10 +55,11 @@ def test_charts_have_as_many_texels_as_pixels() -> None:
     assert report.padding_texels >= 1
 
 
-def test_triangles_keep_order_and_shape() -> None:
+def test_charts_keep_their_shape() -> None:
     mesh = quads()
     made, _ = repacked(mesh, report_of(mesh), seen([DENSITY, DENSITY / 2, 0.0]))
-    np.testing.assert_array_equal(made.positions[made.faces], mesh.positions[mesh.faces])
+    assert made.positions is mesh.positions
+    assert made.faces is mesh.faces
     assert made.uv is not None
     assert mesh.uv is not None
     before, after = mesh.uv[mesh.faces], made.uv[made.faces]

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.meshes.mesh import Mesh, compacted
+from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.merge.size import FINE_QUANTILE, PixelDensity
 from model.reconstruction.unwrap.charts import chart_of_faces
 from model.reconstruction.unwrap.uv import UvReport, padding_texels, shelf_packed, uv_areas
@@ -28,7 +28,7 @@ are repacked."""
 
 def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh, UvReport]:
     """Return ``mesh`` with its charts scaled to the views' pixels and packed again, and its ``report``; both
-    unchanged if this saves little. Triangles keep their order, but vertices may be split.
+    unchanged if this saves little.
     """
     if density.footprint_m is None:
         return mesh, report
@@ -39,26 +39,19 @@ def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh,
     wanted = np.clip(_chart_densities(density, chart, num), finest / MAX_REDUCTION, finest)
     area_m2, area_uv = (np.bincount(chart, areas, num) for areas in (mesh.areas(), uv_areas(mesh)))
     texels = np.where(area_uv > 0, wanted * np.sqrt(area_m2 / np.maximum(area_uv, 1e-30)), 0.0)  # per UV unit
-    corners = mesh.uv.astype(np.float64)[mesh.faces]
+    of_vertex = np.zeros(len(mesh.positions), np.int64)
+    of_vertex[mesh.faces] = chart[:, None]
+    used = np.unique(mesh.faces)
     low, high = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
-    for k in range(3):
-        np.minimum.at(low, chart, corners[:, k])
-        np.maximum.at(high, chart, corners[:, k])
+    np.minimum.at(low, of_vertex[used], mesh.uv[used])
+    np.maximum.at(high, of_vertex[used], mesh.uv[used])
     boxes = (high - low) * texels[:, None]
     gap = PADDING * shelf_packed(boxes)[1] / PACK_RESOLUTION
     places, side = shelf_packed(boxes + gap)
     if side > MAX_SIDE_RATIO * report.metres_per_side * finest:
         return mesh, report
-    local = (corners - low[chart][:, None]) * texels[chart][:, None, None]
-    uv = (local + places[chart][:, None] + 0.5 * gap) / side
-    index = mesh.faces.ravel()
-    split = Mesh(
-        mesh.positions[index],
-        np.arange(len(index), dtype=np.int32).reshape(-1, 3),
-        None if mesh.normals is None else mesh.normals[index],
-        uv.reshape(-1, 2).astype(np.float32),
-    )
-    made = compacted(split)
+    uv = (mesh.uv - low[of_vertex]) * texels[of_vertex, None] + places[of_vertex] + 0.5 * gap
+    made = replace(mesh, uv=(uv / side).astype(np.float32))
     return made, replace(
         report,
         is_repacked=True,
