@@ -3,7 +3,7 @@
 
 A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts most
 texels would show what no photograph does. Charts therefore get as many texels per metre as views have pixels,
-and unphotographed ones fewer, unless this saves little.
+and large unphotographed ones fewer, unless this saves little.
 """
 
 from __future__ import annotations
@@ -21,6 +21,13 @@ from model.reconstruction.unwrap.xatlas_process import PACK_RESOLUTION, PADDING
 
 MAX_REDUCTION = 8.0
 """Ratio of the finest texels per metre to those of unphotographed charts."""
+SMALL_SIDE = 64.0
+"""Root of the number of texels that any chart has, if its texels are not to be finer than the finest."""
+MAX_GROWTH = 2.0
+"""Maximum factor by which narrow charts grow to a texel's width in an atlas of :data:`PACK_RESOLUTION`, since
+thinner ones show their neighbours."""
+ROW_STEP = 1.25
+"""Step of the heights of rows; charts of equal rows are in the order of the mesh, beside others of their object."""
 MAX_SIDE_RATIO = 0.8
 """Maximum ratio of the atlas sides after and before, for equal texels on the finest charts, at which charts
 are repacked."""
@@ -36,8 +43,11 @@ def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh,
     chart = np.unique(chart_of_faces(mesh), return_inverse=True)[1]
     num = int(chart.max()) + 1
     finest = 1 / density.footprint_m
-    wanted = np.clip(_chart_densities(density, chart, num), finest / MAX_REDUCTION, finest)
     area_m2, area_uv = (np.bincount(chart, areas, num) for areas in (mesh.areas(), uv_areas(mesh)))
+    wanted = np.maximum(
+        _chart_densities(density, chart, num), SMALL_SIDE / np.sqrt(np.maximum(area_m2, 1e-30))
+    )
+    wanted = np.clip(wanted, finest / MAX_REDUCTION, finest)
     texels = np.where(area_uv > 0, wanted * np.sqrt(area_m2 / np.maximum(area_uv, 1e-30)), 0.0)  # per UV unit
     of_vertex = np.zeros(len(mesh.positions), np.int64)
     of_vertex[mesh.faces] = chart[:, None]
@@ -46,7 +56,12 @@ def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh,
     np.minimum.at(low, of_vertex[used], mesh.uv[used])
     np.maximum.at(high, of_vertex[used], mesh.uv[used])
     boxes = (high - low) * texels[:, None]
-    gap = PADDING * shelf_packed(boxes)[1] / PACK_RESOLUTION
+    width = shelf_packed(boxes)[1] / PACK_RESOLUTION
+    growth = np.clip(width / np.maximum(boxes.min(axis=1), 1e-12), 1, MAX_GROWTH)
+    texels, boxes = texels * growth, boxes * growth[:, None]
+    steps = np.ceil(np.log(np.maximum(boxes[:, 1], 1e-12)) / np.log(ROW_STEP))
+    boxes[:, 1] = ROW_STEP**steps
+    gap = PADDING * width
     places, side = shelf_packed(boxes + gap)
     if side > MAX_SIDE_RATIO * report.metres_per_side * finest:
         return mesh, report
