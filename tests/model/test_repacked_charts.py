@@ -8,18 +8,17 @@ from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.merge.size import PixelDensity
-from model.reconstruction.unwrap.repacked import MAX_REDUCTION, repacked
+from model.reconstruction.unwrap.repacked import MAX_GROWTH, MAX_REDUCTION, repacked
 from model.reconstruction.unwrap.uv import UvReport, own_uv_fault, uv_areas
 
-SIDES_M = (1.0, 1.0, 40.0)  # two table tops and a lawn
 DENSITY = 100.0
 
 
-def quads() -> Mesh:
-    """Return three squares whose UVs have the same scale, 50 m to the side of the atlas."""
+def quads(second: tuple[float, float] = (4.0, 4.0)) -> Mesh:
+    """Return two walls and a lawn whose UVs have the same scale, 50 m to the side of the atlas."""
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    flat = [side * unit for side in SIDES_M]
-    corners = np.array([[1, 41], [3, 41], [1, 0.5]], np.float32)
+    flat = [np.float32(sides) * unit for sides in ((4, 4), second, (40, 40))]
+    corners = np.array([[1, 41], [6, 41], [1, 0.5]], np.float32)
     positions = np.concatenate([np.column_stack([p, np.full(4, k)]) for k, p in enumerate(flat)])
     uv = np.concatenate([p + corner for p, corner in zip(flat, corners, strict=True)]) / 50
     faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * k for k in range(3)])
@@ -53,6 +52,21 @@ def test_charts_have_as_many_texels_as_pixels() -> None:
     np.testing.assert_allclose(report.coverage, uv_areas(made).sum(), rtol=1e-6)
     assert report.padding_texels is not None
     assert report.padding_texels >= 1
+
+
+def test_small_charts_keep_fine_texels() -> None:
+    """A chart of 0.5 m has the finest texels even in no photograph; its neighbours would fill coarse ones."""
+    mesh = quads((0.5, 0.5))
+    made, report = repacked(mesh, report_of(mesh), seen([DENSITY, 0.0, 0.0]))
+    np.testing.assert_allclose(texels_per_m(made, DENSITY * report.metres_per_side)[2:4], DENSITY, rtol=1e-4)
+
+
+def test_narrow_charts_grow() -> None:
+    mesh = quads((4.0, 0.001))
+    made, report = repacked(mesh, report_of(mesh), seen([DENSITY, DENSITY, 0.0]))
+    got = texels_per_m(made, DENSITY * report.metres_per_side)
+    np.testing.assert_allclose(got[2:4], MAX_GROWTH * DENSITY, rtol=1e-3)
+    np.testing.assert_allclose(got[:2], DENSITY, rtol=1e-4)
 
 
 def test_charts_keep_their_shape() -> None:

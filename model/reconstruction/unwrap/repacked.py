@@ -27,7 +27,7 @@ MAX_GROWTH = 2.0
 """Maximum factor by which narrow charts grow to a texel's width in an atlas of :data:`PACK_RESOLUTION`, since
 thinner ones show their neighbours."""
 ROW_STEP = 1.25
-"""Step of the heights of rows; charts of equal rows are in the order of the mesh, beside others of their object."""
+"""Step of the heights of rows. Charts of one height are in the order of the mesh, beside their object's."""
 MAX_SIDE_RATIO = 0.8
 """Maximum ratio of the atlas sides after and before, for equal texels on the finest charts, at which charts
 are repacked."""
