@@ -17,7 +17,7 @@ DENSITY = 100.0
 def quads(second: tuple[float, float] = (4.0, 4.0)) -> Mesh:
     """Return two walls and a lawn whose UVs have the same scale, 50 m to the side of the atlas."""
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    flat = [np.float32(sides) * unit for sides in ((4, 4), second, (40, 40))]
+    flat = [np.array(sides, np.float32) * unit for sides in ((4, 4), second, (40, 40))]
     corners = np.array([[1, 41], [6, 41], [1, 0.5]], np.float32)
     positions = np.concatenate([np.column_stack([p, np.full(4, k)]) for k, p in enumerate(flat)])
     uv = np.concatenate([p + corner for p, corner in zip(flat, corners, strict=True)]) / 50
