@@ -345,11 +345,15 @@ def test_gloss_is_decided_by_evidence(noise: float) -> None:
 
 
 def test_observations_decide_between_hypotheses() -> None:
-    """The same costs are clearer evidence in more observations."""
-    costs = costs_of_levels(0.01, 0.0002)
-    few, some, many = (decided(costs, observations=num).roughness[0] for num in (30, 3000, 300_000))
+    """The same costs are clearer evidence in more observations of an exact capture; residuals of an inexact
+    one have common causes.
+    """
+    exact, inexact = costs_of_levels(0.005, 0.0001), costs_of_levels(0.02, 0.0004)
+    few, some, many = (decided(exact, observations=num).roughness[0] for num in (30, 3000, 300_000))
     np.testing.assert_allclose(many, 0.4, atol=0.01)
     assert many + 0.1 < some < few - 0.05
+    few, many = (decided(inexact, observations=num).roughness[0] for num in (30, 300_000))
+    assert few == many > 0.6
 
 
 def test_equally_likely_hypotheses_are_averaged() -> None:
@@ -372,16 +376,19 @@ def test_unexplained_segments_have_no_confidence() -> None:
         np.testing.assert_allclose(metal.confidence, expected, atol=1e-3)
 
 
-def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
+@pytest.mark.parametrize(
+    ("residual", "of_capture"), [(0.02, NETWORK_VARIANCE[0]), (0.005, NETWORK_VARIANCE[1])]
+)
+def test_roughness_between_likely_hypotheses_has_less_confidence(residual: float, of_capture: float) -> None:
     """Confidence of R is the inverse-variance weight of the mean over hypotheses against the network."""
-    clear = decided(costs_of_levels(0.01, 0.01))
+    clear = decided(costs_of_levels(residual, residual))
     assert clear.confidence[0, 2] > 0.95
-    costs = costs_of_levels(0.01, 0.01, (1, 2))
-    costs[-1, 2] = 0.01
+    costs = costs_of_levels(residual, residual, (1, 2))
+    costs[-1, 2] = residual
     variance = (ROUGHNESS_LEVELS[-1] - ROUGHNESS_LEVELS[1]) ** 2 / 4
     for views in (1, 4, 40):
         unclear = decided(costs, evidence=0.999, views=views)
-        of_network = NETWORK_VARIANCE * np.sqrt(views)
+        of_network = of_capture * np.sqrt(views)
         expected = of_network / (of_network + variance)
         np.testing.assert_allclose(unclear.confidence[0, 2], expected, rtol=0.05)
         np.testing.assert_allclose(unclear.confidence[0, :2], 1.0)

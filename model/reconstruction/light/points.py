@@ -176,7 +176,7 @@ def solve_points(
         shading.ls1,
         exposure,
     )
-    weights = options.prior if options.has_prior else PriorWeights(0.0, 0.0, options.prior.metal)
+    weights = options.prior if options.has_prior else PriorWeights(0.0, (0.0, 0.0), options.prior.metal)
     group = np.zeros(num_segments, np.int64)
     group[segmentation.segment] = segmentation.region
     size = np.bincount(segmentation.segment, minlength=num_segments)

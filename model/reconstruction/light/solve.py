@@ -42,21 +42,24 @@ DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 """Ranges of a segment's residual over which confidence decreases from 1 to 0, since no hypothesis explains
 the observations. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals fit
 worse than correct dielectrics, since they reflect the errors of light and geometry."""
-NETWORK_VARIANCE = 0.03
-"""Variance of the network's R, times the root of the number of views, against which variance of R over
-hypotheses lowers confidence; the latter omits errors of light and geometry that all hypotheses share, of
-which the views of a surfel are no independent samples."""
+NETWORK_VARIANCE = (0.015, 0.03)
+"""Variance of the network's R in an inexact and an exact capture, times the root of the number of views,
+against which variance of R over hypotheses lowers confidence; the latter omits errors of light and geometry
+that all hypotheses share, of which the views of a surfel are no independent samples."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
 segment of :data:`REFERENCE_OBSERVATIONS`."""
-MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.018, 0.01
-"""Like :data:`GLOSSY_TEMPERATURE`, for matte (S = 0, R = 1) against the best glossy hypothesis; and the
-excess cost, relative to the residual, at which matte is as likely as glossy, since glossy hypotheses fit
-noise slightly better."""
+MATTE_TEMPERATURE, MATTE_ALLOWANCE = (0.06, 0.018), 0.01
+"""Like :data:`GLOSSY_TEMPERATURE`, in an inexact and an exact capture, for matte (S = 0, R = 1) against the
+best glossy hypothesis; and the excess cost, relative to the residual, at which matte is as likely as glossy,
+since glossy hypotheses fit noise slightly better."""
 REFERENCE_OBSERVATIONS, COOLING, MAX_HEAT = 3000.0, 0.75, 10.0
-"""Temperatures are multiplied by (observations of the segment / the first value)^-:data:`COOLING`, at most by
-the last value. Errors of independent observations would give the exponent 1."""
+"""In an exact capture, temperatures are multiplied by (observations of the segment / the first value) to the
+power of minus the second, at most by the third. Errors of independent observations would give the power 1."""
+EXACT_RESIDUAL = (0.008, 0.012)
+"""Range of the median observation's residual from an exact to an inexact capture. Errors of cameras, mesh and
+photographs are common to many observations, and blur reflections, so they resemble matte surfaces."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels from which its other segments may become metal."""
 MIN_LOG_RATIO, MAX_LOG_RATIO = 0.35, 2.0
@@ -76,11 +79,12 @@ class PriorWeights:
     """Weights of the priors, which are divided by a segment's evidence.
 
     ``specular_albedo`` and ``roughness``: weights of the squared differences of sqrt(S) and of R from the
-    network's; ``metal``: minimum difference by which the cost of metal must be below that of a dielectric.
+    network's, the latter in an inexact and an exact capture; ``metal``: minimum difference by which the cost
+    of metal must be below that of a dielectric.
     """
 
     specular_albedo: float = 0.02
-    roughness: float = 0.0001
+    roughness: tuple[float, float] = (0.0005, 0.0001)
     metal: float = 0.015
 
 
@@ -156,17 +160,21 @@ def decide(
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
     of_s = weights.specular_albedo * doubt[:, None] * (np.sqrt(SPECULAR_LEVELS)[None] - root[:, None]) ** 2
-    of_r = weights.roughness * doubt[:, None] * (ROUGHNESS_LEVELS[None] - roughness[:, None]) ** 2
-    rows = np.arange(len(root))
-    glossy = costs.dielectric[:, :, 1:].astype(np.float64) + of_s[:, None, 1:] + of_r[:, :, None]
     of_matte = costs.dielectric[:, -1, 0].astype(np.float64)
     of_glossy = costs.dielectric[:, :, 1:].reshape(len(root), -1).min(axis=1)
     residual = np.minimum(of_matte, of_glossy)
+    observations = np.maximum(size * views, 1)
+    exactness = _exactness(residual, observations)
+    prior_r = _blended(weights.roughness, exactness) * doubt
+    of_r = prior_r[:, None] * (ROUGHNESS_LEVELS[None] - roughness[:, None]) ** 2
+    rows = np.arange(len(root))
+    glossy = costs.dielectric[:, :, 1:].astype(np.float64) + of_s[:, None, 1:] + of_r[:, :, None]
     noise = np.maximum(residual, MIN_NOISE)
-    observations = np.maximum(size * views, 1) / REFERENCE_OBSERVATIONS
-    heat = noise * np.minimum(observations**-COOLING, MAX_HEAT)
+    cooling = (observations / REFERENCE_OBSERVATIONS) ** -(COOLING * exactness)
+    heat = noise * np.minimum(cooling, MAX_HEAT)
     found_s, found_r, square_r = _expected(glossy / (GLOSSY_TEMPERATURE * heat)[:, None, None])
-    matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / (MATTE_TEMPERATURE * heat))
+    matte_heat = _blended(MATTE_TEMPERATURE, exactness) * heat
+    matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / matte_heat)
     found_s, found_r = (1 - matte) * found_s, matte + (1 - matte) * found_r
     variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
@@ -195,7 +203,7 @@ def decide(
     residual = np.where(is_metal, of_metal, residual)
     low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
     confidence = np.repeat(np.clip((high - residual) / (high - low), 0, 1)[:, None], 3, axis=1)
-    of_network = NETWORK_VARIANCE * np.sqrt(views)
+    of_network = _blended(NETWORK_VARIANCE, exactness) * np.sqrt(views)
     confidence[:, 2] *= np.where(is_metal, 1.0, of_network / (of_network + variance))
     return SolvedSegments(
         found_s.astype(np.float32),
@@ -204,6 +212,21 @@ def decide(
         residual.astype(np.float32),
         confidence.astype(np.float32),
     )
+
+
+def _exactness(residual: NDArray, observations: NDArray) -> float:
+    """Compute the exactness of a capture, in [0, 1], from the segments' ``residual`` and numbers of
+    ``observations``, (G,) each.
+    """
+    order = np.argsort(residual)
+    count = np.cumsum(observations[order])
+    median = residual[order[np.searchsorted(count, 0.5 * count[-1])]]
+    return float(np.interp(median, EXACT_RESIDUAL, (1, 0)))
+
+
+def _blended(ends: tuple[float, float], exactness: float) -> float:
+    """Interpolate between values for an inexact and an exact capture."""
+    return ends[0] + exactness * (ends[1] - ends[0])
 
 
 def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
