@@ -41,11 +41,11 @@ from model.reconstruction.infer import map_stages
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MergeOptions, map_views
-from model.reconstruction.merge.size import atlas_size, pixel_density
 from model.reconstruction.merge.weights import Weights
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.stages import Estimate, Run
 from model.reconstruction.unwrap.repacked import repacked
+from model.reconstruction.unwrap.size import atlas_size, pixel_density
 from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "borders", "resolution", "confidence")

@@ -51,13 +51,13 @@ from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
-from model.reconstruction.merge.size import PixelDensity, atlas_size, pixel_density
 from model.reconstruction.mesh.stage import mended_mesh
 from model.reconstruction.poses.stage import mended
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import Estimate, Found, MapSource, MapStage, Run
 from model.reconstruction.unwrap.repacked import repacked
+from model.reconstruction.unwrap.size import PixelDensity, atlas_size, pixel_density
 from model.reconstruction.unwrap.uv import unwrapped
 
 __all__ = ["InferOptions", "InferReport", "infer"]

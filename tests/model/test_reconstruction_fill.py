@@ -19,8 +19,8 @@ from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.export.atlas_images import map_bytes, write_atlas_images
 from model.reconstruction.merge.fill import fill_unseen, nearest_labels
-from model.reconstruction.merge.size import atlas_size, pixel_density
 from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.size import atlas_size, pixel_density
 from oracles.textured_room import geometry_of, room_mesh
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

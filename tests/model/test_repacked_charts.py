@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.merge.size import PixelDensity
 from model.reconstruction.unwrap.repacked import MAX_GROWTH, MAX_REDUCTION, repacked
+from model.reconstruction.unwrap.size import PixelDensity
 from model.reconstruction.unwrap.uv import UvReport, own_uv_fault, uv_areas
 
 DENSITY = 100.0

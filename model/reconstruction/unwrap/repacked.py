@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.merge.size import FINE_QUANTILE, PixelDensity
 from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.size import FINE_QUANTILE, PixelDensity
 from model.reconstruction.unwrap.uv import UvReport, padding_texels, shelf_packed, uv_areas
 from model.reconstruction.unwrap.xatlas_process import PACK_RESOLUTION, PADDING
 
 MAX_REDUCTION = 8.0
 """Ratio of the finest texels per metre to those of unphotographed charts."""
 SMALL_SIDE = 64.0
-"""Root of the number of texels that any chart has, if its texels are not to be finer than the finest."""
+"""Minimum root of a chart's number of texels, unless its texels are the finest."""
 MAX_GROWTH = 2.0
 """Maximum factor by which narrow charts grow to a texel's width in an atlas of :data:`PACK_RESOLUTION`, since
 thinner ones show their neighbours."""
