@@ -222,7 +222,8 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
     report, options = run.report, run.options
     with run.stage("unwrap") as advance:
         mesh, unwrap = unwrapped(final.geometry.mesh, options.jobs, advance)
-        mesh, unwrap = repacked(mesh, unwrap, final.density)
+        if unwrap.source != "mesh" or not options.keeps_uvs:
+            mesh, unwrap = repacked(mesh, unwrap, final.density)
         size = options.atlas
         if size == "auto":
             size = atlas_size(final.density.footprint_m, unwrap.metres_per_side)

@@ -63,7 +63,8 @@ class InferOptions(AssetOptions):
     interreflection (``albedo_level``). ``has_punctual``: whether the GLB also contains small lamps as point
     lights. ``is_evened``: whether exposures, vignetting and response are estimated from overlapping
     photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are corrected.
-    ``mends_mesh``: whether noise and holes of a reconstructed mesh are removed (``mesh``).
+    ``mends_mesh``: whether noise and holes of a reconstructed mesh are removed (``mesh``). ``keeps_uvs``:
+    whether valid UVs of the mesh are kept at their scales (``unwrap.repacked``).
     """
 
     visibility: Annotated[
@@ -100,6 +101,9 @@ class InferOptions(AssetOptions):
     mends_mesh: Annotated[
         bool, typer.Option("--mend-mesh/--no-mend-mesh", help="Smooth a noisy mesh, and fill its holes.")
     ] = True
+    keeps_uvs: Annotated[
+        bool, typer.Option("--keep-uvs", help="Keep valid UVs of the mesh, however few pixels show a chart.")
+    ] = False
 
 
 @dataclass

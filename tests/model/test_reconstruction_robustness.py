@@ -41,7 +41,7 @@ from tests.model.photographed_room import (
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 ATLAS = 96
-OPTIONS = InferOptions(atlas=ATLAS, has_exr=True)
+OPTIONS = InferOptions(atlas=ATLAS, has_exr=True, keeps_uvs=True)  # their truth is by UV
 ROOT = Path(__file__).resolve().parents[2]
 
 
