@@ -191,13 +191,8 @@ def decide(
     required = np.where(is_mirror, 0, required)
     is_metal = (advantage > required) & (albedo >= MIN_METAL)
     ratio = np.log(noise / np.maximum(of_metal, MIN_NOISE))
-    share, ratio_of_region, evidence_of_region, albedo_of_region = (
-        np.bincount(group, size * values) / np.maximum(np.bincount(group, size), 1)
-        for values in (is_metal, np.clip(ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO), evidence, albedo)
-    )
-    is_evident = ratio_of_region * np.sqrt(evidence_of_region) > MIN_LOG_RATIO
-    spreads = (share >= METAL_SHARE) | (is_evident & (albedo_of_region >= MIN_METAL))
-    is_metal |= spreads[group] & (advantage > -METAL_TOLERANCE)
+    in_metal = _in_metal_regions(group, size, is_metal, ratio, evidence, albedo)
+    is_metal |= in_metal & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
     residual = np.where(is_metal, of_metal, residual)
@@ -212,6 +207,22 @@ def decide(
         residual.astype(np.float32),
         confidence.astype(np.float32),
     )
+
+
+def _in_metal_regions(
+    group: NDArray, size: NDArray, is_metal: NDArray, ratio: NDArray, evidence: NDArray, albedo: NDArray
+) -> NDArray[np.bool_]:
+    """Compute the mask (G,) of segments whose region is metal as a whole, by its share of metal segments or by
+    its mean ``ratio``, ln (residual as dielectric / residual as metal).
+
+    ``albedo`` (G,): mean S of the metal hypotheses; the others (G,) as in :func:`decide`.
+    """
+    share, mean_ratio, mean_evidence, mean_albedo = (
+        np.bincount(group, size * values) / np.maximum(np.bincount(group, size), 1)
+        for values in (is_metal, np.clip(ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO), evidence, albedo)
+    )
+    is_evident = mean_ratio * np.sqrt(mean_evidence) > MIN_LOG_RATIO
+    return ((share >= METAL_SHARE) | (is_evident & (mean_albedo >= MIN_METAL)))[group]
 
 
 def _exactness(residual: NDArray, observations: NDArray) -> float:
