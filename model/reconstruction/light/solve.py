@@ -212,7 +212,7 @@ def decide(
 def _in_metal_regions(
     group: NDArray, size: NDArray, is_metal: NDArray, ratio: NDArray, evidence: NDArray, albedo: NDArray
 ) -> NDArray[np.bool_]:
-    """Compute the mask (G,) of segments whose region is metal as a whole, by its share of metal segments or by
+    """Compute the mask (G,) of segments whose region is metal as a whole, by its share of metal or by
     its mean ``ratio``, ln (residual as dielectric / residual as metal).
 
     ``albedo`` (G,): mean S of the metal hypotheses; the others (G,) as in :func:`decide`.
