@@ -81,7 +81,7 @@ MATRIX = {
         "model.reconstruction.stages model.reconstruction.radiometry",
         "model.reconstruction.radiometry": "datagen.foundation datagen.geometry datagen.light "
         "model.reconstruction.stages",
-        "model.reconstruction.unwrap": f"datagen.foundation {_ATLAS}",
+        "model.reconstruction.unwrap": f"datagen.foundation datagen.multiview.compiled {_ATLAS}",
         "model.reconstruction.mesh": f"{_GROUND} {_TRACED} model.reconstruction.stages",
         "model.reconstruction.merge": f"datagen.foundation datagen.multiview {_ATLAS} "
         "model.reconstruction.unwrap",

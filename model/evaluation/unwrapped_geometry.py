@@ -17,7 +17,7 @@ from datagen.foundation.meshes.mesh import Mesh, vertex_normals
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.reconstruction.unwrap.uv import unwrapped
 
-_REVISION = 1
+_REVISION = 2
 
 
 def geometry_for(
@@ -25,12 +25,10 @@ def geometry_for(
     error: GeometryError | None,
     root: Path,
     tell: Callable[[str, int, int], None],
-    jobs: int = 2,
 ) -> tuple[CaptureGeometry, float]:
     """Return ``true_geometry`` with ``error`` and with UVs for an atlas, and the unwrapping time in seconds.
 
-    The result is stored in the folder ``root``, in a file named by a hash of mesh and error; unwrapping runs
-    in ``jobs`` processes.
+    The result is stored in the folder ``root``, in a file named by a hash of mesh and error.
     """
     path = root / f"{_key(true_geometry, error)}.npz"
     if not path.is_file():
@@ -40,7 +38,7 @@ def geometry_for(
         if mesh.normals is None:
             mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
         start = time.perf_counter()
-        mesh, _ = unwrapped(mesh, jobs)
+        mesh, _ = unwrapped(mesh)
         _write(path, CaptureGeometry(mesh, geometry.parts), time.perf_counter() - start)
         tell("unwrap", 1, 1)
     return _read(path)

@@ -221,9 +221,9 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
     """Unwrap the mesh, and pack the views' maps for the merge."""
     report, options = run.report, run.options
     with run.stage("unwrap") as advance:
-        mesh, unwrap = unwrapped(final.geometry.mesh, options.jobs, advance)
+        mesh, unwrap = unwrapped(final.geometry.mesh, advance)
         if unwrap.source != "mesh" or not options.keeps_uvs:
-            mesh, unwrap = repacked(mesh, unwrap, final.density)
+            mesh, unwrap = repacked(mesh, unwrap, final.density, advance)
         size = options.atlas
         if size == "auto":
             size = atlas_size(final.density.footprint_m, unwrap.metres_per_side)

@@ -58,13 +58,13 @@ class InferOptions(AssetOptions):
 
     ``weights``: weights of the views in the merge (see :class:`MergeOptions`). ``materials``: whether
     materials are inferred from the network alone, from the recorded light alone, or from both, with the
-    network as the prior (``light``). ``batch``: number of views predicted at a time. ``jobs``: number of
-    processes that unwrap. ``is_leveled``: whether the albedo scale of predictions is corrected by
-    interreflection (``albedo_level``). ``has_punctual``: whether the GLB also contains small lamps as point
-    lights. ``is_evened``: whether exposures, vignetting and response are estimated from overlapping
-    photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are corrected.
-    ``mends_mesh``: whether noise and holes of a reconstructed mesh are removed (``mesh``). ``keeps_uvs``:
-    whether valid UVs of the mesh are kept at their scales (``unwrap.repacked``).
+    network as the prior (``light``). ``batch``: number of views predicted at a time. ``is_leveled``: whether
+    the albedo scale of predictions is corrected by interreflection (``albedo_level``). ``has_punctual``:
+    whether the GLB also contains small lamps as point lights. ``is_evened``: whether exposures, vignetting
+    and response are estimated from overlapping photographs (``radiometry``). ``mends_poses``: whether small
+    errors of the cameras' poses are corrected. ``mends_mesh``: whether noise and holes of a reconstructed
+    mesh are removed (``mesh``). ``keeps_uvs``: whether valid UVs of the mesh are kept at their scales
+    (``unwrap.repacked``).
     """
 
     visibility: Annotated[
@@ -83,7 +83,6 @@ class InferOptions(AssetOptions):
         bool, typer.Option("--filter/--no-filter", help="Run the bilateral solver over predicted maps.")
     ] = True
     has_exr: bool = True
-    jobs: int = 2
     is_leveled: Annotated[
         bool,
         typer.Option(

@@ -105,7 +105,14 @@ def test_nearest_index_against_brute_force() -> None:
 
 
 def test_charts_are_the_quads() -> None:
-    np.testing.assert_array_equal(chart_of_faces(room_mesh()), np.arange(24) // 2)
+    """Triangles share a chart if they share a position and its UV, also without sharing a vertex."""
+    mesh = room_mesh()
+    assert mesh.uv is not None
+    corners = mesh.faces.ravel()
+    soup = Mesh(mesh.positions[corners], np.arange(72, dtype=np.int32).reshape(-1, 3), None, mesh.uv[corners])
+    for charts in (chart_of_faces(mesh), chart_of_faces(soup)):
+        np.testing.assert_array_equal(charts[::2], charts[1::2])
+        assert len(np.unique(charts)) == 12
 
 
 def test_size_follows_the_density_of_pixels() -> None:

@@ -6,15 +6,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.mesh import Mesh, compacted
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
-    """Compute each triangle's chart index (M,); triangles that share a vertex, hence a UV, share a chart."""
+    """Compute each triangle's chart index (M,); triangles that share a position and its UV share a chart."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    faces, num = mesh.faces.astype(np.int64), len(mesh.positions)
+    bare = compacted(Mesh(mesh.positions, mesh.faces, None, mesh.uv))
+    faces, num = bare.faces.astype(np.int64), len(bare.positions)
     rows = np.concatenate([faces[:, 0], faces[:, 1]])
     columns = np.concatenate([faces[:, 1], faces[:, 2]])
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(num, num))

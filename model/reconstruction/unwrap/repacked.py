@@ -14,26 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.progress import Advance, no_advance
 from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.packing import packed
 from model.reconstruction.unwrap.size import FINE_QUANTILE, PixelDensity
-from model.reconstruction.unwrap.uv import UvReport, padding_texels, shelf_packed, uv_areas
-from model.reconstruction.unwrap.xatlas_process import PACK_RESOLUTION, PADDING
+from model.reconstruction.unwrap.uv import UvReport, padding_texels, uv_areas
 
 MAX_REDUCTION = 8.0
 """Ratio of the finest texels per metre to those of unphotographed charts."""
 SMALL_SIDE = 64.0
 """Minimum root of a chart's number of texels, unless its texels are the finest."""
-MAX_GROWTH = 2.0
-"""Maximum factor by which narrow charts grow to a texel's width in an atlas of :data:`PACK_RESOLUTION`, since
-thinner ones show their neighbours."""
-ROW_STEP = 1.25
-"""Step of the heights of rows. Charts of one height are in the order of the mesh, beside their object's."""
 MAX_SIDE_RATIO = 0.8
-"""Maximum ratio of the atlas sides after and before, for equal texels on the finest charts, at which charts
-are repacked."""
+"""Maximum ratio of the atlas sides after and before, for equal texels on the finest charts, at which the
+mesh's own charts are repacked."""
 
 
-def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh, UvReport]:
+def repacked(
+    mesh: Mesh, report: UvReport, density: PixelDensity, progress: Advance = no_advance
+) -> tuple[Mesh, UvReport]:
     """Return ``mesh`` with its charts scaled to the views' pixels and packed again, and its ``report``; both
     unchanged if this saves little.
     """
@@ -48,25 +46,16 @@ def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh,
         _chart_densities(density, chart, num), SMALL_SIDE / np.sqrt(np.maximum(area_m2, 1e-30))
     )
     wanted = np.clip(wanted, finest / MAX_REDUCTION, finest)
-    texels = np.where(area_uv > 0, wanted * np.sqrt(area_m2 / np.maximum(area_uv, 1e-30)), 0.0)  # per UV unit
+    scale = np.where(
+        area_uv > 0, wanted * np.sqrt(area_m2 / np.maximum(area_uv, 1e-30)), 0.0
+    )  # texels per UV
     of_vertex = np.zeros(len(mesh.positions), np.int64)
     of_vertex[mesh.faces] = chart[:, None]
-    used = np.unique(mesh.faces)
-    low, high = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
-    np.minimum.at(low, of_vertex[used], mesh.uv[used])
-    np.maximum.at(high, of_vertex[used], mesh.uv[used])
-    boxes = (high - low) * texels[:, None]
-    width = shelf_packed(boxes)[1] / PACK_RESOLUTION
-    growth = np.clip(width / np.maximum(boxes.min(axis=1), 1e-12), 1, MAX_GROWTH)
-    texels, boxes = texels * growth, boxes * growth[:, None]
-    steps = np.ceil(np.log(np.maximum(boxes[:, 1], 1e-12)) / np.log(ROW_STEP))
-    boxes[:, 1] = ROW_STEP**steps
-    gap = PADDING * width
-    places, side = shelf_packed(boxes + gap)
-    if side > MAX_SIDE_RATIO * report.metres_per_side * finest:
+    scaled = (mesh.uv * scale[of_vertex, None]).astype(np.float32)
+    made, side = packed(replace(mesh, uv=scaled), chart, progress)
+    max_ratio = MAX_SIDE_RATIO if report.source == "mesh" else 1.0
+    if side > max_ratio * report.metres_per_side * finest:
         return mesh, report
-    uv = (mesh.uv - low[of_vertex]) * texels[of_vertex, None] + places[of_vertex] + 0.5 * gap
-    made = replace(mesh, uv=(uv / side).astype(np.float32))
     return made, replace(
         report,
         is_repacked=True,

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""Packs the charts of a layout into the unit square with xatlas, by their shape."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.progress import Advance, no_advance
+
+PACK_SIZE = 2048
+PADDING = 2
+"""Texels between charts in an atlas of about :data:`PACK_SIZE`."""
+_EXPECTED_COVERAGE = 0.7
+_TRIALS = (1.0, 0.96, 1.04)
+"""Factors of the size in texels. Sides of the packed rectangle differ by up to a fifth, by chance."""
+
+
+def packed(mesh: Mesh, chart: NDArray, progress: Advance = no_advance) -> tuple[Mesh, float]:
+    """Return ``mesh`` with its charts packed, and the side of the unit square in units of the given UVs.
+
+    ``mesh.uv`` has each chart at its scale, in any place; ``chart`` (M,) is that of each triangle. Charts
+    are rotated and mirrored, and stretched to whole texels, so that the narrowest are a texel wide.
+    """
+    assert mesh.uv is not None
+    uv = mesh.uv.astype(np.float64)
+    chart = np.unique(chart, return_inverse=True)[1].astype(np.uint32)
+    of_vertex = np.zeros(len(uv), np.int64)
+    of_vertex[mesh.faces] = chart[:, None]
+    low, high = np.full((int(chart.max()) + 1, 2), np.inf), np.full((int(chart.max()) + 1, 2), -np.inf)
+    np.minimum.at(low, np.repeat(chart, 3), uv[mesh.faces].reshape(-1, 2))
+    np.maximum.at(high, np.repeat(chart, 3), uv[mesh.faces].reshape(-1, 2))
+    edges = uv[mesh.faces[:, 1:]] - uv[mesh.faces[:, :1]]
+    area = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]).sum()
+    texel = max(np.sqrt(area / _EXPECTED_COVERAGE), 1e-30) / PACK_SIZE
+    uv = (uv - low[of_vertex]) / texel + _apart((high - low) / texel)[of_vertex]
+    best: tuple[NDArray[np.float64], float] | None = None
+    for k, factor in enumerate(_TRIALS):
+        placed, side = _placed(factor * uv, mesh.faces, chart)
+        side *= texel / factor
+        if best is None or side < best[1]:
+            best = placed, side
+        progress(k + 1, len(_TRIALS))
+    assert best is not None
+    return replace(mesh, uv=best[0].astype(np.float32)), best[1]
+
+
+def _apart(sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return corners (K, 2) of disjoint boxes of ``sizes`` (K, 2) in rows, since xatlas joins charts where
+    they have equal UVs.
+    """
+    order = np.argsort(-sizes[:, 1], kind="stable")
+    width, height = (sizes[order] + 1).T
+    starts = np.cumsum(width) - width
+    row = np.unique((starts / np.sqrt((width * height).sum())).astype(np.int64), return_inverse=True)[1]
+    first = np.searchsorted(row, np.arange(row[-1] + 1))
+    tops = np.cumsum(np.concatenate([[0.0], height[first[:-1]]]))
+    places = np.empty_like(sizes)
+    places[order] = np.stack([starts - starts[first][row], tops[row]], axis=1)
+    return places
+
+
+def _placed(
+    uv: NDArray[np.float64], faces: NDArray, chart: NDArray[np.uint32]
+) -> tuple[NDArray[np.float64], float]:
+    """Pack charts whose ``uv`` (N, 2) are in texels; return UVs in the unit square and its side in texels."""
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_uv_mesh(uv.astype(np.float32), faces.astype(np.uint32), chart[:, None])
+    options = xatlas.PackOptions()
+    options.texels_per_unit, options.padding, options.bilinear = 1.0, PADDING, True
+    atlas.generate(xatlas.ChartOptions(), options)
+    if atlas.atlas_count != 1:
+        raise RuntimeError(f"xatlas made {atlas.atlas_count} atlases of one mesh")
+    source, _, placed = atlas.get_mesh(0)
+    side = float(max(atlas.width, atlas.height))
+    made = np.full(uv.shape, np.nan)
+    is_placed = atlas.get_mesh_vertex_assignment(0)[0] == 0
+    made[source[is_placed]] = placed[is_placed] * [atlas.width / side, atlas.height / side]
+    return _collapsed(made, faces), side
+
+
+def _collapsed(uv: NDArray[np.float64], faces: NDArray) -> NDArray[np.float64]:
+    """Replace NaN: vertices of triangles without area, which xatlas omits, get a UV of their triangle."""
+    for face in faces[np.isnan(uv[faces, 0]).any(axis=1)]:
+        sound = face[~np.isnan(uv[face, 0])]
+        missing = face[np.isnan(uv[face, 0])]
+        uv[missing] = uv[sound[0]] if len(sound) else 0.0
+    return np.nan_to_num(uv)
