@@ -364,3 +364,23 @@ def test_reference_quality_has_no_cache() -> None:
     ).irradiance_cache
     with pytest.raises(InputError, match="no irradiance_cache with quality reference"):
         parse_model(RenderRecipe, {"quality": "reference", "irradiance_cache": True}, "recipe.yaml")
+
+
+def test_kernels_do_not_depend_on_cameras_and_rounds(tmp_path: Path) -> None:
+    """All cameras and all rounds share kernels; each compiled one delays the first pixels of a room."""
+    import drjit as dr
+
+    from datagen.rendering.transport.irradiance_gathering import gather_irradiance
+
+    made = renderer(tmp_path, walled_room(), CAMERAS, CACHED, lights=(LAMP,))
+    sensors = [made.sensor(INDOORS)] * 8
+    kernels: list[dict[str, int]] = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for count in (2, 8):
+            dr.kernel_history_clear()
+            assert gather_irradiance(made.tracer.emitters, made.materials, sensors[:count], 1) is not None
+            compiled = [entry for entry in dr.kernel_history() if "hash" in entry]
+            kernels.append({entry["hash"]: entry["operation_count"] for entry in compiled})
+    few, many = kernels
+    assert len(many) <= len(few) + 1
+    assert sum(operations > 1000 for operations in many.values()) == 1

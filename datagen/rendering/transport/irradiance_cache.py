@@ -75,6 +75,16 @@ class SurfaceCells:
         return columns * self.counts.z + cube.z, is_inside
 
 
+def copied(values: NDArray[Any]) -> Any:
+    """Return ``values`` (N,) as mi.Float in Dr.Jit's own memory.
+
+    Dr.Jit uses float32 arrays in place, and compiles another kernel where their memory is less aligned.
+    """
+    made: Any = mi.Float(mi.Float64(values.astype(np.float64)))
+    dr.eval(made)
+    return made
+
+
 class IrradianceCache:
     """Irradiance by cell, as sums of samples and as means for kernels.
 
@@ -144,7 +154,7 @@ class IrradianceCache:
     def _upload(self, means: NDArray[np.float64]) -> None:
         is_known = np.arange(len(means)) > 0
         self.records = mi.UInt32(self._record_of_cell)
-        self.means = mi.Float(np.column_stack([means, is_known]).astype(np.float32).ravel())
+        self.means = copied(np.column_stack([means, is_known]).ravel())
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
         """Record number of a surface point and its normal; 0 for none."""

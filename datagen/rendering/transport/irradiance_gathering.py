@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rendering.transport.emitters import SceneEmitters
-from datagen.rendering.transport.irradiance_cache import IrradianceCache, SurfaceCells
+from datagen.rendering.transport.irradiance_cache import IrradianceCache, SurfaceCells, copied
 from datagen.rendering.transport.light_sampler import MAX_LEARNED, LightSampler
 from datagen.rendering.transport.recording import undisturbed
 from datagen.rendering.transport.sobol import OwenSobol
@@ -95,6 +95,7 @@ def gather_irradiance(
         index = dr.opaque(mi.UInt32, number) + dr.zeros(mi.UInt32, dr.width(lane))
         numbers = OwenSobol(index, mi.sample_tea_32(chosen, launch)[0])
         ray = dr.gather(mi.Ray3f, rays, chosen)
+        dr.make_opaque(ray, numbers)  # else rounds with fewer rays have another kernel
         with undisturbed():
             vertices = recorded(emitters.scene, ray, numbers, dr.opaque(mi.Bool, is_warm))
         dr.eval(vertices)
@@ -130,15 +131,16 @@ def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: 
     for number, (view, (width, height)) in enumerate(views):
         share = num_rays * (number + 1) // len(views) - num_rays * number // len(views)
         lane: Any = dr.arange(mi.UInt32, share)
-        camera: Any = dr.full(mi.UInt32, number, share)
+        camera: Any = dr.opaque(mi.UInt32, number, share)  # a literal would be compiled for each camera
         launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
         key: Any = mi.sample_tea_32(camera, launch)[0]
         position = OwenSobol(lane, key).next_2d() * mi.Vector2f(width, height)
         ray = rays_through(view, position)
-        parts.append([np.array(ray.o), np.array(ray.d), np.broadcast_to(np.array(ray.maxt), share)])
-    origins, directions, reaches = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
-    rays: Any = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
-    rays.maxt = mi.Float(reaches)
+        dr.eval(ray)
+        parts.append([np.broadcast_to(np.array(value), share) for value in (*ray.o, *ray.d, ray.maxt)])
+    joined = [copied(np.concatenate(part)) for part in zip(*parts, strict=True)]
+    rays: Any = mi.Ray3f(mi.Point3f(*joined[:3]), mi.Vector3f(*joined[3:6]))
+    rays.maxt = joined[6]
     return rays
 
 
