@@ -119,10 +119,12 @@ def test_triangles_cover_a_polygon_once(outline: list[list[float]]) -> None:
     assert 0.5 * np.linalg.norm(vectors, axis=1).sum() == pytest.approx(area)
 
 
-def holed_capture(paint: Callable[[Camera, NDArray, NDArray], NDArray], num_views: int = 10) -> Capture:
+def holed_capture(
+    paint: Callable[[Camera, NDArray, NDArray], NDArray], num_views: int = 10, radius_m: float = RADIUS_M
+) -> Capture:
     """The room with a hole in its floor; ``paint`` gets the camera, the photograph and the pixels' points,
     and returns the photograph inside of the hole."""
-    geometry = geometry_of(without(fine(room_mesh()), CENTRE, RADIUS_M))
+    geometry = geometry_of(without(fine(room_mesh()), CENTRE, radius_m))
     true, holed = TracedGeometry(geometry_of(room_mesh())), TracedGeometry(geometry)
     views = []
     for view in room_capture(num_views).views:
@@ -178,6 +180,12 @@ def test_photographs_decide(
     assert mesh.areas()[part.first_face :].sum() == pytest.approx(missing, rel=1e-3)
     before = capture.geometry.mesh
     np.testing.assert_array_equal(mesh.triangles()[: len(before.faces)], before.triangles())
+
+
+@pytest.mark.usefixtures("mitsuba_variant")
+def test_small_holes_in_no_photograph_are_filled() -> None:
+    """One of 0.3 m is missing data; one of 0.6 m may be a window."""
+    assert [filled(holed_capture(floor, 1, radius_m))[1] for radius_m in (0.1, RADIUS_M)] == [1, 0]
 
 
 @pytest.mark.usefixtures("mitsuba_variant")

@@ -4,7 +4,8 @@
 A hole is a simple cycle of boundary edges around which the surface lies in about one plane, and outside of
 the cycle; the rims of vessels and the outlines of open parts are none. Through a window, photographs show a
 surface at another depth, or light: views disagree there about a point on the filling, or it is much brighter
-than the surface around it. Such openings, and those that fewer than two views see, are left open.
+than the surface around it. Such openings are left open. Of those in fewer than two views, small ones are
+filled: data is missing there and daylight would leak in, but a window would be larger.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from datagen.multiview.visibility import vectors_from_rows
 
 MAX_SIZE = 0.15
 """Maximum extent of a hole, relative to the diagonal of the mesh's bounding box."""
+MAX_UNSEEN_SIZE = 0.08
+"""The same for a hole that fewer than :data:`MIN_VIEWS` views see: 0.5 m in a room of 5 x 4 x 3 m."""
 MIN_FLAT = 0.5
 """Minimum cosine of the angle between the normal of the filling and the mean normal around it."""
 MAX_CHANGE, MAX_SPREAD, MAX_SPREADS = np.log(2.0), 0.2, 1.5
@@ -61,7 +64,7 @@ def find_holes(mesh: Mesh, is_ignored: NDArray[np.bool_]) -> list[Hole]:
     length = np.linalg.norm(normal, axis=1)
     kept = np.flatnonzero(~is_ignored & (length > 0))
     unit = normal / np.maximum(length, 1e-300)[:, None]
-    size = MAX_SIZE * float(np.linalg.norm(np.ptp(positions, axis=0)))
+    size = MAX_SIZE * _diagonal(positions)
     found = []
     for loop, around in _cycles(*_boundary(corners[kept], len(positions))):
         points = positions[loop].astype(np.float64)
@@ -178,7 +181,8 @@ def filled(capture: Capture) -> tuple[Capture, int]:
 def _is_surface(
     capture: Capture, positions: Floats, corners: Ints, holes: Sequence[Hole], patches: Sequence[Ints]
 ) -> NDArray[np.bool_]:
-    """Mask (H,) of the holes in which photographs show a surface that continues the one around it."""
+    """Mask (H,) of the holes in which photographs show a surface that continues the one around it, or which
+    they do not show and which are small."""
     random = np.random.default_rng(0x686F6C65)
     triangles = [t for hole, patch in zip(holes, patches, strict=True) for t in (patch, corners[hole.around])]
     points = np.concatenate([_points_on(positions[t], random) for t in triangles])
@@ -190,7 +194,17 @@ def _is_surface(
         spreads = np.nan_to_num(spread).reshape(shape).sum(axis=2) / seen.sum(axis=2)
         is_continued = np.abs(levels[:, 0] - levels[:, 1]) <= MAX_CHANGE
         agrees = spreads[:, 0] <= np.maximum(MAX_SPREAD, MAX_SPREADS * spreads[:, 1])
-    return np.asarray(is_continued & agrees)
+    is_small = _extents(positions, holes) <= MAX_UNSEEN_SIZE * _diagonal(positions)
+    return np.asarray((is_continued & agrees) | (is_small & ~seen[:, 0].any(axis=1)))
+
+
+def _diagonal(positions: NDArray) -> float:
+    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+
+
+def _extents(positions: NDArray, holes: Sequence[Hole]) -> Floats:
+    """Largest sides (H,) of the holes' bounding boxes."""
+    return np.array([np.ptp(positions[hole.loop], axis=0).max() for hole in holes])
 
 
 def _medians(values: Floats) -> Floats:
