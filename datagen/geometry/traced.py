@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.cameras import Camera
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, welded
 from datagen.geometry.crease_normals import with_normals
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
@@ -189,14 +189,8 @@ def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.i
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    corners = welded(mesh)[1][mesh.faces]
-    num = len(corners)
-    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    keys = edges[:, 0].astype(np.int64) * (int(corners.max(initial=0)) + 1) + edges[:, 1]
-    order = np.argsort(keys, kind="stable")
-    face = np.tile(np.arange(num), 3)[order]
-    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
-    a, b = face[same], face[same + 1]
+    num = len(mesh.faces)
+    a, b = edge_pairs(welded(mesh)[1][mesh.faces]).T
     normals = face_normals(mesh).astype(np.float64)
     smooth = np.abs((normals[a] * normals[b]).sum(axis=1)) > np.cos(max_angle_rad)
     graph = coo_array((np.ones(int(smooth.sum())), (a[smooth], b[smooth])), shape=(num, num))

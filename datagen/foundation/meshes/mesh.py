@@ -151,6 +151,19 @@ def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     return positions[first], inverse.astype(np.int64)
 
 
+def edge_pairs(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return pairs (P, 2) of triangles that share an edge; three at one edge are two pairs.
+
+    ``corners`` (M, 3) are the triangles' vertices, welded for pairs across seams.
+    """
+    ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    keys = ends[:, 0] * (int(corners.max(initial=0)) + 1) + ends[:, 1]
+    order = np.argsort(keys, kind="stable")
+    face = np.tile(np.arange(len(corners)), 3)[order]
+    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    return np.stack([face[same], face[same + 1]], axis=1)
+
+
 def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
     """Return unit normals (N, 3): means of the adjacent triangles' normals, weighted by angle at the vertex.
 

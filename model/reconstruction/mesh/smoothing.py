@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, welded
 from datagen.foundation.progress import Advance, no_advance
 from datagen.multiview.compiled import compiled, num_threads
 
@@ -38,13 +38,7 @@ def noise_deg(mesh: Mesh) -> float:
     area_vector = area_vectors(mesh.triangles())
     length = np.linalg.norm(area_vector, axis=1)
     normal = area_vector / np.maximum(length, 1e-300)[:, None]
-    ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    keys = ends[:, 0] * (int(corners.max(initial=0)) + 1) + ends[:, 1]
-    face = np.tile(np.arange(len(corners)), 3)
-    order = np.argsort(keys, kind="stable")
-    keys, face = keys[order], face[order]
-    pair = np.flatnonzero(keys[1:] == keys[:-1])
-    a, b = face[pair], face[pair + 1]
+    a, b = edge_pairs(corners).T
     is_sound = (length[a] > 0) & (length[b] > 0) & (a != b)
     a, b = a[is_sound], b[is_sound]
     angle = np.arccos(np.clip((normal[a] * normal[b]).sum(axis=1), -1, 1))

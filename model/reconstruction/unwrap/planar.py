@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, welded
 from datagen.multiview.compiled import compiled
 
 GROWTH_DEG = 50.0
@@ -103,14 +103,8 @@ def _faces_across_edges(corners: Ints) -> tuple[Ints, Ints]:
 
     ``corners`` (M, 3) are indices of welded vertices.
     """
-    ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    keys = ends[:, 0] * (int(corners.max(initial=0)) + 1) + ends[:, 1]
-    face = np.tile(np.arange(len(corners)), 3)
-    order = np.argsort(keys, kind="stable")
-    keys, face = keys[order], face[order]
-    pair = np.flatnonzero(keys[1:] == keys[:-1])
-    one = np.concatenate([face[pair], face[pair + 1]])
-    other = np.concatenate([face[pair + 1], face[pair]])
+    pairs = edge_pairs(corners)
+    one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
     first = np.concatenate([[0], np.cumsum(np.bincount(one, minlength=len(corners)))])
     return first, other[np.argsort(one, kind="stable")]
 
