@@ -14,14 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from datagen.assembly.geometry import RayScene
 from datagen.formats.capture import CaptureGeometry, CaptureView
 from datagen.formats.lights import DirectionalLight, Light, SkyLight
-from datagen.foundation.meshes.mesh import Mesh, welded
+from datagen.foundation.meshes.mesh import Mesh
 from model.evaluation.rendering import JudgedView
+from model.reconstruction.unwrap.charts import connected_pieces
 
 KINDS = ("metal", "white", "glossy", "matt", "small", "seldom seen", "sunlit")
 METAL_S, WHITE_D, GLOSSY_R = 0.2, 0.7, 0.4
@@ -97,16 +96,13 @@ class SurfaceFinder:
 
 def small_faces(mesh: Mesh) -> NDArray[np.bool_]:
     """Mask (M,) of the triangles in connected pieces whose bounding box's diagonal is below ``SMALL_M``."""
-    positions, vertex = welded(mesh)
-    faces = vertex[mesh.faces]
-    first, second = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    graph = coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(len(positions),) * 2)
-    count, piece = connected_components(graph, directed=False)
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, piece, positions)
-    np.maximum.at(high, piece, positions)
+    piece = connected_pieces(mesh)
+    low, high = np.full((int(piece.max()) + 1, 3), np.inf), np.full((int(piece.max()) + 1, 3), -np.inf)
+    corners = mesh.triangles()
+    np.minimum.at(low, piece, corners.min(axis=1))
+    np.maximum.at(high, piece, corners.max(axis=1))
     small = np.linalg.norm(high - low, axis=1) < SMALL_M
-    return np.asarray(small[piece[faces[:, 0]]])
+    return np.asarray(small[piece])
 
 
 def _towards_sun(light: Light) -> NDArray[np.float64] | None:

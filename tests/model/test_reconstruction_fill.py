@@ -70,6 +70,16 @@ def test_every_texel_gets_a_value_from_its_surroundings() -> None:
     assert (roughness[gutter] > 0).mean() > 0.8  # quad 0 is 0
 
 
+def test_unseen_triangles_resemble_their_piece() -> None:
+    """The room has the value of its only seen wall, not that of the block, which is nearer to the floor; a
+    room in no photograph has the block's."""
+    for seen, expected in (([10, 11, *range(12, 24)], [5]), (list(range(12, 24)), [6, 7, 8, 9, 10, 11])):
+        mesh, atlas = seen_atlas(seen, [])
+        fill_unseen(atlas, mesh)
+        roughness = np.round(atlas.maps["roughness"][..., 0].astype(np.float32) * 100).astype(int)
+        assert set(np.unique(roughness[(atlas.face >= 0) & (atlas.face < 12)])) <= set(expected)
+
+
 def test_an_atlas_in_files_is_filled_identically(tmp_path: Path) -> None:
     """An atlas in files is processed in bands whose memory is released."""
     mesh, atlas = seen_atlas([f for f in range(24) if f // 2 not in (3, 11)], [6, 7])

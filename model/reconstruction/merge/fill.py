@@ -22,7 +22,7 @@ from datagen.foundation.progress import Advance, no_advance
 from datagen.multiview.compiled import compiled, num_threads
 from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.merge.medians import NUM_CHANNELS
-from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.charts import chart_of_faces, connected_pieces
 
 BAND = 1024
 """Number of rows that are processed at once."""
@@ -111,12 +111,20 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """Select the mean (M, 7) of each triangle or, if it is unobserved, of the nearest observed triangle."""
+    """Select the mean (M, 7) of each triangle or, if it is unobserved, of the nearest observed triangle,
+    which belongs to the same connected piece if that is observed anywhere.
+    """
     from scipy.spatial import cKDTree
 
     centroids = mesh.triangles().mean(axis=1)
+    piece = connected_pieces(mesh)
     known = np.flatnonzero(num_seen)
-    _, index = cKDTree(centroids[known]).query(centroids)
+    is_seen = np.isin(piece, piece[known])
+    apart = 10 * float(np.linalg.norm(np.ptp(centroids, axis=0)))  # pieces are further apart than triangles
+    by_piece = np.column_stack([centroids, apart * piece])
+    index = np.empty(len(centroids), np.int64)
+    index[is_seen] = cKDTree(by_piece[known]).query(by_piece[is_seen])[1]
+    index[~is_seen] = cKDTree(centroids[known]).query(centroids[~is_seen])[1]
     return means[known[index]]
 
 

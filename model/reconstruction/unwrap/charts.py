@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: MIT
-"""Charts of an unwrapped mesh."""
+"""Connected pieces of a mesh, on its surface and in its UVs."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.meshes.mesh import Mesh, compacted
+from datagen.foundation.meshes.mesh import Mesh, compacted, welded
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
     """Compute each triangle's chart index (M,); triangles that share a position and its UV share a chart."""
+    return _pieces(compacted(Mesh(mesh.positions, mesh.faces, None, mesh.uv)).faces)
+
+
+def connected_pieces(mesh: Mesh) -> NDArray[np.int32]:
+    """Compute each triangle's piece (M,); triangles that share a corner's position share a piece."""
+    return _pieces(welded(mesh)[1][mesh.faces])
+
+
+def _pieces(corners: NDArray) -> NDArray[np.int32]:
+    """Number the connected pieces of triangles whose corners (M, 3) are vertex indices."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    bare = compacted(Mesh(mesh.positions, mesh.faces, None, mesh.uv))
-    faces, num = bare.faces.astype(np.int64), len(bare.positions)
-    rows = np.concatenate([faces[:, 0], faces[:, 1]])
-    columns = np.concatenate([faces[:, 1], faces[:, 2]])
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(num, num))
-    return connected_components(graph, directed=False)[1][faces[:, 0]].astype(np.int32)
+    num = int(corners.max(initial=-1)) + 1
+    first, second = corners[:, :2].ravel(), corners[:, 1:].ravel()
+    graph = coo_array((np.ones(len(first), np.int32), (first, second)), shape=(num, num))
+    return connected_components(graph, directed=False)[1][corners[:, 0]].astype(np.int32)
