@@ -223,7 +223,7 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
     with run.stage("unwrap") as advance:
         mesh, unwrap = unwrapped(final.geometry.mesh, advance)
         if unwrap.source != "mesh" or not options.keeps_uvs:
-            mesh, unwrap = repacked(mesh, unwrap, final.density, advance)
+            mesh, unwrap = repacked(mesh, unwrap, final.density)
         size = options.atlas
         if size == "auto":
             size = atlas_size(final.density.footprint_m, unwrap.metres_per_side)

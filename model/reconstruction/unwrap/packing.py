@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
-from datagen.foundation.progress import Advance, no_advance
 
 PACK_SIZE = 2048
 PADDING = 2
@@ -19,7 +18,7 @@ _TRIALS = (1.0, 0.96, 1.04)
 """Factors of the size in texels. Sides of the packed rectangle differ by up to a fifth, by chance."""
 
 
-def packed(mesh: Mesh, chart: NDArray, progress: Advance = no_advance) -> tuple[Mesh, float]:
+def packed(mesh: Mesh, chart: NDArray) -> tuple[Mesh, float]:
     """Return ``mesh`` with its charts packed, and the side of the unit square in units of the given UVs.
 
     ``mesh.uv`` has each chart at its scale, in any place; ``chart`` (M,) is that of each triangle. Charts
@@ -37,15 +36,9 @@ def packed(mesh: Mesh, chart: NDArray, progress: Advance = no_advance) -> tuple[
     area = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]).sum()
     texel = max(np.sqrt(area / _EXPECTED_COVERAGE), 1e-30) / PACK_SIZE
     uv = (uv - low[of_vertex]) / texel + _apart((high - low) / texel)[of_vertex]
-    best: tuple[NDArray[np.float64], float] | None = None
-    for k, factor in enumerate(_TRIALS):
-        placed, side = _placed(factor * uv, mesh.faces, chart)
-        side *= texel / factor
-        if best is None or side < best[1]:
-            best = placed, side
-        progress(k + 1, len(_TRIALS))
-    assert best is not None
-    return replace(mesh, uv=best[0].astype(np.float32)), best[1]
+    layouts = [(factor, *_placed(factor * uv, mesh.faces, chart)) for factor in _TRIALS]
+    factor, placed, side = min(layouts, key=lambda layout: layout[2] / layout[0])
+    return replace(mesh, uv=placed.astype(np.float32)), side * texel / factor
 
 
 def _apart(sizes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
-from datagen.foundation.progress import Advance, no_advance
 from model.reconstruction.unwrap.charts import chart_of_faces
 from model.reconstruction.unwrap.packing import packed
 from model.reconstruction.unwrap.size import FINE_QUANTILE, PixelDensity
@@ -29,9 +28,7 @@ MAX_SIDE_RATIO = 0.8
 mesh's own charts are repacked."""
 
 
-def repacked(
-    mesh: Mesh, report: UvReport, density: PixelDensity, progress: Advance = no_advance
-) -> tuple[Mesh, UvReport]:
+def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh, UvReport]:
     """Return ``mesh`` with its charts scaled to the views' pixels and packed again, and its ``report``; both
     unchanged if this saves little.
     """
@@ -52,7 +49,7 @@ def repacked(
     of_vertex = np.zeros(len(mesh.positions), np.int64)
     of_vertex[mesh.faces] = chart[:, None]
     scaled = (mesh.uv * scale[of_vertex, None]).astype(np.float32)
-    made, side = packed(replace(mesh, uv=scaled), chart, progress)
+    made, side = packed(replace(mesh, uv=scaled), chart)
     max_ratio = MAX_SIDE_RATIO if report.source == "mesh" else 1.0
     if side > max_ratio * report.metres_per_side * finest:
         return mesh, report

@@ -22,11 +22,12 @@ from model.reconstruction.unwrap.packing import PACK_SIZE, packed
 from model.reconstruction.unwrap.planar import PlanarCharts
 
 MIN_PADDING_TEXELS = 1
+MAX_PACKINGS = 4
+"""Maximum number of layouts; overlapping triangles of one become charts of the next."""
 _MAX_PADDING, _MAX_CHART_FACES = 8, 1_000_000
 _CHECK_SIZE = 1024
 _CHECK_OFFSET = (0.5123, 0.4871)  # avoids samples on edges, where two triangles meet
 _MAX_OVERLAP = 0.002  # share of the covered area; tolerates a few texels along touching charts
-_MAX_SEPARATIONS = 4
 _MAX_UNMAPPED = 0.001  # share of the surface with degenerate UVs
 _RANGE_SLACK = 1e-5
 
@@ -66,12 +67,14 @@ def unwrapped(mesh: Mesh, progress: Advance = no_advance) -> tuple[Mesh, UvRepor
     if mesh.uv is not None and not fault:
         return mesh, _report(mesh, "mesh", "")
     charts = PlanarCharts(mesh)
-    for _ in range(_MAX_SEPARATIONS):
-        made, _side_m = packed(charts.projected(), charts.chart, progress)
+    for number in range(MAX_PACKINGS):
+        made, _side_m = packed(charts.projected(), charts.chart)
+        progress(number + 1, MAX_PACKINGS)
         overlapping = _overlapping(made)
         if not overlapping.any():
             break
         charts.separate(overlapping)
+    progress(MAX_PACKINGS, MAX_PACKINGS)
     return compacted(made), _report(made, "planar", fault)
 
 
