@@ -246,7 +246,7 @@ def intersects(one: Any, other: Any) -> bool:
 
 
 def distance_m(one: Any, other: Any) -> float:
-    """Least distance between the surfaces of two FCL collision objects; 0 if they intersect."""
+    """Minimum distance between the surfaces of two FCL collision objects; 0 if they intersect."""
     import fcl
 
     if intersects(one, other):
