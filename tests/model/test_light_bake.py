@@ -205,6 +205,7 @@ def test_known_materials_are_found(metal: bool) -> None:
         np.full(2, 8),
         np.arange(2),
         np.full(2, 30),
+        np.full(2, 0.5),
         PriorWeights(),
     )
     assert (found.is_metal == metal).all()
@@ -242,7 +243,7 @@ def test_metal_spreads_to_dark_segments_of_its_region(albedo: float, becomes_met
     costs = Costs(dielectric, np.full((3, levels), 0.01, np.float32), colors)
     prior = np.full((3, 3), 0.04), np.full(3, 0.6)
     region, size = np.array([0, 0, 1]), np.full(3, 100)
-    found = decide(costs, *prior, np.ones(3), np.full(3, 8), region, size, PriorWeights())
+    found = decide(costs, *prior, np.ones(3), np.full(3, 8), region, size, np.full(3, 0.5), PriorWeights())
     assert found.is_metal.tolist() == [True, becomes_metal, False]  # the last is in no region with metal
 
 
@@ -260,7 +261,8 @@ def test_segments_of_a_region_share_their_evidence_of_metal(
     prior = np.full((2, 3), 0.04), np.full(2, 0.6)
     region, size = np.zeros(2, np.int64), np.array([20, 80])
     weights = PriorWeights(metal=0.04 * evidence)
-    found = decide(costs, *prior, np.full(2, evidence), np.full(2, 8), region, size, weights)
+    dim = np.full(2, 0.5)
+    found = decide(costs, *prior, np.full(2, evidence), np.full(2, 8), region, size, dim, weights)
     assert found.is_metal.tolist() == [True, becomes_metal]
 
 
@@ -270,6 +272,7 @@ def decided(
     evidence: float = 1.0,
     views: int = 4,
     observations: float = REFERENCE_OBSERVATIONS,
+    brightness: float = 0.5,
 ) -> SolvedSegments:
     """Decision for one segment with costs ``dielectric`` (levels, speculars) and ``metal`` (S 0.9), where a
     network predicts S 0.04 and R 0.6."""
@@ -281,7 +284,18 @@ def decided(
     )
     group, size = np.zeros(1, np.int64), np.array([observations / views])
     prior = np.full((1, 3), 0.04), np.full(1, 0.6)
-    return decide(costs, *prior, np.full(1, evidence), np.full(1, views), group, size, PriorWeights())
+    of_segment = (np.full(1, value) for value in (evidence, views))
+    return decide(costs, *prior, *of_segment, group, size, np.full(1, brightness), PriorWeights())
+
+
+@pytest.mark.parametrize(
+    ("residual", "brightness", "is_metal"), [(0.1, 1.0, True), (0.1, 1.2, False), (0.005, 1.2, True)]
+)
+def test_patches_of_sun_are_no_metal(residual: float, brightness: float, is_metal: bool) -> None:
+    """Surfaces brighter than white are no metal, except in exact captures, whose metals reflect lamps."""
+    dielectric = np.full((len(ROUGHNESS_LEVELS), len(SPECULAR_LEVELS)), residual)
+    found = decided(dielectric, 0.001, brightness=brightness)
+    assert found.is_metal.tolist() == [is_metal]
 
 
 @pytest.mark.parametrize(
@@ -313,6 +327,7 @@ def test_mirrors_need_no_evidence_but_their_images(changes: dict[str, float], be
         np.full(1, case["views"]),
         np.zeros(1, np.int64),
         np.full(1, int(case["size"])),
+        np.full(1, 0.5),
         PriorWeights(),
     )
     assert found.is_metal.tolist() == [becomes_metal]

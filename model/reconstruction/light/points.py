@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.light.lighting import MIN_KNOWN, Lit
 from datagen.light.surfels import Surfels
 from model.reconstruction.light.options import LightOptions
@@ -181,4 +182,15 @@ def solve_points(
     group[segmentation.segment] = segmentation.region
     size = np.bincount(segmentation.segment, minlength=num_segments)
     views = np.bincount(segment, seen, num_segments) / total
-    return decide(costs, mean[:, 3:6], mean[:, 6], evidence**EVIDENCE_POWER, views, group, size, weights)
+    white = lit.diffuse @ LUMINANCE_WEIGHTS
+    ratio = lit.surfels.radiance @ LUMINANCE_WEIGHTS / np.maximum(white, 1e-12)
+    brightness = _medians(ratio[points.surfel], points.start)
+    evidence **= EVIDENCE_POWER
+    return decide(costs, mean[:, 3:6], mean[:, 6], evidence, views, group, size, brightness, weights)
+
+
+def _medians(values: NDArray, start: NDArray) -> NDArray[np.float64]:
+    """Upper medians (G,) of the groups of ``values`` (N,) that begin at ``start`` (G + 1,), none empty."""
+    group = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    ordered = values[np.lexsort((values, group))]
+    return np.asarray(ordered[start[:-1] + np.diff(start) // 2], np.float64)

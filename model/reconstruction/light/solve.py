@@ -65,6 +65,9 @@ METAL_SHARE = 0.25
 MIN_LOG_RATIO, MAX_LOG_RATIO = 0.35, 2.0
 """Minimum over a metal region of the mean of ln (residual as dielectric / residual as metal) times the root
 of the mean evidence, and the bound on each segment's, so that few segments do not dominate."""
+MAX_BRIGHTNESS = 1.1
+"""Maximum typical radiance, relative to white in the same light, of a segment that is evidence of metal in an
+inexact capture. Metal that reflects a lamp may be brighter."""
 MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
 """Maximum roughness of a mirror, minimum residual of the best dielectric, and maximum ratio of the residual
 as metal to it. Moving mirror images have no other explanation, so mirrors need no photographed hemisphere."""
@@ -146,16 +149,19 @@ def decide(
     views: NDArray,
     group: NDArray,
     size: NDArray,
+    brightness: NDArray,
     weights: PriorWeights,
 ) -> SolvedSegments:
     """Compute the expected material of each of G segments.
 
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) is in (0, 1];
     ``views`` (G,): mean number of views of a surfel; ``group`` (G,): smooth region; ``size`` (G,): number of
-    surfels. A dielectric is the mean of the matte (S = 0, R = 1) and glossy hypotheses, weighted by
-    likelihood. Mirrors need no evidence. Other segments of a region become metal, within
-    :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is metal or its residuals as metal are below those
-    as dielectric by :data:`MIN_LOG_RATIO`.
+    surfels; ``brightness`` (G,): typical radiance relative to white in the same light. A dielectric is the
+    mean of the matte (S = 0, R = 1) and glossy hypotheses, weighted by likelihood. Mirrors need no evidence.
+    Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is
+    metal or its residuals as metal are below those as dielectric by :data:`MIN_LOG_RATIO`. In inexact
+    captures, segments above :data:`MAX_BRIGHTNESS` are no evidence: patches of sun, which clip and whose
+    light is underestimated, resemble metal.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -189,9 +195,10 @@ def decide(
     is_mirror = (ROUGHNESS_LEVELS[metal_level] <= MIRROR_ROUGHNESS) & (of_metal <= MIRROR_FIT * residual)
     is_mirror &= (residual >= MIRROR_RESIDUAL) & (views >= MIRROR_VIEWS) & (size >= MIRROR_SURFELS)
     required = np.where(is_mirror, 0, required)
-    is_metal = (advantage > required) & (albedo >= MIN_METAL)
+    is_possible = (brightness <= MAX_BRIGHTNESS) | (exactness > 0.5)
+    is_metal = (advantage > required) & (albedo >= MIN_METAL) & is_possible
     ratio = np.log(noise / np.maximum(of_metal, MIN_NOISE))
-    in_metal = _in_metal_regions(group, size, is_metal, ratio, evidence, albedo)
+    in_metal = _in_metal_regions(group, size * is_possible, is_metal, ratio, evidence, albedo)
     is_metal |= in_metal & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
