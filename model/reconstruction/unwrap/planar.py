@@ -15,9 +15,9 @@ from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, welde
 from datagen.multiview.compiled import compiled
 
 GROWTH_DEG = 50.0
-"""Maximum angle between a triangle and the mean normal of a growing chart: stretch is at most 1 / cos."""
+"""Maximum angle between a triangle and the mean normal of a growing chart."""
 MAX_TILT_DEG = 70.0
-"""Maximum angle between a triangle and the mean normal of its finished chart."""
+"""Maximum angle between a triangle and the mean normal of its finished chart, which bounds its stretch."""
 _MAX_ROUNDS = 8
 
 Floats = NDArray[np.float64]
