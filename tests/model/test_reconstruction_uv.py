@@ -11,8 +11,9 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import face_normals
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.unwrap import uv as uv_module
+from model.reconstruction.unwrap.charts import uv_areas
 from model.reconstruction.unwrap.planar import PlanarCharts
-from model.reconstruction.unwrap.uv import own_uv_fault, unwrapped, uv_areas
+from model.reconstruction.unwrap.uv import own_uv_fault, unwrapped
 from oracles.textured_room import room_mesh
 from tests.datagen.small_library import room_shapes, with_uv
 

@@ -7,12 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.unwrap.charts import uv_areas
 from model.reconstruction.unwrap.packing import PACK_SIZE
 from model.reconstruction.unwrap.repacked import MAX_REDUCTION, repacked
 from model.reconstruction.unwrap.size import PixelDensity
-from model.reconstruction.unwrap.uv import UvReport, own_uv_fault, uv_areas
+from model.reconstruction.unwrap.uv import UvReport, own_uv_fault
 
 DENSITY = 100.0
+WHOLE_TEXELS = 5e-3
+"""Tolerance of lengths: charts are stretched to whole texels of the packing."""
 
 
 def quads(second: tuple[float, float] = (4.0, 4.0)) -> Mesh:
@@ -49,7 +52,7 @@ def test_charts_have_as_many_texels_as_pixels() -> None:
     assert report.metres_per_side < 0.2 * 50
     got = texels_per_m(made, DENSITY * report.metres_per_side)
     expected = DENSITY * np.repeat([1, 1 / 2, 1 / MAX_REDUCTION], 2)
-    np.testing.assert_allclose(got, expected, rtol=5e-3)
+    np.testing.assert_allclose(got, expected, rtol=WHOLE_TEXELS)
     np.testing.assert_allclose(report.coverage, uv_areas(made).sum(), rtol=1e-6)
     assert report.padding_texels is not None
     assert report.padding_texels >= 1
@@ -59,7 +62,9 @@ def test_small_charts_keep_fine_texels() -> None:
     """A chart of 0.5 m has the finest texels even in no photograph; its neighbours would fill coarse ones."""
     mesh = quads((0.5, 0.5))
     made, report = repacked(mesh, report_of(mesh), seen([DENSITY, 0.0, 0.0]))
-    np.testing.assert_allclose(texels_per_m(made, DENSITY * report.metres_per_side)[2:4], DENSITY, rtol=5e-3)
+    np.testing.assert_allclose(
+        texels_per_m(made, DENSITY * report.metres_per_side)[2:4], DENSITY, rtol=WHOLE_TEXELS
+    )
 
 
 def test_narrow_charts_are_a_texel_wide() -> None:
@@ -69,7 +74,7 @@ def test_narrow_charts_are_a_texel_wide() -> None:
     assert made.uv is not None
     sides = np.sort(np.ptp(made.uv[made.faces[2:4]].reshape(-1, 2), axis=0))
     assert 0.8 < sides[0] * PACK_SIZE < 1.5
-    np.testing.assert_allclose(sides[1] * report.metres_per_side, 4.0, rtol=5e-3)
+    np.testing.assert_allclose(sides[1] * report.metres_per_side, 4.0, rtol=WHOLE_TEXELS)
 
 
 def test_charts_keep_their_shape() -> None:
@@ -82,7 +87,7 @@ def test_charts_keep_their_shape() -> None:
     before, after = mesh.uv[mesh.faces], made.uv[made.faces]
     lengths = [np.linalg.norm(values - np.roll(values, 1, axis=1), axis=2) for values in (before, after)]
     scale = lengths[1] / lengths[0]
-    np.testing.assert_allclose(scale, np.repeat(scale[:, :1], 3, axis=1), rtol=5e-3)
+    np.testing.assert_allclose(scale, np.repeat(scale[:, :1], 3, axis=1), rtol=WHOLE_TEXELS)
 
 
 def test_layouts_that_save_little_are_kept() -> None:
@@ -102,4 +107,4 @@ def test_fine_pixels_count_but_not_the_finest() -> None:
     per_m[20] = DENSITY
     made, report = repacked(mesh, report_of(mesh), PixelDensity(density.face, per_m))
     got = texels_per_m(made, DENSITY * report.metres_per_side)
-    np.testing.assert_allclose(got[2:4], DENSITY / 4, rtol=5e-3)
+    np.testing.assert_allclose(got[2:4], DENSITY / 4, rtol=WHOLE_TEXELS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Connected pieces of a mesh, on its surface and in its UVs."""
+"""Connected pieces of a mesh, on its surface and in its UVs, and areas in UVs."""
 
 from __future__ import annotations
 
@@ -17,6 +17,14 @@ def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
 def connected_pieces(mesh: Mesh) -> NDArray[np.int32]:
     """Compute each triangle's piece (M,); triangles that share a corner's position share a piece."""
     return _pieces(welded(mesh)[1][mesh.faces])
+
+
+def uv_areas(mesh: Mesh) -> NDArray[np.float64]:
+    """Compute the areas (M,) of the triangles' UVs."""
+    assert mesh.uv is not None
+    corners = mesh.uv.astype(np.float64)[mesh.faces]
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
 
 
 def _pieces(corners: NDArray) -> NDArray[np.int32]:

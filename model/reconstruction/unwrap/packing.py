@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.unwrap.charts import uv_areas
 
 PACK_SIZE = 2048
 PADDING = 2
@@ -32,9 +33,7 @@ def packed(mesh: Mesh, chart: NDArray) -> tuple[Mesh, float]:
     low, high = np.full((int(chart.max()) + 1, 2), np.inf), np.full((int(chart.max()) + 1, 2), -np.inf)
     np.minimum.at(low, np.repeat(chart, 3), uv[mesh.faces].reshape(-1, 2))
     np.maximum.at(high, np.repeat(chart, 3), uv[mesh.faces].reshape(-1, 2))
-    edges = uv[mesh.faces[:, 1:]] - uv[mesh.faces[:, :1]]
-    area = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]).sum()
-    texel = max(np.sqrt(area / _EXPECTED_COVERAGE), 1e-30) / PACK_SIZE
+    texel = max(np.sqrt(uv_areas(mesh).sum() / _EXPECTED_COVERAGE), 1e-30) / PACK_SIZE
     uv = (uv - low[of_vertex]) / texel + _apart((high - low) / texel)[of_vertex]
     layouts = [(factor, *_placed(factor * uv, mesh.faces, chart)) for factor in _TRIALS]
     factor, placed, side = min(layouts, key=lambda layout: layout[2] / layout[0])

@@ -43,8 +43,8 @@ class PlanarCharts:
         self._grow()
 
     def projected(self) -> Mesh:
-        """Return the mesh with each chart's own vertices, and with UVs in metres from the chart's corner, at
-        the scale that preserves the chart's area.
+        """Return the mesh with each chart's own vertices, and with UVs in metres, at the scale that preserves
+        the chart's area; charts overlap.
         """
         chart = np.unique(self.chart, return_inverse=True)[1]
         num = int(chart.max()) + 1
@@ -53,13 +53,11 @@ class PlanarCharts:
         x = _unit(np.cross(helper, normal))
         axes = np.stack([x, np.cross(normal, x)], axis=1)[chart]  # (M, 2, 3)
         flat = np.einsum("mck,mik->mci", self.mesh.triangles(), axes)
-        low = np.full((num, 2), np.inf)
-        np.minimum.at(low, np.repeat(chart, 3), flat.reshape(-1, 2))
         edges = flat[:, 1:] - flat[:, :1]
-        flat_area = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+        flat_area = 0.5 * np.abs(np.linalg.det(edges))
         total, total_flat = (np.bincount(chart, areas, num) for areas in (self._areas, flat_area))
         scale = np.sqrt(np.where(total_flat > 0, total / np.maximum(total_flat, 1e-300), 1.0))
-        corners = (flat - low[chart][:, None]) * scale[chart][:, None, None]
+        corners = flat * scale[chart][:, None, None]
         keys = self.mesh.faces.astype(np.int64) * num + chart[:, None]
         _, first, faces = np.unique(keys.ravel(), return_index=True, return_inverse=True)
         vertex = self.mesh.faces.ravel()[first]

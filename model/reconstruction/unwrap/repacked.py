@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.charts import chart_of_faces, uv_areas
 from model.reconstruction.unwrap.packing import packed
 from model.reconstruction.unwrap.size import FINE_QUANTILE, PixelDensity
-from model.reconstruction.unwrap.uv import UvReport, padding_texels, uv_areas
+from model.reconstruction.unwrap.uv import UvReport, padding_texels
 
 MAX_REDUCTION = 8.0
 """Ratio of the finest texels per metre to those of unphotographed charts."""

@@ -17,7 +17,7 @@ from datagen.foundation.meshes.mesh import Mesh, compacted
 from datagen.foundation.progress import Advance, no_advance
 from datagen.geometry.traced import face_normals
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.charts import chart_of_faces, uv_areas
 from model.reconstruction.unwrap.packing import PACK_SIZE, packed
 from model.reconstruction.unwrap.planar import PlanarCharts
 
@@ -93,14 +93,6 @@ def own_uv_fault(mesh: Mesh) -> str:
     covered, several = surface.overlap_mask(_CHECK_OFFSET)
     share = float(several.sum() / max(int(covered.sum()), 1))
     return f"{share:.1%} of the layout overlaps itself" if share > _MAX_OVERLAP else ""
-
-
-def uv_areas(mesh: Mesh) -> NDArray[np.float64]:
-    """Compute the areas (M,) of the triangles' UVs."""
-    assert mesh.uv is not None
-    corners = mesh.uv.astype(np.float64)[mesh.faces]
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
 
 
 def padding_texels(mesh: Mesh) -> int | None:
