@@ -233,7 +233,7 @@ def test_estimates_need_fewer_samples_than_the_truth(
 
     monkeypatch.setattr(ViewJob, "add_pass", counted)
     constant = tuple(method for method in suite.methods if method.kind == "constant")
-    render = RenderRecipe(max_rel_mse=2e-3, max_path_samples=64, auxiliary_samples=16)
+    render = RenderRecipe(max_rel_mse=2e-4, max_path_samples=64, auxiliary_samples=16)
     changes = {"methods": constant, "render": render, "truth": render, "input_views": 2, "novel_views": 1}
     evaluate(suite.model_copy(update={**changes, "noise_share": 0.5}), cache)  # renders the truth
     figures, needed = [], []
@@ -243,7 +243,7 @@ def test_estimates_need_fewer_samples_than_the_truth(
         (scene,) = evaluate(changed, cache).result.scenes
         figures.append(scene.methods[0].images)
         needed.append(len(passes))
-    assert needed[1] <= needed[0] - 4 and needed[1] >= 7  # views of both lights and of the inserted object
+    assert needed[1] <= needed[0] / 2 and needed[1] >= 7  # views of both lights and of the inserted object
     for light in ("own", "modified"):
         for views in ("input", "novel"):
             full, early = (images[light][views]["psnr_srgb_db"] for images in figures)
