@@ -49,6 +49,7 @@ ABLATIONS = {
     "no estimate of unseen surface": LightOptions(estimates_unseen=False),
     "edges not unmixed": LightOptions(unmixes_edges=False),
     "mixed surfels not bounded": LightOptions(bounds_mixed=False),
+    "no sun": LightOptions(finds_sun=False),
     "estimates without gains": LightOptions(fits_estimates=False),
     "one round: metals pass their median on": LightOptions(num_rounds=1),
     "irradiance not smoothed": LightOptions(smoothing_neighbours=1),

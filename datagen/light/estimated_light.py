@@ -83,11 +83,16 @@ def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> ND
     return NUM_OUTSIDE + ((x * across + y) * across + z) * NUM_SIDES + side_of(normal)
 
 
-def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGains:
-    """Fit the gains of all groups; ``region`` (N,) is the index of each surfel's smooth region."""
+def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray, sunlight: NDArray) -> EstimateGains:
+    """Fit the gains of all groups.
+
+    ``region`` (N,) is the index of each surfel's smooth region, and ``sunlight`` (N, 3) the diffuse shading
+    by a sun that ``baker`` lacks.
+    """
     step = max(1, len(surfels) // MAX_SURFELS)
     position, normal = surfels.position_m[::step], surfels.normal[::step]
     whole = luminance(baker.irradiance(position, normal, RAYS).diffuse.astype(np.float64))
+    whole += luminance(sunlight[::step].astype(np.float64))
     estimated = baker.field.estimated(cosine_rays(position, normal, RAYS, baker.start_m, seed=3))
     group = np.where(
         estimated.background_bin >= 0,

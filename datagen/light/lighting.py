@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Surfels and their incident light: radiance field, estimates of unphotographed surfaces, irradiance."""
+"""Surfels and their incident light: radiance field, estimates of unphotographed surfaces and of the sun,
+irradiance.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +21,7 @@ from datagen.light.cells import surface_cells, unmixed_cells
 from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
 from datagen.light.radiance_field import RadianceField
+from datagen.light.sun import LitSurfaces, ShadowRays, Sun, find_sun
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1
@@ -31,6 +34,9 @@ surfaces."""
 MAX_RATIO_SURFELS, MIN_RATIO_PHOTOGRAPHED, SURFELS_OF_ROOM = 8000, 0.8, 4.0
 """Approximate maximum number of surfels from which typical reflectances are computed, minimum photographed
 share of their light, and the number at which a region's median and the room's have equal weight."""
+MAX_SUN_SURFELS, MAX_CLIPPED = 40_000, 0.1
+"""Approximate maximum number of surfels from which the sun is found, and maximum share of clipped pixels of a
+surfel whose radiance is known."""
 MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
 """Rays per mixed surfel for the bound on its radiance, and the known shares of its incident light at which
 the bound starts to act and acts fully."""
@@ -47,8 +53,8 @@ class GatherOptions:
     Rays per surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, and ``estimate_rays``
     for unphotographed surfaces. ``smoothing_neighbours``: number of surfels over which shading is smoothed.
     ``estimates_unseen``: whether the radiance of unphotographed surfaces is estimated; ``fits_estimates``:
-    whether gains of the estimates are fitted. ``bounds_mixed``: whether the radiance of mixed surfels is
-    bounded by their incident light.
+    whether gains of the estimates are fitted; ``finds_sun``: whether the sun is estimated too.
+    ``bounds_mixed``: whether the radiance of mixed surfels is bounded by their incident light.
     """
 
     irradiance_rays: int = 144
@@ -57,6 +63,7 @@ class GatherOptions:
     smoothing_neighbours: int = 9
     estimates_unseen: bool = True
     fits_estimates: bool = True
+    finds_sun: bool = False
     bounds_mixed: bool = True
 
 
@@ -65,7 +72,8 @@ class Lit:
     """Surfels with their shading.
 
     ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``hidden`` (N,): share of the light attributed to
-    unphotographed lamps, in [0, 1].
+    unphotographed lamps, in [0, 1]; ``sun``, None if not found, and its part ``sunlight`` (N, 3) of Ld, which
+    the irradiance lacks.
     """
 
     surfels: Surfels
@@ -73,6 +81,18 @@ class Lit:
     irradiance: Irradiance
     diffuse: NDArray[np.float32]
     hidden: NDArray[np.float64]
+    sun: Sun | None
+    sunlight: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class _Estimates:
+    """The radiance ``field`` with estimates, and ``hidden``, ``sun`` and ``sunlight`` as in :class:`Lit`."""
+
+    field: RadianceField
+    hidden: NDArray[np.float64]
+    sun: Sun | None
+    sunlight: NDArray[np.float32]
 
 
 def light_surfels(
@@ -97,6 +117,8 @@ def light_surfels(
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.high)
 
+    is_clipped = clipped_surfels(views, surfels)
+
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
         with step("field"):
             size_m = surfels.grid.cell_m * CELLS_ACROSS
@@ -105,11 +127,11 @@ def light_surfels(
                 unmixed = RadianceField(traced.scene, own, emitters, background, unmixed_cells(own))
                 own = bounded(own, Baker(unmixed, size_m))
             scene_field = RadianceField(traced.scene, own, emitters, background)
-            hidden = np.zeros(len(own))
+            found = _Estimates(scene_field, np.zeros(len(own)), None, np.zeros((len(own), 3), np.float32))
             if options.estimates_unseen:
-                scene_field, hidden = _estimated(scene_field, own, size_m, region_of_face, options)
+                found = _estimated(scene_field, own, is_clipped, size_m, region_of_face, options)
         with step("irradiance"):
-            return _lit(own, Baker(scene_field, size_m), hidden, options.irradiance_rays, options)
+            return _lit(own, Baker(found.field, size_m), found, options.irradiance_rays, options)
 
     if unseen is not None and emitters.is_dark.any():
         emitters = unseen(lit_by(emitters, replace(options, fits_estimates=False)))
@@ -150,13 +172,14 @@ def relight(
     if is_metal.any():
         field = field.with_metals(lit.surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
     baker = Baker(field, lit.baker.size_m)
-    return _lit(lit.surfels, baker, lit.hidden, options.second_irradiance_rays, options)
+    found = _Estimates(field, lit.hidden, lit.sun, lit.sunlight)
+    return _lit(lit.surfels, baker, found, options.second_irradiance_rays, options)
 
 
-def _lit(surfels: Surfels, baker: Baker, hidden: NDArray, num_rays: int, options: GatherOptions) -> Lit:
+def _lit(surfels: Surfels, baker: Baker, found: _Estimates, num_rays: int, options: GatherOptions) -> Lit:
     irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
-    diffuse = smoothed(surfels, _extrapolated(irradiance), options.smoothing_neighbours)
-    return Lit(surfels, baker, irradiance, diffuse, hidden)
+    diffuse = smoothed(surfels, _extrapolated(irradiance), options.smoothing_neighbours) + found.sunlight
+    return Lit(surfels, baker, irradiance, diffuse, found.hidden, found.sun, found.sunlight)
 
 
 def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
@@ -167,15 +190,16 @@ def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
 def _estimated(
     scene_field: RadianceField,
     surfels: Surfels,
+    is_clipped: NDArray[np.bool_],
     size_m: float,
     region_of_face: NDArray,
     options: GatherOptions,
-) -> tuple[RadianceField, NDArray[np.float64]]:
-    """Return the radiance field with estimates for unphotographed surfaces, and the share (N,) of each
-    surfel's light that comes from unphotographed lamps.
+) -> _Estimates:
+    """Estimate the radiance of unphotographed surfaces, the share of light from unphotographed lamps, and the
+    sun.
 
-    The estimate is the typical reflectance of the smooth region times the incident light times the fitted
-    gain.
+    The estimated radiance is the typical reflectance of the smooth region times the incident light times the
+    fitted gain.
     """
     position, facing, face = _unknown_surface(scene_field, surfels, size_m)
     region = region_of_face[surfels.face]
@@ -191,15 +215,46 @@ def _estimated(
             arriving = lit.diffuse / np.maximum(lit.known, 2 * MIN_KNOWN)[:, None]
             radiance = (reflectance * arriving).astype(np.float32)
             extended = scene_field.extended(position, facing, surfels, radiance)
+    baker, sun, sunlight = Baker(extended, size_m), None, np.zeros((len(surfels), 3), np.float32)
+    if options.finds_sun:
+        sun = _found_sun(baker, surfels, is_clipped, region, options)
+    if sun is not None:
+        rays = ShadowRays(scene_field.scene, baker.start_m)
+        sunlight = rays.sunlight(sun, surfels.position_m, surfels.normal)
     if not options.fits_estimates:
-        return extended, np.zeros(len(surfels))
-    gains = fitted_gains(Baker(extended, size_m), surfels, region)
+        return _Estimates(extended, np.zeros(len(surfels)), sun, sunlight)
+    gains = fitted_gains(baker, surfels, region, sunlight)
     radiance *= gains.of_group[surface_groups(position, facing, surfels), None].astype(np.float32)
     background = with_gains(scene_field.background, gains.of_group)
     fitted = RadianceField(scene_field.scene, surfels, scene_field.emitters, background)
     if len(position):
         fitted = fitted.extended(position, facing, surfels, radiance)
-    return fitted, gains.hidden
+    return _Estimates(fitted, gains.hidden, sun, sunlight)
+
+
+def _found_sun(
+    baker: Baker, surfels: Surfels, is_clipped: NDArray, region: NDArray, options: GatherOptions
+) -> Sun | None:
+    step = max(1, len(surfels) // MAX_SUN_SURFELS)
+    chosen = np.flatnonzero(~surfels.is_mixed)[::step]
+    position, normal = surfels.position_m[chosen], surfels.normal[chosen]
+    diffuse = _extrapolated(baker.irradiance(position, normal, options.estimate_rays))
+    sampled = LitSurfaces(
+        position, normal, surfels.radiance[chosen], diffuse, region[chosen], is_clipped[chosen]
+    )
+    return find_sun(sampled, ShadowRays(baker.field.scene, baker.start_m))
+
+
+def clipped_surfels(views: Sequence[TracedView], surfels: Surfels) -> NDArray[np.bool_]:
+    """Compute whether more than :data:`MAX_CLIPPED` of each surfel's pixels are clipped (N,)."""
+    clipped, total = np.zeros(len(surfels)), np.zeros(len(surfels))
+    for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
+        mine = surfel >= 0
+        total += np.bincount(surfel[mine], minlength=len(surfels))
+        if view.clipped_mask is not None:
+            mask = view.clipped_mask.any(axis=2).ravel()
+            clipped += np.bincount(surfel[mine], mask[mine], len(surfels))
+    return clipped > MAX_CLIPPED * np.maximum(total, 1)
 
 
 def _unknown_surface(

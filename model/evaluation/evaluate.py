@@ -54,7 +54,7 @@ _RECONSTRUCTION = 20
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _TRUE_SCENE = 17
 """Revision of the second rendering of the scene itself."""
-_MATERIALS_FROM_LIGHT = 22
+_MATERIALS_FROM_LIGHT = 23
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""

@@ -3,9 +3,9 @@
 
 A *lamp* is an emissive surface: triangles, or *panels*, rectangles just in front of a partly emissive
 surface. *Windows* are openings through which rays leave the mesh; light from outside is represented by their
-rectangles if it is near, by an image of the *sky* if it is far. *Holes* are openings no brighter than the
-surface that the mesh lacks; they do not emit in exports. Radiance is in the photographs' unit; power
-is in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
+rectangles if it is near, by an image of the *sky* if it is far, and by the *sun* where it casts patches of
+light. *Holes* are openings no brighter than the surface that the mesh lacks; they do not emit in exports.
+Radiance is in the photographs' unit; power is in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 Color = tuple[float, float, float]
 ENVIRONMENT_FILE = "environment.exr"
-SKY = "sky"
-"""Slot of the recovered sky."""
+SKY, SUN = "sky", "sun"
+"""Slots of the recovered sky and sun."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,15 @@ class FoundPatch:
 
 
 @dataclass(frozen=True)
+class FoundSun:
+    """The sun: unit ``direction`` to it, ``irradiance`` of a surface that faces it, and its diameter."""
+
+    direction: Color
+    irradiance: Color
+    angular_diameter_rad: float
+
+
+@dataclass(frozen=True)
 class RadianceSamples:
     """Photographed ``radiance`` (N, 3) of N pixels, with the camera's position ``origin_m`` (N, 3) and the
     unit ``direction`` (N, 3) from the camera to the surface.
@@ -110,17 +119,21 @@ class FoundLights:
     windows: tuple[FoundPatch, ...] = ()
     environment: NDArray[np.float32] | None = None
     holes: tuple[FoundPatch, ...] = ()
+    sun: FoundSun | None = None
 
     @property
     def is_dark(self) -> bool:
         """Whether none of the lights emits."""
-        return not (self.windows or self.panels or any(lamp.is_lit for lamp in self.lamps))
+        return not (self.windows or self.panels or self.sun or any(lamp.is_lit for lamp in self.lamps))
 
     def with_gains(self, gains: Mapping[str, Color]) -> FoundLights:
         """The lights with their radiance multiplied by ``gains``, RGB factors by slot (1 if missing)."""
         sky = self.environment
         if sky is not None and SKY in gains:
             sky = sky * np.array(gains[SKY], np.float32)
+        sun = self.sun
+        if sun is not None:
+            sun = replace(sun, irradiance=_product(sun.irradiance, gains.get(SUN)))
         return FoundLights(
             tuple(
                 replace(lamp, radiance=_product(lamp.radiance, gains.get(lamp.slot))) for lamp in self.lamps
@@ -129,6 +142,7 @@ class FoundLights:
             tuple(patch.times(gains.get(patch.slot)) for patch in self.windows),
             sky,
             self.holes,
+            sun,
         )
 
     @property
@@ -139,8 +153,9 @@ class FoundLights:
     def described(self) -> list[dict[str, Any]]:
         """The lights as rows of a report.
 
-        A row has ``kind`` (lamp, window, sky), the ``slot`` in exports and ``radiance``; lamps and windows
-        also have ``place_m``, ``area_m2`` and the diffusely emitted ``power`` = pi area radiance.
+        A row has ``kind`` (lamp, window, sky, sun), the ``slot`` in exports and ``radiance``; lamps and
+        windows also have ``place_m``, ``area_m2`` and the diffusely emitted ``power`` = pi area radiance. The
+        sun has ``direction`` and ``irradiance`` instead.
         """
         rows = [
             _row("lamp", lamp.slot, lamp.place_m, lamp.area_m2, lamp.radiance)
@@ -153,6 +168,9 @@ class FoundLights:
             area = sum(window.area_m2 for window in self.windows)
             mean = sum(window.area_m2 * np.array(window.radiance) for window in self.windows) / area
             rows.append({"kind": "sky", "slot": SKY, "radiance": _rounded(mean, 5)})
+        if self.sun is not None:
+            direction, irradiance = _rounded(self.sun.direction, 4), _rounded(self.sun.irradiance, 5)
+            rows.append({"kind": "sun", "slot": SUN, "direction": direction, "irradiance": irradiance})
         return rows
 
     def described_holes(self) -> list[dict[str, Any]]:
@@ -201,7 +219,14 @@ def lights_text(rows: list[dict[str, Any]]) -> str:
         place = " ".join(f"{v:.2f}" for v in row["place_m"]) if "place_m" in row else ""
         area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
         radiance, power, gain = (
-            " ".join(f"{v:.3g}" for v in row.get(key, ())) for key in ("radiance", "power", "gain")
+            " ".join(f"{v:.3g}" for v in values)
+            for values in (
+                row.get("radiance") or row["irradiance"],
+                row.get("power", ()),
+                row.get("gain", ()),
+            )
         )
         lines.append(f"{row['slot']:<12}{place:>20}{area:>11}{radiance:>24}{power:>24}{gain:>20}")
+    if any("irradiance" in row for row in rows):
+        lines.append("sun: irradiance of a surface that faces it instead of radiance")
     return "\n".join(lines)

@@ -18,7 +18,7 @@ from datagen.foundation.images import encode_png
 from model.reconstruction.infer_options import InferReport
 from model.reconstruction.stages import ViewPicture
 
-KINDS = {"lamp": "lamp surface", "window": "window opening", "sky": "sky background"}
+KINDS = {"lamp": "lamp surface", "window": "window opening", "sky": "sky background", "sun": "sun"}
 _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.55 system-ui, sans-serif; max-width: 66rem; margin: 0 auto; padding: 2rem 1.25rem 4rem; }
@@ -67,19 +67,21 @@ def _lights(light: dict[str, Any]) -> str:
         return ""
     rows = []
     for row in light["lights"]:
-        color = np.array(row["radiance"])
+        emission = row.get("radiance") or row["irradiance"]
+        color = np.array(emission)
         shown = np.round(255 * srgb_from_linear(color / max(float(color.max()), 1e-12))).astype(int)
         swatch = f'<i style="background:rgb({",".join(map(str, shown))})"></i>'
         area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
         numbers = [_numbers(row.get("place_m", ()), 2), area]
-        numbers += [_numbers(row.get(key, ()), 3) for key in ("radiance", "power", "gain")]
+        numbers += [_numbers(values, 3) for values in (emission, row.get("power", ()), row.get("gain", ()))]
         name = f"{html.escape(row['slot'])} {swatch}"
         rows.append((name, KINDS[row["kind"]], *numbers))
     heads = ("light", "kind", "middle x y z (m)", "area (m2)", "radiance R G B", "power R G B", "gain R G B")
     found = _table(heads, rows) if rows else "<p>None was found.</p>"
     return (
         "<h2>Lights</h2><p>Lamps and windows with their recovered radiance, in the photographs' unit; power "
-        "is pi times area and radiance, in W if radiance is in W/(m2 sr). The exports contain these lights "
+        "is pi times area and radiance, in W if radiance is in W/(m2 sr); the sun has the irradiance of a "
+        "surface that faces it instead of radiance. The exports contain these lights "
         f"times the gain, which makes the asset as bright as the photographs.</p>{found}"
     )
 

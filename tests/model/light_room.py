@@ -22,6 +22,8 @@ from tests.once import once
 SIDES = np.array([4.0, 3.0, 2.5])
 LAMP = (14.0, 13.0, 10.0)
 SKY = (1.5, 2.5, 5.0)
+SUN_DIRECTION, SUN_IRRADIANCE = (0.8, 0.0, 0.6), (60.0, 50.0, 35.0)
+"""Direction to the sun, which shines through the window on the floor, and irradiance of a facing surface."""
 SIZE = (80, 60)
 Color = tuple[float, float, float]
 
@@ -98,24 +100,37 @@ def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
     return once(f"light-room-{samples}", lambda: _photographs(samples))
 
 
-def _photographs(samples: int) -> tuple[TracedView, ...]:
+@lru_cache(maxsize=1)
+def sunlit_room(samples: int = 256) -> tuple[TracedView, ...]:
+    """:func:`photographed_room` with the light of a sun added, which the sky's panel would block."""
+    sun = once(f"light-room-sun-{samples}", lambda: _photographs(samples, is_sunlit=True))
+    views = zip(photographed_room(samples), sun, strict=True)
+    return tuple(replace(view, color=view.color + sunlit.color) for view, sunlit in views)
+
+
+def _photographs(samples: int, *, is_sunlit: bool = False) -> tuple[TracedView, ...]:
+    """Render the room in the light of its lamp and sky or, ``is_sunlit``, of the sun alone."""
     import mitsuba as mi
 
     from mitsuba_plugins import register
 
     register()
-    scene: dict[str, Any] = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 16},
-        "sky": {  # fills the window; sampled as a panel it has little noise
+    scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 16}}
+    if is_sunlit:
+        scene["sun"] = {
+            "type": "directional",
+            "direction": [-c for c in SUN_DIRECTION],
+            "irradiance": {"type": "rgb", "value": list(SUN_IRRADIANCE)},
+        }
+    else:
+        scene["sky"] = {  # fills the window; sampled as a panel it has little noise
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f()
             .translate([SIDES[0] + 0.02, 1.5, 1.4])
             .rotate([0, 1, 0], -90)
             .scale([0.6, 0.7, 1]),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(SKY)}},
-        },
-    }
+        }
     materials: dict[Any, Any] = {}
     for quad in quads():
         corner = quad.corners()
@@ -138,7 +153,7 @@ def _photographs(samples: int) -> tuple[TracedView, ...]:
             "to_world": mi.ScalarTransform4f(to_world.tolist()),
             "bsdf": materials[material],
         }
-        if quad.emission is not None:
+        if quad.emission is not None and not is_sunlit:
             shape["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": list(quad.emission)}}
         scene[quad.name] = shape
     room, traced = mi.load_dict(scene, optimize=False), TracedGeometry(room_geometry())

@@ -15,13 +15,20 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from datagen.formats.lights import AreaLight, EnvironmentLight, Light, PointLight, SphereLight
+from datagen.formats.lights import (
+    AreaLight,
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SphereLight,
+)
 from datagen.foundation.errors import InputError
 from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.export import atlas_images, usd
 from model.reconstruction.export.atlas_images import write_atlas_images
 from model.reconstruction.export.slots import Reconstruction
-from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, Rectangle
+from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, FoundSun, Rectangle
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from oracles.textured_room import room_capture
@@ -30,6 +37,8 @@ needs_usd = pytest.mark.skipif(importlib.util.find_spec("pxr") is None, reason="
 Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 PANEL = Rectangle((9.0, 0.0, 1.0), (0.0, 0.0, 1.5), (0.0, 1.0, 0.0), (1.0, 2.0, 4.0))
 PANELS = FoundPatch("panel-0", (PANEL,), (9.0, 0.5, 1.5), 1.5, (1.0, 2.0, 4.0))
+
+SUN = FoundSun((0.6, 0.0, 0.8), (30.0, 20.0, 10.0), 0.0093)
 
 
 def made(folder: Path, lights: FoundLights | None, known: tuple[Light, ...] = ()) -> Path:
@@ -48,14 +57,14 @@ def made(folder: Path, lights: FoundLights | None, known: tuple[Light, ...] = ()
 
 
 def all_lights(folder: Path) -> Path:
-    """Export the room with a lamp, an emissive surface, a panel, and a sky with one bright pixel."""
+    """Export the room with a lamp, an emissive surface, a panel, a sun, and a sky with one bright pixel."""
     lamps = tuple(
         FoundLamp(slot, np.array([face], np.int32), 1, (1.0, 2.0, 4.0), (0.0, 0.0, 0.0), 0.01, is_named)
         for slot, face, is_named in (("lamp-0", 0, True), ("found-0", 5, False))
     )
     sky = np.zeros((16, 32, 3), np.float32)
     sky[4, 20] = [7, 8, 9]
-    return made(folder, FoundLights(lamps, (PANELS,), environment=sky))
+    return made(folder, FoundLights(lamps, (PANELS,), environment=sky, sun=SUN))
 
 
 def faults(stage: Any) -> list[str]:
@@ -176,6 +185,11 @@ def test_lights_are_exported_at_their_positions(tmp_path: Path) -> None:
     normal = Y_UP_FROM_Z_UP @ np.cross(PANEL.edge_u_m, PANEL.edge_v_m)
     np.testing.assert_allclose(-placed[:3, 2], normal / np.linalg.norm(normal), atol=1e-6)
     np.testing.assert_allclose(radiance(rectangle.GetPrim()), [1, 2, 4])
+    distant = UsdLux.DistantLight(stage.GetPrimAtPath("/room/sun"))
+    assert distant.GetNormalizeAttr().Get() and distant.GetAngleAttr().Get() == pytest.approx(0.533, abs=1e-3)
+    np.testing.assert_allclose(radiance(distant.GetPrim()), SUN.irradiance)
+    towards = to_world(distant.GetPrim())[:3, 2]  # it emits along -Z
+    np.testing.assert_allclose(towards, Y_UP_FROM_Z_UP @ SUN.direction, atol=1e-6)
     dome = stage.GetPrimAtPath("/room/sky")
     # a dome's texture by OpenEXR: longitude grows from +Z to +X and to the left, latitude to +Y
     longitude, latitude = np.pi * (1 - 2 * 20.5 / 32), np.pi * (0.5 - 4.5 / 16)
@@ -205,6 +219,7 @@ def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None
         AreaLight(
             name="area", origin_m=(0, 0, 2), edge_u_m=(1, 0, 0), edge_v_m=(0, 1, 0), radiance=(2.0, 2.0, 2.0)
         ),
+        DirectionalLight(name="sun", direction=(0, 0, -2), irradiance=(3.0, 2.0, 1.0)),
         EnvironmentLight(name="grey", radiance=(1.0, 1.0, 1.0), scale=0.5),
         EnvironmentLight(name="elsewhere", image="sky.exr", asset="other"),
     )
@@ -217,6 +232,8 @@ def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None
     np.testing.assert_allclose(radiance(stage.GetPrimAtPath("/room/area")), 2)
     np.testing.assert_allclose(radiance(stage.GetPrimAtPath("/room/grey")), 0.5)
     assert not stage.GetPrimAtPath("/room/elsewhere")
+    np.testing.assert_allclose(radiance(stage.GetPrimAtPath("/room/sun")), [3, 2, 1])
+    np.testing.assert_allclose(to_world(stage.GetPrimAtPath("/room/sun"))[:3, 2], [0, 1, 0], atol=1e-6)
 
 
 @needs_usd

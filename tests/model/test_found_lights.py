@@ -17,15 +17,17 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.lights import AreaLight
 from datagen.formats.package import open_package
 from datagen.foundation.images import read_image
+from datagen.geometry.traced import TracedGeometry
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.export import balance
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import Color, FoundLights, RadianceSamples
 from model.reconstruction.infer import InferOptions, infer
-from model.reconstruction.light.found import radiance_samples
+from model.reconstruction.light.found import found_lights, radiance_samples
 from model.reconstruction.predict.sources import CheckpointMaps
-from tests.model.light_room import LAMP, SKY, photographed_room, room_capture
+from tests.model.light_room import LAMP, SKY, photographed_room, room_capture, sunlit_room
+from tests.model.test_light_room import sunlit
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 CLAIMED = (1.0, 2.0, 3.0)
@@ -108,6 +110,17 @@ def test_wrong_lights_are_corrected(run: Inferred) -> None:
     found = gains_of(run, {"lamp-0": (0.4, 0.5, 0.4), "window-0": (2.5, 2.5, 2.0)})
     for slot in ("lamp-0", "window-0"):
         np.testing.assert_allclose(found[slot], 1, rtol=0.07, err_msg=slot)
+
+
+def test_wrong_sun_is_corrected(run: Inferred) -> None:
+    """Half of the sun's irradiance is corrected by the photographs of the sunlit room."""
+    geometry = run.reconstruction.capture.geometry
+    found = found_lights(sunlit().lit, TracedGeometry(geometry), geometry)
+    lights = found.with_gains({"sun": (0.5, 0.5, 0.5)})
+    wrong = replace(run.reconstruction, lights=lights)
+    balance_of_sun = balance.balanced(wrong, radiance_samples(sunlit_room()))
+    assert balance_of_sun is not None
+    np.testing.assert_allclose(balance_of_sun.gains["sun"], 2, rtol=0.1)
 
 
 def test_lights_over_the_limit_share_a_gain(run: Inferred, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,16 @@ from model.reconstruction.light.solve import MAX_ALBEDO
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
 from model.reconstruction.light.view_maps import view_materials
 from model.reconstruction.stages import DoubtAt
-from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry, without_pixels
+from tests.model.light_room import (
+    LAMP,
+    SIDES,
+    SKY,
+    photographed_room,
+    quads,
+    room_geometry,
+    sunlit_room,
+    without_pixels,
+)
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 EXPOSURE = 0.5
@@ -55,6 +64,11 @@ def solved(
 @lru_cache(maxsize=1)
 def room() -> LightMaterials:
     return solved(photographed_room(), predicted(photographed_room()))
+
+
+@lru_cache(maxsize=1)
+def sunlit() -> LightMaterials:
+    return solved(sunlit_room(), predicted(sunlit_room()))
 
 
 def of_quad(found: LightMaterials, name: str) -> NDArray[np.bool_]:

@@ -22,13 +22,13 @@ from datagen.formats.asset import (
     lens_of,
 )
 from datagen.formats.base import matrix4, quantized
-from datagen.formats.lights import AreaLight, EnvironmentLight, Light
+from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light
 from datagen.formats.package import FileSource, Package, write_package
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import Reconstruction, Slot, environment_exr, export_slots
-from model.reconstruction.found_lights import ENVIRONMENT_FILE, FoundLights
+from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, SUN, FoundLights, as_color
 
 _REGION_MARGIN_M = 0.05  # prevents an empty region for a single camera
 
@@ -76,7 +76,9 @@ def write_asset(
 
 
 def _found_lights(found: FoundLights) -> tuple[Light, ...]:
-    """Convert rectangles of panels and windows to area lights, and the sky to an environment light."""
+    """Convert rectangles of panels and windows to area lights, the sky to an environment light, and the sun
+    to a directional light.
+    """
     areas = (
         AreaLight(
             name=f"{patch.slot}-{number}",
@@ -88,8 +90,20 @@ def _found_lights(found: FoundLights) -> tuple[Light, ...]:
         for patch in found.sending
         for number, rectangle in enumerate(patch.rectangles)
     )
-    sky = (EnvironmentLight(name="sky", image=ENVIRONMENT_FILE),) if found.environment is not None else ()
-    return (*areas, *sky)
+    far: list[Light] = []
+    if found.environment is not None:
+        far.append(EnvironmentLight(name=SKY, image=ENVIRONMENT_FILE))
+    if found.sun is not None:
+        away = as_color(-np.array(found.sun.direction))
+        far.append(
+            DirectionalLight(
+                name=SUN,
+                direction=away,
+                irradiance=found.sun.irradiance,
+                angular_diameter_rad=found.sun.angular_diameter_rad,
+            )
+        )
+    return (*areas, *far)
 
 
 def _material(slot: Slot) -> SlotMaterial:

@@ -26,7 +26,7 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
-from model.reconstruction.found_lights import SKY, Color, FoundLights, RadianceSamples, as_color
+from model.reconstruction.found_lights import SKY, SUN, Color, FoundLights, RadianceSamples, as_color
 
 PATHS, MAX_DEPTH = 256, 24
 """Light paths per sample and light, and their maximum number of segments."""
@@ -79,10 +79,12 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
 
 
 def _groups(lights: FoundLights) -> list[list[str]]:
-    """Group the slots that share a gain: the sky with the windows, then lights by decreasing power."""
+    """Group the slots that share a gain: sky and windows, the sun, then others by decreasing power."""
     powers = {lamp.slot: lamp.area_m2 * sum(lamp.radiance) for lamp in lights.lamps if lamp.is_lit}
     powers |= {patch.slot: patch.area_m2 * sum(patch.radiance) for patch in lights.sending}
     groups = [[slot] for slot in sorted(powers, key=lambda slot: (-powers[slot], slot))]
+    if lights.sun is not None:
+        groups.insert(0, [SUN])
     if lights.environment is not None:
         groups.insert(0, [SKY, *(window.slot for window in lights.windows)])
     alone, shared = groups[: MAX_LIGHTS - 1], groups[MAX_LIGHTS - 1 :]
@@ -95,7 +97,8 @@ def _emitters(lights: FoundLights) -> dict[str, list[str]]:
     for patch in lights.sending:
         is_lit = (max(rectangle.radiance) > 0 for rectangle in patch.rectangles)
         names[patch.slot] = [f"{patch.slot}-{number}" for number, lit in enumerate(is_lit) if lit]
-    return names if lights.environment is None else {**names, SKY: [SKY]}
+    far = {SKY: lights.environment is not None, SUN: lights.sun is not None}
+    return names | {slot: [slot] for slot, is_found in far.items() if is_found}
 
 
 def _transport(
@@ -141,7 +144,7 @@ def _rays(samples: RadianceSamples, which: NDArray[np.int64]) -> Any:
 
 
 class _Emitters:
-    """Switches emitters of a scene on and off; ``names`` are the ids of emissive shapes and of the sky."""
+    """Switches emitters of a scene on and off; ``names`` are the ids of emissive shapes, sky and sun."""
 
     def __init__(self, scene: Any, names: Sequence[str]):
         import mitsuba as mi
@@ -163,9 +166,10 @@ class _Emitters:
 
 def _emission_keys(parameters: Any, name: str) -> tuple[str, str]:
     """Return the names of the scene parameters for an emitter's emission and its weight in light sampling."""
-    prefix = name if f"{name}.scale" in parameters else f"{name}.emitter"
-    emission = "scale" if prefix == name else "radiance.value"
-    return f"{prefix}.{emission}", f"{prefix}.sampling_weight"
+    keys = f"{name}.scale", f"{name}.irradiance.value", f"{name}.emitter.radiance.value"
+    emission = next(key for key in keys if key in parameters)
+    owner = f"{name}.emitter" if emission == keys[-1] else name
+    return emission, f"{owner}.sampling_weight"
 
 
 def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Converts lights to glTF: emissive surfaces (KHR_materials_emissive_strength), and small lamps also to point
-lights (KHR_lights_punctual).
+lights and the sun to a directional light (KHR_lights_punctual).
 
 Emissive surfaces illuminate the scene in path tracers, but not in rasterising viewers. Path tracers would
 count the light of a lamp twice if it were also a point light, so point lights are optional.
@@ -14,7 +14,7 @@ import numpy as np
 
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
 from model.reconstruction.export.slots import Reconstruction, export_slots
-from model.reconstruction.found_lights import Color
+from model.reconstruction.found_lights import SUN, Color
 
 PUNCTUAL, STRENGTH = "KHR_lights_punctual", "KHR_materials_emissive_strength"
 SMALL_M = 0.5
@@ -33,7 +33,7 @@ def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
 
 
 def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return glTF point lights for small lamps, and the nodes that position them.
+    """Return glTF point lights for small lamps and a directional light for the sun, and their nodes.
 
     A convex lamp of area A and radiance L has a mean intensity of L A / 4, since its mean projected area is A
     / 4.
@@ -57,4 +57,27 @@ def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]
         place = [float(v) for v in middle @ Z_UP_FROM_Y_UP[:3, :3]]
         nodes.append({"name": name, "translation": place, "extensions": {PUNCTUAL: {"light": len(lights)}}})
         lights.append(light)
+    found = reconstruction.shining_lights
+    if found is not None and found.sun is not None:
+        peak = max(found.sun.irradiance)
+        color = [c / peak for c in found.sun.irradiance]
+        nodes.append(
+            {
+                "name": SUN,
+                "rotation": _rotation(found.sun.direction),
+                "extensions": {PUNCTUAL: {"light": len(lights)}},
+            }
+        )
+        lights.append({"type": "directional", "name": SUN, "color": color, "intensity": LUMENS_A_WATT * peak})
     return lights, nodes
+
+
+def _rotation(direction: Color) -> list[float]:
+    """Compute the quaternion (x, y, z, w) that turns +Z to ``direction``; glTF lights emit along -Z."""
+    towards = np.array(direction) @ Z_UP_FROM_Y_UP[:3, :3]
+    half = np.array([0.0, 0.0, 1.0]) + towards
+    if np.linalg.norm(half) < 1e-6:
+        return [1.0, 0.0, 0.0, 0.0]
+    half /= np.linalg.norm(half)
+    axis = np.cross([0.0, 0.0, 1.0], half)
+    return [float(v) for v in (*axis, half[2])]

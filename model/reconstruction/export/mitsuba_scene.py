@@ -22,7 +22,7 @@ from model.reconstruction.export.slots import (
     export_slots,
     patch_meshes,
 )
-from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, Color, FoundLights
+from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, SUN, Color, FoundLights
 
 _MATERIAL = "atlas"
 
@@ -85,11 +85,16 @@ def _add_emission(shape: ElementTree.Element, emission: Color | None) -> None:
 
 
 def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> None:
-    """Add the rectangles of panels and windows, with zero reflectance, and the sky."""
+    """Add the rectangles of panels and windows, with zero reflectance, the sun and the sky."""
     for name, (mesh, radiance) in patch_meshes(found.sending).items():
         shape = _add_mesh(scene, folder, name, mesh)
         _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))
         _add_emission(shape, radiance)
+    if found.sun is not None:
+        emitter = _add(scene, "emitter", "directional", ("rgb", "irradiance", _numbers(found.sun.irradiance)))
+        emitter.set("id", SUN)
+        x, y, z = (repr(-v) for v in found.sun.direction)
+        ElementTree.SubElement(emitter, "vector", name="direction", x=x, y=y, z=z)
     if found.environment is None:
         return
     write_bytes_atomically(folder / ENVIRONMENT_FILE, environment_exr(found.environment))

@@ -8,8 +8,8 @@ Look).
 
 The stage is in metres with Y up; one root transform rotates the capture's Z up, and everything below it is in
 the capture's frame. Emissive surfaces are mesh lights whose material shows the same radiance
-(``materialSyncMode`` independent), windows and panels rectangle lights, and the sky a dome light. Requires
-``usd-core`` (the extra ``usd``).
+(``materialSyncMode`` independent), windows and panels rectangle lights, the sky a dome light, and the sun a
+distant light. Requires ``usd-core`` (the extra ``usd``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.lights import AreaLight, EnvironmentLight, Light, PointLight, SphereLight
+from datagen.formats.lights import (
+    AreaLight,
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SphereLight,
+)
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png
@@ -31,7 +38,7 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
 from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
 from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0
 from model.reconstruction.export.slots import WORLD_FROM_SKY, Reconstruction, environment_exr, export_slots
-from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color
+from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, SUN, Color
 
 POINT_RADIUS_M = 0.01
 """Radius of the sphere that represents a point light, which UsdLux lacks."""
@@ -63,8 +70,8 @@ def require_usd() -> None:
 def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
     """Write one USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels a side, and lights.
 
-    Lights are the recovered lights, else the capture's point, sphere, area and environment lights. Raises
-    :class:`InputError` without ``usd-core``.
+    Lights are the recovered lights, else the capture's point, sphere, area, directional and
+    environment lights. Raises :class:`InputError` without ``usd-core``.
     """
     require_usd()
     from pxr import Sdf, UsdUtils
@@ -87,7 +94,10 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
                     writer.rectangle(f"{patch.slot}-{number}", *edges, rectangle.radiance)
             if found.environment is not None:
                 (folder / ENVIRONMENT_FILE).write_bytes(environment_exr(found.environment))
-                writer.dome("sky", (1.0, 1.0, 1.0), ENVIRONMENT_FILE, np.eye(4))
+                writer.dome(SKY, (1.0, 1.0, 1.0), ENVIRONMENT_FILE, np.eye(4))
+            if found.sun is not None:
+                away = -np.array(found.sun.direction)
+                writer.distant(SUN, away, found.sun.irradiance, found.sun.angular_diameter_rad)
         writer.save()
         for file in folder.iterdir():
             os.utime(file, (_FIRST_ZIP_TIME_S, _FIRST_ZIP_TIME_S))
@@ -235,6 +245,9 @@ class _Stage:
             self._sphere(light.name, light.position_m, light.radius_m, radiance, is_point=False)
         elif isinstance(light, AreaLight):
             self.rectangle(light.name, light.origin_m, light.edge_u_m, light.edge_v_m, light.radiance)
+        elif isinstance(light, DirectionalLight):
+            away = np.array(light.direction)
+            self.distant(light.name, away, light.irradiance, light.angular_diameter_rad)
         elif isinstance(light, EnvironmentLight) and light.image is None:
             radiance = np.asarray(light.radiance) * light.scale
             self.dome(light.name, tuple(radiance), None, np.array(light.world_from_environment))
@@ -267,6 +280,21 @@ class _Stage:
         self._place(light, world_from_environment @ WORLD_FROM_SKY)
         _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
 
+    def distant(self, name: str, direction: NDArray, irradiance: Color, diameter_rad: float) -> None:
+        """Add a distant light that travels in ``direction`` (3,)."""
+        from pxr import UsdLux
+
+        light = UsdLux.DistantLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
+        light.CreateAngleAttr(float(np.degrees(diameter_rad)))
+        light.CreateNormalizeAttr(True)
+        placed = np.eye(4)
+        placed[:3, 2] = -direction / np.linalg.norm(direction)
+        placed[:3, 0] = np.cross(np.eye(3)[np.abs(direction).argmin()], placed[:3, 2])
+        placed[:3, 0] /= np.linalg.norm(placed[:3, 0])
+        placed[:3, 1] = np.cross(placed[:3, 2], placed[:3, 0])
+        self._place(light, placed)
+        _shine(UsdLux.LightAPI(light.GetPrim()), irradiance)
+
     def _sphere(
         self, name: str, position: Color, radius: float, radiance: NDArray, *, is_point: bool
     ) -> None:
@@ -288,7 +316,9 @@ class _Stage:
 
 
 def _shine(light: Any, radiance: Color) -> None:
-    """Set the radiance of a light, as a colour of at most 1 times an intensity."""
+    """Set the radiance of a light, or the irradiance of a distant one, as a colour of at most 1 times an
+    intensity.
+    """
     from pxr import Gf
 
     peak = float(max(radiance))

@@ -13,8 +13,9 @@ from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.lighting import Lit
+from datagen.light.sun import ANGULAR_DIAMETER_RAD
 from datagen.light.surfels import camera_row
-from model.reconstruction.found_lights import FoundLights, RadianceSamples
+from model.reconstruction.found_lights import FoundLights, FoundSun, RadianceSamples, as_color
 from model.reconstruction.light.lamps import found_lamps
 from model.reconstruction.light.openings import divide_openings, found_openings, leaving_rays
 from model.reconstruction.light.shining import shining_patches
@@ -26,9 +27,10 @@ _SEED = 0x62616C
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
-    """Collect the recovered lamps, panels, windows and sky of a room, and the holes of its mesh.
+    """Collect the recovered lamps, panels, windows, sky and sun of a room, and the holes of its mesh.
 
-    The sky is returned only if there are windows and the light from outside depends on direction only.
+    The sky is returned only if there are windows and the light from outside depends on direction only or
+    comes with sunlight, which rectangles in windows would block.
     """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
@@ -36,8 +38,13 @@ def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) ->
     median = float(np.median(luminance(lit.surfels.radiance.astype(np.float64))))
     openings = found_openings(rays, field.background, median)
     windows, holes = divide_openings(openings, lit.surfels, lit.diffuse)
-    sky = sky_image(field.background) if windows and field.background.layout.is_far else None
-    return FoundLights(lamps, shining_patches(lit), windows, sky, holes)
+    sun = None
+    if lit.sun is not None:
+        direction, irradiance = as_color(lit.sun.direction), as_color(lit.sun.irradiance)
+        sun = FoundSun(direction, irradiance, ANGULAR_DIAMETER_RAD)
+    is_far = field.background.layout.is_far or sun is not None
+    sky = sky_image(field.background) if windows and is_far else None
+    return FoundLights(lamps, shining_patches(lit), windows, sky, holes, sun)
 
 
 def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> RadianceSamples:

@@ -26,6 +26,7 @@ class LightOptions(GatherOptions):
     unphotographed light is corrected smoothly.
     """
 
+    finds_sun: bool = True
     solve_rays: int = 24
     specular_rays: int = 12
     max_points: int = 24_000

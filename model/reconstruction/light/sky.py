@@ -14,11 +14,12 @@ HEIGHT, WIDTH = 64, 128
 
 
 def sky_image(background: Background) -> NDArray[np.float32]:
-    """Convert the radiance of a distant ``background`` to a sky image (HEIGHT, WIDTH, 3).
+    """Convert the radiance of a ``background`` to an image of a distant sky (HEIGHT, WIDTH, 3).
 
     A pixel is the mean of its known bins; a pixel without known bins equals the nearest one with some.
     """
-    pixel = directions_of(background.layout.ways(), HEIGHT)[background.is_known]
+    of_direction = directions_of(background.layout.ways(), HEIGHT)
+    pixel = np.resize(of_direction, background.layout.size)[background.is_known]
     radiance = background.radiance[background.is_known].astype(np.float64)
     count = np.bincount(pixel, minlength=HEIGHT * WIDTH)
     sums = [np.bincount(pixel, column, HEIGHT * WIDTH) for column in radiance.T]

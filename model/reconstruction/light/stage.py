@@ -22,7 +22,7 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
-from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight, smoothed
+from datagen.light.lighting import MIN_KNOWN, Lit, clipped_surfels, light_surfels, relight, smoothed
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.light.confidence import (
@@ -40,6 +40,7 @@ from model.reconstruction.light.points import Segmentation, choose_points, shade
 from model.reconstruction.light.segments import segment_surfels
 from model.reconstruction.light.shading_correction import network_scale, shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
+from model.reconstruction.light.sunlit_edges import without_sunlit_edges
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
 from model.reconstruction.light.white import White, white_paint
@@ -135,10 +136,14 @@ def materials_from_light(
         )
     with report.step("maps"):
         with ThreadPoolExecutor(num_threads()) as pool:
-            made = pool.map(partial(view_materials, surfels, solved), range(len(views)), ordered, predicted)
-            found: list[dict[str, NDArray]] = [{} for _ in views]
-            for index, view_maps in zip(order, made, strict=True):
-                found[index] = dict(view_maps)
+            made = list(
+                pool.map(partial(view_materials, surfels, solved), range(len(views)), ordered, predicted)
+            )
+        if lit.sun is not None:
+            made = without_sunlit_edges(made, lit, region, clipped_surfels(ordered, surfels))
+        found: list[dict[str, NDArray]] = [{} for _ in views]
+        for index, view_maps in zip(order, made, strict=True):
+            found[index] = dict(view_maps)
         report.confidence = tuple(float(v) for v in solved.confidence.mean(axis=0))
     return LightMaterials(found, report, lit, solved, albedo, segment)
 

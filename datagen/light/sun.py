@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: MIT
+"""Finds the sun of a photographed room from its patches of sunlight.
+
+Photographs rarely show the sun, so its light is missing in the radiance field. Sunlit surfels are brighter,
+relative to their incident light, than the rest of their smooth region, and they are exactly those from which
+one direction leaves the mesh. The sun is the direction whose visibility correlates best with the logarithm of
+that ratio. Its irradiance is the median over sunlit surfels of radiance over the reflectance of the nearest
+surfels in shadow, less other light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from datagen.foundation.color import luminance
+from datagen.multiview.visibility import vectors_from_rows
+
+Floats = NDArray[np.float64]
+
+ANGULAR_DIAMETER_RAD = 0.0093
+"""Angular diameter of the sun's disk."""
+MIN_SURFELS, MIN_SUNLIT = 60, 20
+"""Minimum numbers of surfels of a smooth region that is searched, and of sunlit and of other surfels of one
+that determines the sun's irradiance."""
+COARSE_SURFELS, NUM_DIRECTIONS = 10_000, 3000
+"""Approximate number of surfels of the coarse search, and number of its directions above the horizon."""
+REFINEMENTS, REFINED_DIRECTIONS = 6, 24
+"""Number of refinements, each with half the radius of the one before, and of directions in each."""
+MIN_COSINE = 0.1
+"""Minimum cosine between the sun and the normal of a sunlit surfel."""
+MAX_LOG_RATIO = 1.5
+"""Bound on ln reflectance relative to the region, which lamps and highlights exceed."""
+MIN_CORRELATION, MIN_BRIGHT, MIN_IMPOSSIBLE = 0.4, 0.6, 0.3
+"""Minimum correlation between the sun's visibility and ln reflectance, and minimum shares of sunlit surfels
+that are brighter than the mean of sunlit and other surfels, and brighter than white without the sun."""
+LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5
+"""Number of nearest surfels in shadow whose median reflectance is that of a sunlit surfel, and share of a
+region's sunlit surfels, the nearest to shadow, that determine the sun's irradiance."""
+_BATCH = 1_000_000  # rays
+MIN_REFLECTANCE = 0.02
+"""Minimum reflectance of a region that determines the sun's irradiance."""
+DISK_SAMPLES = 16
+"""Number of directions to the sun's disk by which its visible share is computed."""
+
+
+@dataclass(frozen=True)
+class Sun:
+    """The sun: unit ``direction`` (3,) to it, and the diffuse shading E / pi ``radiance`` (3,) of a surface
+    that faces it, in the photographs' unit.
+    """
+
+    direction: Floats
+    radiance: Floats
+
+    @property
+    def irradiance(self) -> Floats:
+        """Irradiance (3,) of a surface that faces the sun."""
+        return np.pi * self.radiance
+
+
+@dataclass(frozen=True)
+class ShadowRays:
+    """Rays from surfaces in a Mitsuba ``scene`` that start ``start_m`` above them."""
+
+    scene: Any
+    start_m: float
+
+    def sunlight(self, sun: Sun, position_m: NDArray, normal: NDArray) -> NDArray[np.float32]:
+        """Compute the diffuse shading (N, 3) by ``sun`` of surfaces with ``normal`` (N, 3)."""
+        cosine = np.maximum(normal @ sun.direction, 0) * self.disk_share(sun.direction, position_m, normal)
+        return (cosine[:, None] * sun.radiance).astype(np.float32)
+
+    def disk_share(self, direction: Floats, position_m: NDArray, normal: NDArray) -> Floats:
+        """Compute the visible share (N,) of the sun's disk in ``direction`` (3,)."""
+        directions = around(direction, ANGULAR_DIAMETER_RAD / 2, DISK_SAMPLES)
+        return self.leave(directions, position_m, normal).mean(axis=0)
+
+    def leave(self, directions: Floats, position_m: NDArray, normal: NDArray) -> NDArray[np.bool_]:
+        """Compute whether rays in ``directions`` (D, 3) leave the scene (D, N); False where the surface faces
+        away.
+        """
+        import mitsuba as mi
+
+        found = normal @ directions.T > MIN_COSINE
+        origin = (position_m + self.start_m * normal).astype(np.float32)
+        surface, way = np.nonzero(found)
+        for start in range(0, len(surface), _BATCH):
+            at, of = surface[start : start + _BATCH], way[start : start + _BATCH]
+            ray = mi.Ray3f(mi.Point3f(vectors_from_rows(origin[at])), vectors_from_rows(directions[of]))
+            found[at, of] = ~np.asarray(self.scene.ray_test(ray).numpy(), dtype=bool)
+        return found.T
+
+
+@dataclass(frozen=True)
+class LitSurfaces:
+    """N surfels: ``position_m``, ``normal``, ``radiance`` and diffuse shading without the sun ``diffuse``,
+    (N, 3) each; smooth ``region`` (N,); ``is_clipped`` (N,): whether the radiance is a lower bound.
+    """
+
+    position_m: NDArray
+    normal: NDArray
+    radiance: NDArray
+    diffuse: NDArray
+    region: NDArray
+    is_clipped: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.region)
+
+    def chosen(self, which: NDArray) -> LitSurfaces:
+        """Select surfels; ``which`` is a mask (N,) or indices."""
+        return LitSurfaces(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def find_sun(surfaces: LitSurfaces, rays: ShadowRays) -> Sun | None:
+    """Find the sun; None if no direction explains which surfels are bright."""
+    count = np.bincount(surfaces.region)
+    surfaces = surfaces.chosen(count[surfaces.region] >= MIN_SURFELS)
+    if not len(surfaces):
+        return None
+    value = _log_ratio(surfaces)
+    step = max(1, len(surfaces) // COARSE_SURFELS)
+    directions = upper_directions(NUM_DIRECTIONS)
+    best = _best(directions, surfaces.chosen(np.arange(0, len(surfaces), step)), value[::step], rays)
+    radius = np.sqrt(2 * np.pi / NUM_DIRECTIONS)
+    for _ in range(REFINEMENTS):
+        best = _best(np.stack([best, *around(best, radius, REFINED_DIRECTIONS)]), surfaces, value, rays)
+        radius /= 2
+    seen = rays.leave(best[None], surfaces.position_m, surfaces.normal)
+    if _correlations(seen, value, surfaces.region)[0] < MIN_CORRELATION:
+        return None
+    of_sun, is_white = seen[0], luminance(surfaces.radiance) > luminance(surfaces.diffuse)
+    is_bright = value > 0.5 * (value[of_sun].mean() + value[~of_sun].mean())
+    if is_bright[of_sun].mean() < MIN_BRIGHT or is_white[of_sun].mean() < MIN_IMPOSSIBLE:
+        return None
+    radiance = _facing_radiance(surfaces, rays, best)
+    return None if radiance is None else Sun(best, radiance)
+
+
+def _best(directions: Floats, surfaces: LitSurfaces, value: Floats, rays: ShadowRays) -> Floats:
+    """Return the direction (3,) whose visibility correlates best with ``value`` (N,)."""
+    num = max(1, _BATCH // len(surfaces))
+    found = []
+    for start in range(0, len(directions), num):
+        seen = rays.leave(directions[start : start + num], surfaces.position_m, surfaces.normal)
+        found.append(_correlations(seen, value, surfaces.region))
+    return np.asarray(directions[np.concatenate(found).argmax()])
+
+
+def _log_ratio(surfaces: LitSurfaces) -> Floats:
+    """Compute ln of reflectance (N,) relative to the median of the smooth region, bounded."""
+    reflected, arriving = luminance(surfaces.radiance), luminance(surfaces.diffuse)
+    ratio = np.log(np.maximum(reflected, 1e-9) / np.maximum(arriving, 1e-9))
+    order = np.lexsort((ratio, surfaces.region))
+    region, start, count = np.unique(surfaces.region[order], return_index=True, return_counts=True)
+    median = ratio[order][start + count // 2]
+    return np.clip(ratio - median[np.searchsorted(region, surfaces.region)], -MAX_LOG_RATIO, MAX_LOG_RATIO)
+
+
+def _correlations(seen: NDArray[np.bool_], value: Floats, region: NDArray) -> Floats:
+    """Compute the correlation (D,) within regions between ``value`` (N,) and ``seen`` (D, N); 0 for
+    directions that are visible from nowhere or everywhere.
+    """
+    of_region = np.unique(region, return_inverse=True)[1]
+    count = np.bincount(of_region).astype(np.float64)
+    about = value - (np.bincount(of_region, value) / count)[of_region]
+    total = np.stack([np.bincount(of_region, row, len(count)) for row in seen])
+    spread = (total * (1 - total / count)).sum(axis=1)
+    norm = np.sqrt(np.maximum(spread * float(about @ about), 1e-12))
+    return np.where(spread > 0, seen @ about / norm, 0.0)
+
+
+def _facing_radiance(surfaces: LitSurfaces, rays: ShadowRays, direction: Floats) -> Floats | None:
+    """Compute the diffuse shading (3,) of a surface that faces the sun: the median over regions of the median
+    over their sunlit surfels near shadow; None if none has enough.
+
+    Clipped surfels count as brighter than all others, so that those that remain are no biased sample.
+    """
+    seen = rays.disk_share(direction, surfaces.position_m, surfaces.normal)
+    found, weight = [], []
+    for region in np.unique(surfaces.region[seen == 1]):
+        own = surfaces.region == region
+        sunlit, shadow = own & (seen == 1), own & (seen == 0)
+        if min(sunlit.sum(), shadow.sum()) < MIN_SUNLIT:
+            continue
+        tree = cKDTree(surfaces.position_m[shadow])
+        distance, index = tree.query(surfaces.position_m[sunlit], LOCAL_SURFELS, workers=-1)
+        ratio = surfaces.radiance[shadow] / np.maximum(surfaces.diffuse[shadow], 1e-9)
+        typical = np.maximum(np.median(ratio[index], axis=1), 1e-9)
+        excess = surfaces.radiance[sunlit] / typical - surfaces.diffuse[sunlit]
+        excess /= (surfaces.normal[sunlit] @ direction)[:, None]
+        excess[surfaces.is_clipped[sunlit]] = np.inf
+        near = np.argsort(distance[:, 0], kind="stable")[: max(MIN_SUNLIT, int(NEAREST_SHARE * len(excess)))]
+        excess, typical = excess[near], typical[near]
+        if np.median(typical, axis=0).min() < MIN_REFLECTANCE:
+            continue
+        found.append(np.median(excess, axis=0))
+        weight.append(len(excess) ** 0.5)
+    values, weights = np.reshape(found, (-1, 3)), np.array(weight)
+    is_known = np.isfinite(values).all(axis=1)
+    if not is_known.any():
+        return None
+    radiance = np.array([_weighted_median(column, weights[is_known]) for column in values[is_known].T])
+    return radiance if radiance.min() > 0 else None
+
+
+def _weighted_median(values: Floats, weight: Floats) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])
+
+
+def upper_directions(num: int) -> Floats:
+    """Compute ``num`` evenly distributed unit directions (num, 3) above the horizon (Fibonacci lattice)."""
+    index = np.arange(num) + 0.5
+    z, turn = index / num, np.pi * (1 + np.sqrt(5)) * index
+    across = np.sqrt(1 - z**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+
+
+def around(direction: Floats, radius: float, num: int) -> Floats:
+    """Compute ``num`` unit directions (num, 3) evenly distributed within ``radius`` of ``direction``."""
+    helper = np.eye(3)[np.abs(direction).argmin()]
+    x = np.cross(direction, helper)
+    x /= np.linalg.norm(x)
+    index = np.arange(num) + 0.5
+    reach, turn = radius * np.sqrt(index / num), np.pi * (1 + np.sqrt(5)) * index
+    found = direction + (reach * np.cos(turn))[:, None] * x
+    found += (reach * np.sin(turn))[:, None] * np.cross(direction, x)
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
