@@ -18,6 +18,7 @@ from datagen.geometry.traced import TracedGeometry, face_normals
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.export.atlas_images import map_bytes, write_atlas_images
+from model.reconstruction.merge import fill
 from model.reconstruction.merge.fill import fill_unseen, nearest_labels
 from model.reconstruction.unwrap.charts import chart_of_faces
 from model.reconstruction.unwrap.size import atlas_size, pixel_density
@@ -78,6 +79,26 @@ def test_unseen_triangles_resemble_their_piece() -> None:
         fill_unseen(atlas, mesh)
         roughness = np.round(atlas.maps["roughness"][..., 0].astype(np.float32) * 100).astype(int)
         assert set(np.unique(roughness[(atlas.face >= 0) & (atlas.face < 12)])) <= set(expected)
+
+
+def test_filled_texels_fade_from_the_border_to_the_median(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dark border of the observed part of a chart is not repeated across the rest of it."""
+    monkeypatch.setattr(fill, "FADE_TEXELS", 2.0)
+    mesh, atlas = seen_atlas([f for f in range(24) if f // 2 != 3], [6, 7])
+    of_wall = np.isin(atlas.face, [6, 7])
+    seen = of_wall & (atlas.count > 0)
+    edge = int(np.nonzero(seen)[1].max())
+    albedo = atlas.maps["diffuse_albedo"]
+    albedo[seen] = 0.8
+    border = seen.copy()
+    border[:, :edge] = False
+    albedo[border] = 0.2
+    fill_unseen(atlas, mesh)
+    row = int(np.median(np.nonzero(border)[0]))
+    filled = albedo[row, edge + 1 :][of_wall[row, edge + 1 :], 0].astype(np.float64)
+    expected = 0.8 - 0.6 / (1 + (np.arange(1, len(filled) + 1) / 2.0) ** 2)
+    assert len(filled) > 6
+    np.testing.assert_allclose(filled, expected, atol=0.02)
 
 
 def test_an_atlas_in_files_is_filled_identically(tmp_path: Path) -> None:

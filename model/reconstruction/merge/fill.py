@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Fills unobserved texels of an atlas.
 
-In a partly observed chart, such texels get the value of the nearest observed texel of the chart; triangles of
+In a partly observed chart, such texels get the value of the nearest observed texel of the chart, which fades
+with distance to the chart's median, since the border of the observed part is the least accurate. Triangles of
 unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
 value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
 ``count`` remains 0 at filled texels.
@@ -28,6 +29,10 @@ BAND = 1024
 """Number of rows that are processed at once."""
 GUTTER = 128
 """Number of rows above and below a band from which its gutters may be filled."""
+FADE_TEXELS = 16.0
+"""Distance in texels from the observed part of a chart at which the nearest texel and the median weigh the
+same."""
+_MAX_MEDIAN = 100_000  # texels
 MAX_CHARTS = 20_000  # more charts are so small that filling by triangle suffices
 _LARGE_WINDOW = 2**22  # memory is released after charts with more texels
 
@@ -153,6 +158,7 @@ def _fill_charts(
         seen, unseen = np.zeros(face.shape, np.bool_), np.zeros(face.shape, np.bool_)
         if _split_chart(face, count, charts, chart, seen, unseen):
             _copy_nearest(atlas, window, seen, unseen)
+            _fade_to_median(atlas, window, seen, unseen)
         if face.size > _LARGE_WINDOW:
             atlas.release()
 
@@ -189,6 +195,21 @@ def _copy_nearest(
     labels, places = nearest_labels(source)
     for array in atlas.maps.values():
         _copy_labelled(array.view(np.uint16)[window], labels, places, target)
+
+
+def _fade_to_median(
+    atlas: Atlas, window: tuple[slice, slice], seen: NDArray[np.bool_], unseen: NDArray[np.bool_]
+) -> None:
+    """Blend the ``unseen`` texels of a window with the median of the ``seen`` ones, more with distance."""
+    import cv2
+
+    distance = cv2.distanceTransform(np.where(seen, np.uint8(0), np.uint8(255)), cv2.DIST_L2, 5)[unseen]
+    share = (1 / (1 + (distance / FADE_TEXELS) ** 2))[:, None].astype(np.float32)
+    for array in atlas.maps.values():
+        values = array[window]
+        known = values[seen]
+        median = np.median(known[:: max(1, len(known) // _MAX_MEDIAN)].astype(np.float32), axis=0)
+        values[unseen] = median + share * (values[unseen].astype(np.float32) - median)
 
 
 def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
