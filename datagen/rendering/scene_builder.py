@@ -223,6 +223,8 @@ class _Builder:
         """Upload meshes, textures and lights; return the scene. Raises :class:`InputError` for faults."""
         import mitsuba as mi
 
+        from datagen.rendering.plugins import SunDisc  # needs a selected variant
+
         bsdfs: dict[tuple[Hashable, bool], Any] = {}
         description: dict[str, Any] = {"type": "scene"}
         face_instances: dict[str, NDArray[np.uint32]] = {}
@@ -243,6 +245,9 @@ class _Builder:
         raise_problems(self.problems)
         description.update(light_entries)
         scene = mi.load_dict(description, optimize=False)
+        for emitter in scene.emitters():
+            if isinstance(emitter, SunDisc):
+                emitter.set_scene(scene)  # Mitsuba does not call it for emitters in Python
         names = self.instance_names, self.material_names
         return BuiltScene(scene, *names, face_instances, shape_materials, hidden)
 

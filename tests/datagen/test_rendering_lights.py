@@ -133,6 +133,16 @@ def test_soft_sun_has_half_its_irradiance_where_an_edge_hides_its_centre(tmp_pat
     assert np.abs(profile - seen).max() < 0.03
 
 
+@pytest.mark.parametrize("height_m", [0.5, 3.0, 30.0])
+def test_soft_sun_is_blocked_at_any_distance(tmp_path: Path, height_m: float) -> None:
+    scene = SmallScene()
+    scene.parts["roof"] = (quad([-20, -20, height_m], [0, 40, 0], [40, 0, 0]), "grey")
+    sun = DirectionalLight(name="l", direction=(0, 0, -1), irradiance=RADIANCE, angular_diameter_rad=0.01)
+    camera = down_camera(8, 8, 0.2, z=0.4)
+    view = renderer(tmp_path, scene, [camera], RECIPE, lights=(sun,)).render_view(0)
+    assert view.buffers["beauty"].max() == 0.0
+
+
 def test_hidden_light_is_invisible_to_the_camera_only(tmp_path: Path) -> None:
     # The camera looks down through the light (z = 0.5) at the floor.
     light = AreaLight(
