@@ -81,6 +81,17 @@ def test_unseen_triangles_resemble_their_piece() -> None:
         assert set(np.unique(roughness[(atlas.face >= 0) & (atlas.face < 12)])) <= set(expected)
 
 
+def test_unseen_triangles_resemble_the_best_observed_neighbour() -> None:
+    """Of four sides of the block, three are seen in one texel each: its top has the value of the fourth."""
+    mesh, atlas = seen_atlas([f for f in range(24) if f // 2 != 11], [])
+    for face in range(14, 22):
+        texels = np.argwhere(atlas.face == face)
+        atlas.count[tuple(texels[1:].T)] = 0
+    fill_unseen(atlas, mesh)
+    roughness = np.round(atlas.maps["roughness"][..., 0].astype(np.float32) * 100).astype(int)
+    assert (roughness[np.isin(atlas.face, [22, 23])] == 6).all()
+
+
 def test_filled_texels_fade_from_the_border_to_the_median(monkeypatch: pytest.MonkeyPatch) -> None:
     """A dark border of the observed part of a chart is not repeated across the rest of it."""
     monkeypatch.setattr(fill, "FADE_TEXELS", 2.0)

@@ -3,7 +3,7 @@
 
 In a partly observed chart, such texels get the value of the nearest observed texel of the chart, which fades
 with distance to the chart's median, since the border of the observed part is the least accurate. Triangles of
-unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
+unobserved charts get the mean of the best observed of the nearest triangles. Texels between charts get the
 value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
 ``count`` remains 0 at filled texels.
 """
@@ -32,6 +32,9 @@ GUTTER = 128
 FADE_TEXELS = 16.0
 """Distance in texels from the observed part of a chart at which the nearest texel and the median weigh the
 same."""
+NEAREST = 8
+"""Number of nearest observed triangles, of which the one with the most observed texels gives an unobserved
+triangle its value: small ones at silhouettes mix materials."""
 _MAX_MEDIAN = 100_000  # texels
 MAX_CHARTS = 20_000  # more charts are so small that filling by triangle suffices
 _LARGE_WINDOW = 2**22  # memory is released after charts with more texels
@@ -116,8 +119,8 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """Select the mean (M, 7) of each triangle or, if it is unobserved, of the nearest observed triangle,
-    which belongs to the same connected piece if that is observed anywhere.
+    """Select the mean (M, 7) of each triangle or, if it is unobserved, of the best observed of the
+    :data:`NEAREST` ones, which belong to the same connected piece if that is observed anywhere.
     """
     from scipy.spatial import cKDTree
 
@@ -127,10 +130,13 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
     is_seen = np.isin(piece, piece[known])
     apart = 10 * float(np.linalg.norm(np.ptp(centroids, axis=0)))  # pieces are further apart than triangles
     by_piece = np.column_stack([centroids, apart * piece])
-    index = np.empty(len(centroids), np.int64)
-    index[is_seen] = cKDTree(by_piece[known]).query(by_piece[is_seen])[1]
-    index[~is_seen] = cKDTree(centroids[known]).query(centroids[~is_seen])[1]
-    return means[known[index]]
+    source = np.arange(len(centroids))
+    for which, place in ((is_seen, by_piece), (~is_seen, centroids)):
+        rows = np.flatnonzero(which & (num_seen == 0))
+        distance, near = cKDTree(place[known]).query(place[rows], np.arange(min(NEAREST, len(known))) + 1)
+        texels = np.where(distance < apart, num_seen[known][near], 0)
+        source[rows] = known[near[np.arange(len(rows)), texels.argmax(axis=1)]]
+    return means[source]
 
 
 def _fill_charts(
