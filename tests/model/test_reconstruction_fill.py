@@ -19,7 +19,7 @@ from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.export.atlas_images import map_bytes, write_atlas_images
 from model.reconstruction.merge import fill
-from model.reconstruction.merge.fill import fill_unseen, nearest_labels
+from model.reconstruction.merge.fill import fill_unseen, nearest_labels, typical_values
 from model.reconstruction.unwrap.charts import chart_of_faces
 from model.reconstruction.unwrap.size import atlas_size, pixel_density
 from oracles.textured_room import geometry_of, room_mesh
@@ -92,7 +92,7 @@ def test_unseen_triangles_resemble_the_best_observed_neighbour() -> None:
     assert (roughness[np.isin(atlas.face, [22, 23])] == 6).all()
 
 
-def test_filled_texels_fade_from_the_border_to_the_median(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_filled_texels_fade_from_the_border_to_the_typical_value(monkeypatch: pytest.MonkeyPatch) -> None:
     """A dark border of the observed part of a chart is not repeated across the rest of it."""
     monkeypatch.setattr(fill, "FADE_TEXELS", 2.0)
     mesh, atlas = seen_atlas([f for f in range(24) if f // 2 != 3], [6, 7])
@@ -107,9 +107,20 @@ def test_filled_texels_fade_from_the_border_to_the_median(monkeypatch: pytest.Mo
     fill_unseen(atlas, mesh)
     row = int(np.median(np.nonzero(border)[0]))
     filled = albedo[row, edge + 1 :][of_wall[row, edge + 1 :], 0].astype(np.float64)
-    expected = 0.8 - 0.6 / (1 + (np.arange(1, len(filled) + 1) / 2.0) ** 2)
-    assert len(filled) > 6
+    typical = 0.2 + (filled[-1] - 0.2) / (1 - 1 / (1 + (len(filled) / 2.0) ** 2))
+    assert 0.6 < typical < 0.8 and len(filled) > 6
+    expected = typical - (typical - 0.2) / (1 + (np.arange(1, len(filled) + 1) / 2.0) ** 2)
     np.testing.assert_allclose(filled, expected, atol=0.02)
+
+
+def test_typical_values_of_hardly_seen_charts_are_those_of_their_piece() -> None:
+    """Charts 0 to 2 are one piece; chart 1 is seen in a hundredth of it, and chart 3, alone, in one texel."""
+    charts, piece = np.array([0, 0, 0, 1, 2, 3, 4]), np.array([5, 5, 5, 5, 5, 9, 9])
+    means = np.array([[0.8], [0.7], [0.1], [0.2], [0.75], [0.3], [0.0]])
+    found = typical_values(charts, piece, means, np.array([600, 300, 90, 20, 990, 1, 0]))[:, 0]
+    np.testing.assert_allclose(found[[0, 2]], [0.8, 0.75], atol=0.01)
+    assert 0.65 < found[1] < 0.8
+    assert found[3] == 0.3 and found[4] == 0.0
 
 
 def test_an_atlas_in_files_is_filled_identically(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 """Fills unobserved texels of an atlas.
 
 In a partly observed chart, such texels get the value of the nearest observed texel of the chart, which fades
-with distance to the chart's median, since the border of the observed part is the least accurate. Triangles of
+with distance to the chart's typical value, since the border of the observed part is the least accurate; that
+of a hardly observed chart is replaced by that of the other charts of its connected piece. Triangles of
 unobserved charts get the mean of the best observed of the nearest triangles. Texels between charts get the
 value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
 ``count`` remains 0 at filled texels.
@@ -30,12 +31,14 @@ BAND = 1024
 GUTTER = 128
 """Number of rows above and below a band from which its gutters may be filled."""
 FADE_TEXELS = 16.0
-"""Distance in texels from the observed part of a chart at which the nearest texel and the median weigh the
+"""Distance in texels from the observed part of a chart at which the nearest texel and the chart's typical
+value weigh the same."""
+HARDLY_SEEN = 0.03
+"""Observed area of a chart, relative to that of its connected piece, at which both typical values weigh the
 same."""
 NEAREST = 8
 """Number of nearest observed triangles, of which the one with the most observed texels gives an unobserved
 triangle its value: small ones at silhouettes mix materials."""
-_MAX_MEDIAN = 100_000  # texels
 MAX_CHARTS = 20_000  # more charts are so small that filling by triangle suffices
 _LARGE_WINDOW = 2**22  # memory is released after charts with more texels
 
@@ -51,7 +54,8 @@ def fill_unseen(atlas: Atlas, mesh: Mesh, progress: Advance = no_advance) -> Non
     if not num_seen.any():
         return
     charts = chart_of_faces(mesh)
-    is_filled = _fill_charts(atlas, mesh, charts, num_seen, part(1))
+    typical = typical_values(charts, connected_pieces(mesh), means, num_seen).astype(np.float32)
+    is_filled = _fill_charts(atlas, mesh, charts, num_seen, typical, part(1))
     nearest = _nearest_means(mesh, means, num_seen).astype(np.float16).view(np.uint16)
     needs = ~is_filled[charts]
     for rows in _bands(atlas, part(2)):
@@ -140,9 +144,11 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 
 
 def _fill_charts(
-    atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, progress: Advance
+    atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, typical: NDArray, progress: Advance
 ) -> NDArray[np.bool_]:
-    """Fill partly observed charts; return the mask (C,) of charts that are complete."""
+    """Fill partly observed charts, far from their observed parts with the ``typical`` value (C, 7); return
+    the mask (C,) of charts that are complete.
+    """
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
     seen_in_chart = np.bincount(charts, num_seen, num_charts) > 0
@@ -164,7 +170,7 @@ def _fill_charts(
         seen, unseen = np.zeros(face.shape, np.bool_), np.zeros(face.shape, np.bool_)
         if _split_chart(face, count, charts, chart, seen, unseen):
             _copy_nearest(atlas, window, seen, unseen)
-            _fade_to_median(atlas, window, seen, unseen)
+            _fade(atlas, window, seen, unseen, typical[chart])
         if face.size > _LARGE_WINDOW:
             atlas.release()
 
@@ -203,19 +209,58 @@ def _copy_nearest(
         _copy_labelled(array.view(np.uint16)[window], labels, places, target)
 
 
-def _fade_to_median(
-    atlas: Atlas, window: tuple[slice, slice], seen: NDArray[np.bool_], unseen: NDArray[np.bool_]
+def _fade(
+    atlas: Atlas,
+    window: tuple[slice, slice],
+    seen: NDArray[np.bool_],
+    unseen: NDArray[np.bool_],
+    typical: NDArray[np.float32],
 ) -> None:
-    """Blend the ``unseen`` texels of a window with the median of the ``seen`` ones, more with distance."""
+    """Blend the ``unseen`` texels of a window with ``typical`` (7,), more with distance to ``seen`` ones."""
     import cv2
 
     distance = cv2.distanceTransform(np.where(seen, np.uint8(0), np.uint8(255)), cv2.DIST_L2, 5)[unseen]
     share = (1 / (1 + (distance / FADE_TEXELS) ** 2))[:, None].astype(np.float32)
+    first = 0
     for array in atlas.maps.values():
-        values = array[window]
-        known = values[seen]
-        median = np.median(known[:: max(1, len(known) // _MAX_MEDIAN)].astype(np.float32), axis=0)
-        values[unseen] = median + share * (values[unseen].astype(np.float32) - median)
+        values, last = array[window], first + array.shape[2]
+        own = typical[first:last]
+        values[unseen] = own + share * (values[unseen].astype(np.float32) - own)
+        first = last
+
+
+def typical_values(charts: NDArray, piece: NDArray, means: NDArray, num_seen: NDArray) -> NDArray[np.float64]:
+    """Compute the typical value (C, K) of each chart, 0 for those without observed triangles.
+
+    ``charts`` and ``piece`` (M,): chart and connected piece of each triangle; ``means`` (M, K) and
+    ``num_seen`` (M,): mean and number of its observed texels. It is the weighted median over the chart's
+    triangles, shrunk to the one over the charts of its piece (:data:`HARDLY_SEEN`).
+    """
+    num_charts = int(charts.max()) + 1
+    piece_of = np.zeros(num_charts, np.int64)
+    piece_of[charts] = np.unique(piece, return_inverse=True)[1]
+    seen = np.bincount(charts, num_seen, num_charts)
+    of_chart = _medians(charts, means, num_seen, num_charts)
+    of_piece = _medians(piece_of, of_chart, seen, int(piece_of.max()) + 1)[piece_of]
+    around = np.bincount(piece_of, seen)[piece_of]
+    share = seen**2 / np.maximum(seen**2 + (HARDLY_SEEN * around) ** 2, 1e-12)
+    return np.where(seen[:, None] > 0, of_piece + share[:, None] * (of_chart - of_piece), 0.0)
+
+
+def _medians(group: NDArray, values: NDArray, weight: NDArray, num: int) -> NDArray[np.float64]:
+    """Compute the weighted medians (num, K) of ``values`` (N, K) by ``group`` (N,); 0 without weight."""
+    found = np.zeros((num, values.shape[1]))
+    rows = np.flatnonzero(weight)
+    total = np.bincount(group, weight, num)
+    for column in range(values.shape[1]):
+        order = rows[np.lexsort((values[rows, column], group[rows]))]
+        of = group[order]
+        below = np.cumsum(weight[order])
+        start = np.concatenate([[0.0], np.cumsum(total)[:-1]])[of]
+        reached = below - start >= 0.5 * total[of]
+        chosen = order[reached][np.unique(of[reached], return_index=True)[1]]
+        found[group[chosen], column] = values[chosen, column]
+    return found
 
 
 def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
