@@ -117,8 +117,6 @@ def light_surfels(
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.high)
 
-    is_clipped = clipped_surfels(views, surfels)
-
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
         with step("field"):
             size_m = surfels.grid.cell_m * CELLS_ACROSS
@@ -129,7 +127,7 @@ def light_surfels(
             scene_field = RadianceField(traced.scene, own, emitters, background)
             found = _Estimates(scene_field, np.zeros(len(own)), None, np.zeros((len(own), 3), np.float32))
             if options.estimates_unseen:
-                found = _estimated(scene_field, own, is_clipped, size_m, region_of_face, options)
+                found = _estimated(scene_field, own, views, size_m, region_of_face, options)
         with step("irradiance"):
             return _lit(own, Baker(found.field, size_m), found, options.irradiance_rays, options)
 
@@ -190,7 +188,7 @@ def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
 def _estimated(
     scene_field: RadianceField,
     surfels: Surfels,
-    is_clipped: NDArray[np.bool_],
+    views: Sequence[TracedView],
     size_m: float,
     region_of_face: NDArray,
     options: GatherOptions,
@@ -217,7 +215,7 @@ def _estimated(
             extended = scene_field.extended(position, facing, surfels, radiance)
     baker, sun, sunlight = Baker(extended, size_m), None, np.zeros((len(surfels), 3), np.float32)
     if options.finds_sun:
-        sun = _found_sun(baker, surfels, is_clipped, region, options)
+        sun = _found_sun(baker, surfels, clipped_surfels(views, surfels), region, options)
     if sun is not None:
         rays = ShadowRays(scene_field.scene, baker.start_m)
         sunlight = rays.sunlight(sun, surfels.position_m, surfels.normal)

@@ -41,11 +41,11 @@ that are brighter than the mean of sunlit and other surfels, and brighter than w
 LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5
 """Number of nearest surfels in shadow whose median reflectance is that of a sunlit surfel, and share of a
 region's sunlit surfels, the nearest to shadow, that determine the sun's irradiance."""
-_BATCH = 1_000_000  # rays
 MIN_REFLECTANCE = 0.02
 """Minimum reflectance of a region that determines the sun's irradiance."""
 DISK_SAMPLES = 16
 """Number of directions to the sun's disk by which its visible share is computed."""
+_BATCH = 1_000_000  # rays
 
 
 @dataclass(frozen=True)

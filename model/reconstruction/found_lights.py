@@ -112,6 +112,7 @@ class FoundLights:
 
     ``environment`` (H, W, 3): image of the sky if light from outside is distant, in the convention of
     :class:`~datagen.formats.lights.EnvironmentLight`; None if the windows' rectangles emit this light.
+    ``sun``: None if none was found.
     """
 
     lamps: tuple[FoundLamp, ...] = ()
