@@ -22,7 +22,7 @@ from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
 from datagen.light.radiance_field import RadianceField
 from datagen.light.sun import LitSurfaces, ShadowRays, Sun, find_sun
-from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
+from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, clipped_shares, near_surfels
 
 MIN_KNOWN = 0.1
 """Lower bound of the known share of light, by which known light is divided to extrapolate to all light."""
@@ -244,15 +244,8 @@ def _found_sun(
 
 
 def clipped_surfels(views: Sequence[TracedView], surfels: Surfels) -> NDArray[np.bool_]:
-    """Compute whether more than :data:`MAX_CLIPPED` of each surfel's pixels are clipped (N,)."""
-    clipped, total = np.zeros(len(surfels)), np.zeros(len(surfels))
-    for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
-        mine = surfel >= 0
-        total += np.bincount(surfel[mine], minlength=len(surfels))
-        if view.clipped_mask is not None:
-            mask = view.clipped_mask.any(axis=2).ravel()
-            clipped += np.bincount(surfel[mine], mask[mine], len(surfels))
-    return clipped > MAX_CLIPPED * np.maximum(total, 1)
+    """Compute whether more than :data:`MAX_CLIPPED` of each surfel's pixels are clipped in a channel (N,)."""
+    return np.asarray((clipped_shares(views, surfels) > MAX_CLIPPED).any(axis=1))
 
 
 def _unknown_surface(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
+from datagen.light.surfels import weighted_medians
 from datagen.multiview.visibility import vectors_from_rows
 
 Floats = NDArray[np.float64]
@@ -205,14 +206,9 @@ def _facing_radiance(surfaces: LitSurfaces, rays: ShadowRays, direction: Floats)
     is_known = np.isfinite(values).all(axis=1)
     if not is_known.any():
         return None
-    radiance = np.array([_weighted_median(column, weights[is_known]) for column in values[is_known].T])
+    start = np.array([0, is_known.sum()])
+    radiance = weighted_medians(start, values[is_known], weights[is_known])[0].astype(np.float64)
     return radiance if radiance.min() > 0 else None
-
-
-def _weighted_median(values: Floats, weight: Floats) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
 def upper_directions(num: int) -> Floats:

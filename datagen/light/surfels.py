@@ -399,6 +399,19 @@ def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArr
     return distance / cell, index
 
 
+def clipped_shares(views: Sequence[TracedView], surfels: Surfels) -> NDArray[np.float64]:
+    """Share (N, 3) of each surfel's pixels that are clipped, by channel."""
+    clipped, total = np.zeros((len(surfels), 3)), np.zeros(len(surfels))
+    for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
+        mine = surfel >= 0
+        total += np.bincount(surfel[mine], minlength=len(surfels))
+        if view.clipped_mask is not None:
+            mask = view.clipped_mask.reshape(-1, 3)[mine]
+            for channel in range(3):
+                clipped[:, channel] += np.bincount(surfel[mine], mask[:, channel], len(surfels))
+    return clipped / np.maximum(total, 1)[:, None]
+
+
 def surfel_means(surfels: Surfels, maps: Sequence[NDArray]) -> Floats32:
     """Weighted means (N, K) of ``maps``, one (H, W, K) per view, over all pixels of each surfel."""
     channels = maps[0].shape[-1]

@@ -22,7 +22,7 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import NEAR, Background, photographed_background
 from datagen.light.emitters import Emitters, photographed_emitters
-from datagen.light.surfels import NUM_SIDES, Surfels
+from datagen.light.surfels import NUM_SIDES, Surfels, clipped_shares
 
 CLIPPED_SHARE = 0.5
 """Clipped share of the pixels of an emitter or background bin from which a channel is unknown."""
@@ -204,14 +204,7 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
 
     A patch consists of neighbouring surfels of one side that are clipped in all views.
     """
-    clipped, total = np.zeros((len(surfels), 3)), np.zeros(len(surfels))
-    for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
-        mine = surfel >= 0
-        total += np.bincount(surfel[mine], minlength=len(surfels))
-        mask = _mask_of(view).reshape(-1, 3)[mine]
-        for channel in range(3):
-            clipped[:, channel] += np.bincount(surfel[mine], mask[:, channel], len(surfels))
-    share = clipped / np.maximum(total, 1)[:, None]
+    share = clipped_shares(views, surfels)
     shut = np.flatnonzero((share >= SHUT).any(axis=1))
     label = np.full(len(surfels), -1, np.int64)
     if len(shut):
