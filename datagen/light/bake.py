@@ -27,6 +27,8 @@ from datagen.light.radiance_field import MIN_COSINE, Met, RadianceField, lobe_pd
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 
+MIN_KNOWN = 0.1
+"""Lower bound of the known share of light, by which known light is divided to extrapolate to all light."""
 GOLDEN = 0.6180339887498949
 _START = 2e-4  # offset of a ray's origin from the surface, relative to the room's diagonal
 _SHADOW = 1e-3  # shortening of shadow rays, relative to the distance to the emitter
@@ -43,6 +45,10 @@ class Irradiance:
     diffuse: NDArray[np.float32]
     known: NDArray[np.float32]
     photographed: NDArray[np.float32]
+
+    def extrapolated(self) -> NDArray[np.float32]:
+        """Return Ld (N, 3) of all light on the assumption that unknown light is as bright as known light."""
+        return self.diffuse / np.maximum(self.known, MIN_KNOWN)[:, None]
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from datagen.light.background import photographed_background
 from datagen.light.cells import unmixed_cells
 from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
-from datagen.light.surfels import Surfels, build_surfels, weighted_medians
+from datagen.light.surfels import Surfels, build_surfels, grouped_medians
 
 SHARE_ERROR = 0.04
 """Standard error of a_p, due to the finite numbers of rays here and of samples in the photographed pixel."""
@@ -133,9 +133,9 @@ def _shrunk(
     place = np.column_stack([region_of_face[surfels.face], cell])
     block = np.unique(place, axis=0, return_inverse=True)[1].ravel()
     precision = 1 / variance
-    in_block = np.maximum(_medians(block[owner], own, precision, int(block.max()) + 1), 0)[block]
+    in_block = np.maximum(grouped_medians(own, precision, block[owner], int(block.max()) + 1), 0)[block]
     of_surfel = 1 / np.maximum(np.bincount(owner, precision, len(surfels)), _TINY)
-    in_surfel = _toward(in_block, _medians(owner, own, precision, len(surfels)), of_surfel)
+    in_surfel = _toward(in_block, grouped_medians(own, precision, owner, len(surfels)), of_surfel)
     return _toward(in_surfel[owner], own, variance)
 
 
@@ -247,10 +247,3 @@ def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDAr
         at_one = np.maximum(mean_color + slope * (1 - mean_share), 0).ravel()[pixel]
         found[:, channel] = weight * at_one + (1 - weight) * nearest[:, channel]
     return found
-
-
-def _medians(owner: NDArray, values: NDArray, weight: NDArray, num: int) -> NDArray[np.float32]:
-    """Channel-wise medians (``num``, 3) of each owner's ``values`` (K, 3), with weights ``weight`` (K,)."""
-    order = np.argsort(owner, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=num))]).astype(np.int64)
-    return weighted_medians(start, values[order].astype(np.float32), weight[order].astype(np.float32))

@@ -16,34 +16,23 @@ from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
-from datagen.light.bake import Baker, Irradiance, cosine_rays
-from datagen.light.cells import surface_cells, unmixed_cells
+from datagen.light.bake import Baker, Irradiance
+from datagen.light.cells import unmixed_cells
 from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
 from datagen.light.radiance_field import RadianceField
 from datagen.light.sun import LitSurfaces, ShadowRays, Sun, find_sun
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, clipped_shares, near_surfels
+from datagen.light.unseen_surfaces import objects_of_regions, unseen_surfaces
 
-MIN_KNOWN = 0.1
-"""Lower bound of the known share of light, by which known light is divided to extrapolate to all light."""
 MIN_SHADING = 1e-3
 """Share of the room's median shading below which a diffuse albedo is undetermined."""
-MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
-"""Approximate maximum number of surfels, and number of rays per surfel, that search for unphotographed
-surfaces."""
-MAX_RATIO_SURFELS, MIN_RATIO_PHOTOGRAPHED, SURFELS_OF_ROOM = 8000, 0.8, 4.0
-"""Approximate maximum number of surfels from which typical reflectances are computed, minimum photographed
-share of their light, and the number at which a region's median and the room's have equal weight."""
 MAX_SUN_SURFELS, MAX_CLIPPED = 40_000, 0.1
 """Approximate maximum number of surfels from which the sun is found, and maximum share of clipped pixels of a
 surfel whose radiance is known."""
 MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
 """Rays per mixed surfel for the bound on its radiance, and the known shares of its incident light at which
 the bound starts to act and acts fully."""
-ESTIMATE_ROUNDS = 5
-"""Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
-light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""
-_REFLECTANCE_RANGE = (0.05, 0.9)  # lower and upper bound
 
 
 @dataclass(frozen=True)
@@ -116,6 +105,7 @@ def light_surfels(
         emitters = photographed_emitters(views, traced, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.high)
+        object_of_region = objects_of_regions(traced.mesh, region_of_face)
 
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
         with step("field"):
@@ -127,7 +117,7 @@ def light_surfels(
             scene_field = RadianceField(traced.scene, own, emitters, background)
             found = _Estimates(scene_field, np.zeros(len(own)), None, np.zeros((len(own), 3), np.float32))
             if options.estimates_unseen:
-                found = _estimated(scene_field, own, views, size_m, region_of_face, options)
+                found = _estimated(scene_field, own, views, size_m, region_of_face, object_of_region, options)
         with step("irradiance"):
             return _lit(own, Baker(found.field, size_m), found, options.irradiance_rays, options)
 
@@ -146,7 +136,7 @@ def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
     if not len(mixed):
         return surfels
     lit = unmixed.irradiance(surfels.position_m[mixed], surfels.normal[mixed], MIXED_RAYS)
-    arriving = luminance(_extrapolated(lit))
+    arriving = luminance(lit.extrapolated())
     scale = np.minimum(1, arriving / np.maximum(luminance(surfels.radiance[mixed]), 1e-12))
     low, high = BOUND_KNOWN
     scale **= np.clip((lit.known - low) / (high - low), 0, 1)
@@ -176,13 +166,8 @@ def relight(
 
 def _lit(surfels: Surfels, baker: Baker, found: _Estimates, num_rays: int, options: GatherOptions) -> Lit:
     irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
-    diffuse = smoothed(surfels, _extrapolated(irradiance), options.smoothing_neighbours) + found.sunlight
+    diffuse = smoothed(surfels, irradiance.extrapolated(), options.smoothing_neighbours) + found.sunlight
     return Lit(surfels, baker, irradiance, diffuse, found.hidden, found.sun, found.sunlight)
-
-
-def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
-    """Diffuse shading (N, 3) on the assumption that unknown light is as bright as known light."""
-    return irradiance.diffuse / np.maximum(irradiance.known, MIN_KNOWN)[:, None]
 
 
 def _estimated(
@@ -191,6 +176,7 @@ def _estimated(
     views: Sequence[TracedView],
     size_m: float,
     region_of_face: NDArray,
+    object_of_region: NDArray,
     options: GatherOptions,
 ) -> _Estimates:
     """Estimate the radiance of unphotographed surfaces, the share of light from unphotographed lamps, and the
@@ -199,20 +185,11 @@ def _estimated(
     The estimated radiance is the typical reflectance of the smooth region times the incident light times the
     fitted gain.
     """
-    position, facing, face = _unknown_surface(scene_field, surfels, size_m)
     region = region_of_face[surfels.face]
-    extended = scene_field
-    radiance = np.zeros((len(position), 3), np.float32)
-    if len(position):
-        of_region = typical_reflectance(
-            Baker(scene_field, size_m), surfels, region, int(region_of_face.max()) + 1, options
-        )
-        reflectance = of_region[region_of_face[face]]
-        for _ in range(ESTIMATE_ROUNDS):
-            lit = Baker(extended, size_m).irradiance(position, facing, options.estimate_rays)
-            arriving = lit.diffuse / np.maximum(lit.known, 2 * MIN_KNOWN)[:, None]
-            radiance = (reflectance * arriving).astype(np.float32)
-            extended = scene_field.extended(position, facing, surfels, radiance)
+    unseen = unseen_surfaces(
+        Baker(scene_field, size_m), surfels, region_of_face, object_of_region, options.estimate_rays
+    )
+    extended = unseen.added_to(scene_field, surfels)
     baker, sun, sunlight = Baker(extended, size_m), None, np.zeros((len(surfels), 3), np.float32)
     if options.finds_sun:
         sun = _found_sun(baker, surfels, clipped_surfels(views, surfels), region, options)
@@ -222,12 +199,11 @@ def _estimated(
     if not options.fits_estimates:
         return _Estimates(extended, np.zeros(len(surfels)), sun, sunlight)
     gains = fitted_gains(baker, surfels, region, sunlight)
-    radiance *= gains.of_group[surface_groups(position, facing, surfels), None].astype(np.float32)
+    of_unseen = gains.of_group[surface_groups(unseen.position_m, unseen.normal, surfels), None]
+    unseen = replace(unseen, radiance=(unseen.radiance * of_unseen).astype(np.float32))
     background = with_gains(scene_field.background, gains.of_group)
     fitted = RadianceField(scene_field.scene, surfels, scene_field.emitters, background)
-    if len(position):
-        fitted = fitted.extended(position, facing, surfels, radiance)
-    return _Estimates(fitted, gains.hidden, sun, sunlight)
+    return _Estimates(unseen.added_to(fitted, surfels), gains.hidden, sun, sunlight)
 
 
 def _found_sun(
@@ -236,7 +212,7 @@ def _found_sun(
     step = max(1, len(surfels) // MAX_SUN_SURFELS)
     chosen = np.flatnonzero(~surfels.is_mixed)[::step]
     position, normal = surfels.position_m[chosen], surfels.normal[chosen]
-    diffuse = _extrapolated(baker.irradiance(position, normal, options.estimate_rays))
+    diffuse = baker.irradiance(position, normal, options.estimate_rays).extrapolated()
     sampled = LitSurfaces(
         position, normal, surfels.radiance[chosen], diffuse, region[chosen], is_clipped[chosen]
     )
@@ -246,46 +222,6 @@ def _found_sun(
 def clipped_surfels(views: Sequence[TracedView], surfels: Surfels) -> NDArray[np.bool_]:
     """Compute whether more than :data:`MAX_CLIPPED` of each surfel's pixels are clipped in a channel (N,)."""
     return np.asarray((clipped_shares(views, surfels) > MAX_CLIPPED).any(axis=1))
-
-
-def _unknown_surface(
-    scene_field: RadianceField, surfels: Surfels, size_m: float
-) -> tuple[NDArray, NDArray, NDArray[np.int64]]:
-    """Find a position and normal (K, 3) and the triangle (K,) in each cell of unknown radiance that the
-    surfels' rays hit.
-    """
-    step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
-    origin, normal = surfels.position_m[::step], surfels.normal[::step]
-    ray = cosine_rays(origin, normal, ESTIMATE_RAYS_A_SURFEL, Baker(scene_field, size_m).start_m, seed=0)
-    position, facing, face = scene_field.unknown_hits(ray)
-    keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
-    chosen = first[keys >= 0]
-    return position[chosen], facing[chosen], face[chosen]
-
-
-def typical_reflectance(
-    baker: Baker, surfels: Surfels, region: NDArray, num_regions: int, options: GatherOptions
-) -> NDArray[np.float64]:
-    """Typical reflectance pi L / E (``num_regions``, 3) of smooth regions: the median over surfels in mostly
-    photographed light, shrunk towards that of the room, which is 0.4 if there are none.
-
-    ``region`` (N,) is the index of each surfel's region.
-    """
-    step = max(1, len(surfels) // MAX_RATIO_SURFELS)
-    lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)
-    used = (lit.photographed > MIN_RATIO_PHOTOGRAPHED) & (lit.diffuse.min(axis=1) > 0)
-    if not used.any():
-        return np.full((num_regions, 3), 0.4)
-    ratio = surfels.radiance[::step][used] * lit.known[used, None] / lit.diffuse[used]
-    log_ratio = np.log(np.clip(ratio, *_REFLECTANCE_RANGE))
-    of_room = np.median(log_ratio, axis=0)
-    found = np.repeat(of_room[None], num_regions, axis=0)
-    of_sample = region[::step][used]
-    for which in np.unique(of_sample):
-        own = log_ratio[of_sample == which]
-        weight = len(own) / (len(own) + SURFELS_OF_ROOM)
-        found[which] += weight * (np.median(own, axis=0) - of_room)
-    return np.exp(found)
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:

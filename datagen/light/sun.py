@@ -36,7 +36,7 @@ MIN_COSINE = 0.1
 """Minimum cosine between the sun and the normal of a sunlit surfel."""
 MAX_LOG_RATIO = 1.5
 """Bound on ln reflectance relative to the region, which lamps and highlights exceed."""
-MIN_CORRELATION, MIN_BRIGHT, MIN_IMPOSSIBLE = 0.4, 0.6, 0.3
+MIN_CORRELATION, MIN_BRIGHT, MIN_IMPOSSIBLE = 0.3, 0.6, 0.3
 """Minimum correlation between the sun's visibility and ln reflectance, and minimum shares of sunlit surfels
 that are brighter than the mean of sunlit and other surfels, and brighter than white without the sun."""
 LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5

@@ -387,6 +387,15 @@ def weighted_medians(start, values, weight):
     return found
 
 
+def grouped_medians(values: NDArray, weight: NDArray, group: NDArray, num: int) -> NDArray[np.float32]:
+    """Compute the weighted median (``num``, 3) of the rows of ``values`` (M, 3) by ``group`` (M,)."""
+    order = np.argsort(group, kind="stable")
+    start = np.searchsorted(group[order], np.arange(num + 1))
+    return np.asarray(
+        weighted_medians(start, values[order].astype(np.float32), weight[order].astype(np.float32))
+    )
+
+
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Distances, in cells, and indices of the nearest surfels with similar normals, (N, min(num, N)) each.
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import LIGHT_BUFFERS, MIRROR_ROUGHNESS, split_channels
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
-from datagen.light.lighting import MIN_KNOWN, MIN_SHADING, GatherOptions, light_surfels
+from datagen.light.bake import MIN_KNOWN
+from datagen.light.lighting import MIN_SHADING, GatherOptions, light_surfels
 from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, surfels_around
 from datagen.multiview.compiled import compiled
 

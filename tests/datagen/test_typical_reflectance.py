@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from datagen.light.bake import Irradiance
-from datagen.light.lighting import MIN_RATIO_PHOTOGRAPHED, SURFELS_OF_ROOM, GatherOptions, typical_reflectance
+from datagen.light.unseen_surfaces import PRIOR_SURFELS, RATIO_EVIDENCE, typical_reflectance
 
 NUM = 90
 TRUE = np.array([0.2, 0.6, 0.8])
@@ -43,31 +44,44 @@ class Baker:
         return Irradiance(0.5 * SHADING, half, self.photographed)
 
 
-def typical(photographed: NDArray | float = 1.0, radiance: NDArray | None = None) -> NDArray[np.float64]:
+def typical(
+    photographed: NDArray | float = 1.0,
+    radiance: NDArray | None = None,
+    objects: Sequence[int] = (0, 1, 2, 3),
+) -> NDArray[np.float64]:
     nowhere = np.zeros((NUM, 3))
     surfels: Any = Surfels(nowhere, nowhere, TRUE[REGION, None] * SHADING if radiance is None else radiance)
     baker: Any = Baker(np.broadcast_to(np.float32(photographed), (NUM,)))
-    return typical_reflectance(baker, surfels, REGION, 4, GatherOptions())
+    return typical_reflectance(baker, surfels, REGION, np.array(objects, np.int32), 48)
 
 
 def test_regions_have_the_median_of_their_surfels() -> None:
-    """It is shrunk towards the room's median, most for regions with few surfels."""
+    """It is shrunk towards the object's median, and this towards the room's, most for few surfels."""
     found, room = typical(), np.log(0.6)
     for which, count in enumerate(np.bincount(REGION)):
-        weight = count / (count + SURFELS_OF_ROOM)
-        expected = np.exp(weight * np.log(TRUE[which]) + (1 - weight) * room)
+        prior = (PRIOR_SURFELS / (count + PRIOR_SURFELS)) ** 2
+        expected = np.exp((1 - prior) * np.log(TRUE[which]) + prior * room)
         np.testing.assert_allclose(found[which], expected, rtol=1e-6)
     np.testing.assert_allclose(found[3], 0.6, rtol=1e-6)
-    assert found[0, 0] == pytest.approx(0.2, rel=0.12)
+    assert found[0, 0] == pytest.approx(0.2, rel=0.02)
 
 
-def test_surfels_in_unphotographed_light_do_not_count() -> None:
-    """Reflectances that are three times too high, where too little of the light is photographed, are ignored;
-    with all of them, the albedo 0.4 is assumed."""
-    photographed = np.where(np.arange(NUM) % 5 < 3, MIN_RATIO_PHOTOGRAPHED - 0.01, 0.9)
-    wrong = TRUE[REGION, None] * SHADING * np.where(np.arange(NUM) % 5 < 3, 3.0, 1.0)[:, None]
-    assert typical(photographed, wrong)[0, 1] == pytest.approx(0.2, rel=0.3)
-    np.testing.assert_array_equal(typical(MIN_RATIO_PHOTOGRAPHED), np.full((4, 3), 0.4))
+def test_regions_without_surfels_have_the_reflectance_of_their_object() -> None:
+    """Region 3 is the back of region 0, or of region 1 as well, whose surfels are more frequent."""
+    assert typical(objects=(0, 1, 2, 0))[3, 0] == pytest.approx(0.2, rel=0.12)
+    np.testing.assert_allclose(typical(objects=(0, 0, 1, 0))[3], 0.6, rtol=1e-6)
+
+
+def test_surfels_in_photographed_light_prevail() -> None:
+    """Reflectances that are three times too high, where too little of the light is photographed, are ignored,
+    and have less weight where little more is photographed; with all of them, the albedo 0.4 is assumed."""
+    is_wrong = np.arange(NUM) % 5 < 3
+    wrong = TRUE[REGION, None] * SHADING * np.where(is_wrong, 3.0, 1.0)[:, None]
+    low, high = RATIO_EVIDENCE
+    for share in (low, low + 0.2 * (high - low)):
+        assert typical(np.where(is_wrong, share, 1.0), wrong)[0, 1] == pytest.approx(0.2, rel=0.3)
+    assert typical(1.0, wrong)[0, 1] > 0.5
+    np.testing.assert_array_equal(typical(low), np.full((4, 3), 0.4))
 
 
 def test_reflectance_is_between_0_05_and_0_9() -> None:

@@ -76,17 +76,17 @@ def test_unlit_albedo_has_the_networks_level_and_the_photographs_pattern(
 
 
 def test_partly_photographed_light_counts_against_the_network(wall: Surfels) -> None:
-    """The network is four times too dark, and no light is known."""
+    """The network is a fifth too dark, and no light is known."""
     true = _checks(0.6, 0.5)
     none, on_wall = np.zeros(len(true), np.float32), np.ones(len(true), bool)
     region = none.astype(np.int32)
     without, partly = (
-        shading_correction(wall, region, true, 0.25 * true, none, np.full(len(true), share), on_wall)
+        shading_correction(wall, region, true, 0.8 * true, none, np.full(len(true), share), on_wall)
         for share in (0.05, 0.65)
     )
-    np.testing.assert_allclose(without, np.log(0.25), atol=1e-3)
+    np.testing.assert_allclose(without, np.log(0.8), atol=1e-3)
     of_network = NETWORK_WEIGHT / MIN_SPREAD_NETWORK**2
-    expected = np.log(0.25) * of_network / (of_network + ESTIMATE_WEIGHT)
+    expected = np.log(0.8) * of_network / (of_network + ESTIMATE_WEIGHT)
     np.testing.assert_allclose(partly, expected, atol=1e-3)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.light.bake import SpecularShading
-from datagen.light.surfels import Surfels, weighted_medians
+from datagen.light.surfels import Surfels, grouped_medians
 from model.reconstruction.light.points import UNSEEN_WEIGHT
 
 SHARP, BLURRED = 0.2, 0.3
@@ -34,10 +34,9 @@ def textured_specular_albedo(
     owner = surfels.surfel_of_observation()
     rows = np.flatnonzero(is_metal[owner])
     num = np.bincount(owner[rows], minlength=len(surfels))
-    start = np.concatenate([[0], np.cumsum(num)]).astype(np.int64)
     ratio = (observations.radiance[rows] - shading.ls1[rows]) / np.maximum(shading.ls0[rows], 1e-9)
     weight = observations.weight[rows] * (UNSEEN_WEIGHT + shading.photographed[rows])
-    medians = weighted_medians(start, ratio.astype(np.float32), weight.astype(np.float32))
+    medians = grouped_medians(ratio, weight, owner[rows], len(surfels))
     blurred = np.clip((roughness - SHARP) / (BLURRED - SHARP), 0, 1)
     share = (blurred * num / (num + SEGMENT_VIEWS))[:, None]
     textured = share * np.clip(medians, 0, 1) + (1 - share) * specular_albedo

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.light.lighting import MIN_KNOWN, Lit
+from datagen.light.bake import MIN_KNOWN
+from datagen.light.lighting import Lit
 from datagen.light.surfels import Surfels
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import (

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from datagen.light.cells import cell_keys
-from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medians
+from datagen.light.surfels import CellGrid, Surfels, grouped_medians, near_surfels
 
 SMOOTHNESS = 100.0
 """Weight of differences of u between adjacent surfels, relative to that of u of a surfel with known light."""
-ESTIMATE_WEIGHT, ESTIMATE_EVIDENCE = 0.01, (0.1, 0.65)
+ESTIMATE_WEIGHT, ESTIMATE_EVIDENCE = 0.5, (0.1, 0.65)
 """Weight of u of surfels whose light is mostly estimated, and the range of the photographed share of their
 hemisphere over which it increases from 0."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
@@ -60,7 +60,8 @@ def shading_correction(
 
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
     ``confidence`` (N,): confidence in the light, in [0, 1]; ``photographed`` (N,): photographed share of each
-    hemisphere; ``is_diffuse`` (N,): mask of lit surfels that are not metal. Raises ArithmeticError if the
+    hemisphere times the trust in its light; ``is_diffuse`` (N,): mask of lit surfels that are not metal.
+    Raises ArithmeticError if the
     solver does not converge.
     """
     log_albedo, log_network = _log(albedo), _log(predicted)
@@ -160,14 +161,9 @@ def _grouped_spread(
     The deviation follows from mean absolute deviations, clipped at 1. The mean is that of values clipped at
     twice the deviation from the median, since the median of a checkerboard would be one of its two colours.
     """
-    order = np.argsort(group, kind="stable")
-    keys, first = np.unique(group[order], return_index=True)
-    start = np.append(first, len(order)).astype(np.int64)
-    index = np.searchsorted(keys, group)
+    keys, index = np.unique(group, return_inverse=True)
     total = np.bincount(index, weight, len(keys)).astype(np.float64)
-    used = np.where(total > 0, 1.0, 0.0)
-    ordered_weight = np.maximum(weight[order], 1e-9).astype(np.float32)
-    medians = weighted_medians(start, values[order].astype(np.float32), ordered_weight) * used[:, None]
+    medians = grouped_medians(values, np.maximum(weight, 1e-9), index, len(keys)) * (total > 0)[:, None]
     away = np.minimum(np.abs(values - medians[index]).mean(axis=1), 1) * weight
     spread = 1.2533 * np.bincount(index, away, len(keys)) / np.maximum(total, 1e-12)
     reach = 2 * spread[index][:, None]

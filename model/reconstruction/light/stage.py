@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
+from datagen.light.bake import MIN_KNOWN
 from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
-from datagen.light.lighting import MIN_KNOWN, Lit, clipped_surfels, light_surfels, relight, smoothed
+from datagen.light.lighting import Lit, clipped_surfels, light_surfels, relight, smoothed
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.light.confidence import (
@@ -216,7 +217,7 @@ def _solved_surfels(
             albedo,
             predicted,
             confidence[:, 0],
-            lit.irradiance.photographed,
+            lit.irradiance.photographed * trust,
             is_diffuse,
         )
         albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)

@@ -19,9 +19,13 @@ from datagen.geometry.views import TracedView
 from datagen.light.background import NEAR, photographed_background
 from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import Surfels, build_surfels
+from datagen.light.unseen_surfaces import objects_of_regions
 from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
 from model.reconstruction.radiometry.recovered import SourceField, doubt_of, gather, recovered
 from model.reconstruction.radiometry.sources import Sources, find_sources, source_of_pixels
+
+SOURCE_ROUNDS = 3
+"""Number of estimates of the sources, each with unphotographed surfaces illuminated as by the last."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +77,11 @@ def completed_views(
     radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
     if len(sources):
         field = SourceField(traced.scene, surfels, emitters, background)
-        estimate = recovered(gather(field, sources, region_of_face), sources)
-        radiance, spread, doubt_at = estimate.radiance, estimate.spread, doubt_of(field, sources, estimate)
+        objects = objects_of_regions(traced.mesh, region_of_face)
+        for _ in range(SOURCE_ROUNDS):
+            estimate = recovered(gather(field, sources, region_of_face, objects, radiance), sources)
+            radiance = estimate.radiance
+        spread, doubt_at = estimate.spread, doubt_of(field, sources, estimate)
     for index, view in enumerate(found):
         if view.clipped_mask is None:
             continue

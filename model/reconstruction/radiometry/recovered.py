@@ -24,16 +24,17 @@ from datagen.light.background import Background
 from datagen.light.bake import Baker
 from datagen.light.cells import Cells
 from datagen.light.emitters import Emitters
-from datagen.light.lighting import MIN_KNOWN
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels
+from datagen.light.unseen_surfaces import unseen_surfaces
 from model.reconstruction.radiometry.sources import Colored, Sources
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-MAX_POINTS, RAYS = 2500, 576
-"""Maximum number of points, and rays per point; noise in a source's light biases its radiance downwards."""
+MAX_POINTS, RAYS, UNSEEN_RAYS = 2500, 576, 48
+"""Maximum number of points, rays per point (noise in a source's light biases its radiance downwards), and
+rays per point of unphotographed surfaces."""
 DOUBT_RAYS = 144
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
 """Minimum number of views of a surfel, and minimum photographed share of its light, for its use."""
@@ -138,25 +139,34 @@ class SourceField:
         return form
 
 
-def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int32]) -> Gathered:
+def gather(
+    field: SourceField,
+    sources: Sources,
+    region_of_face: NDArray[np.int32],
+    object_of_region: NDArray[np.int32],
+    radiance: NDArray,
+) -> Gathered:
     """Compute the light at surfels from each source and from all else, for at most :data:`MAX_POINTS` clearly
     visible ones; ``region_of_face`` (M,), each triangle's smooth region, is their group.
+
+    The light of unphotographed surfaces is known: what they reflect (``object_of_region`` (R,), see
+    :func:`unseen_surfaces`) if the sources have ``radiance`` (S, 3).
     """
     surfels = field.surfels
     clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
     usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
     chosen = np.sort(np.random.default_rng(0).permutation(usable)[:MAX_POINTS])
     position, normal = surfels.position_m[chosen], surfels.normal[chosen]
-    dark = field.colored(sources, np.zeros_like(sources.bound))
-    lit = field.baker(dark).irradiance(position, normal, RAYS)
-    share = np.maximum(lit.known, MIN_KNOWN)[:, None]
-    form = field.forms(sources, position, normal) / share
-    kept = lit.photographed >= MIN_PHOTOGRAPHED
+    lit = field.baker(field.colored(sources, radiance))
+    unseen = unseen_surfaces(lit, surfels, region_of_face, object_of_region, UNSEEN_RAYS)
+    dark = field.baker(field.colored(sources, np.zeros_like(sources.bound)))
+    rest = Baker(unseen.added_to(dark.field, surfels), dark.size_m).irradiance(position, normal, RAYS)
+    kept = rest.photographed >= MIN_PHOTOGRAPHED
     kept &= (surfels.radiance[chosen] > 0).all(axis=1)
     return Gathered(
         surfels.radiance[chosen][kept].astype(np.float64),
-        (lit.diffuse / share)[kept].astype(np.float64),
-        form[kept],
+        rest.extrapolated()[kept].astype(np.float64),
+        field.forms(sources, position[kept], normal[kept]),
         np.unique(region_of_face[surfels.face[chosen[kept]]], return_inverse=True)[1],
     )
 

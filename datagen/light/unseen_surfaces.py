@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""Estimates the radiance of unphotographed surfaces, which illuminate the photographed ones.
+
+A surface without photographs is assumed to have the typical reflectance of its smooth region or, without one,
+of its object: the back of a door has that of the front. Its light is gathered in rounds of one bounce each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import smooth_regions
+from datagen.light.bake import Baker, cosine_rays
+from datagen.light.cells import surface_cells
+from datagen.light.radiance_field import RadianceField
+from datagen.light.surfels import Surfels, grouped_medians
+
+MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
+"""Approximate maximum number of surfels, and number of rays per surfel, that search for unphotographed
+surfaces."""
+MAX_RATIO_SURFELS, RATIO_EVIDENCE, PRIOR_SURFELS = 16_000, (0.5, 0.9), 4.0
+"""Approximate maximum number of surfels from which typical reflectances are computed, range of the
+photographed share of their light over which their weight increases from 0 to 1, and the weight at which a
+region's median and its object's, or an object's and the room's, count equally."""
+ESTIMATE_ROUNDS = 5
+"""Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
+light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""
+_REFLECTANCE_RANGE = (0.05, 0.9)  # lower and upper bound
+_MIN_KNOWN = 0.2  # lower bound of the known share of light, by which light is divided
+
+
+@dataclass(frozen=True)
+class UnseenSurfaces:
+    """K unphotographed surface points: ``position_m``, ``normal`` and estimated ``radiance``, (K, 3) each."""
+
+    position_m: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    radiance: NDArray[np.float32]
+
+    def added_to(self, field: RadianceField, surfels: Surfels) -> RadianceField:
+        """Return a field that adds these surfaces to ``field``."""
+        if not len(self.radiance):
+            return field
+        return field.extended(self.position_m, self.normal, surfels, self.radiance)
+
+
+def objects_of_regions(mesh: Mesh, region_of_face: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the index (R,) of each smooth region's object, a connected part of ``mesh``."""
+    objects = np.zeros(int(region_of_face.max(initial=-1)) + 1, np.int32)
+    objects[region_of_face] = smooth_regions(mesh, np.pi)
+    return objects
+
+
+def unseen_surfaces(
+    baker: Baker,
+    surfels: Surfels,
+    region_of_face: NDArray[np.int32],
+    object_of_region: NDArray[np.int32],
+    num_rays: int,
+) -> UnseenSurfaces:
+    """Estimate the radiance of surfaces that are unknown in the field of ``baker`` but visible to the
+    surfels: the typical reflectance of their smooth region times their incident light.
+
+    ``region_of_face`` (M,): smooth region of each triangle; ``object_of_region`` (R,): object of each region;
+    ``num_rays``: number of rays per point.
+    """
+    position, facing, face = _unknown_surface(baker, surfels)
+    unseen = UnseenSurfaces(position, facing, np.zeros((len(position), 3), np.float32))
+    if not len(position):
+        return unseen
+    region = region_of_face[surfels.face]
+    reflectance = typical_reflectance(baker, surfels, region, object_of_region, num_rays)[
+        region_of_face[face]
+    ]
+    lit = baker
+    for _ in range(ESTIMATE_ROUNDS):
+        light = lit.irradiance(position, facing, num_rays)
+        arriving = light.diffuse / np.maximum(light.known, _MIN_KNOWN)[:, None]
+        unseen = replace(unseen, radiance=(reflectance * arriving).astype(np.float32))
+        lit = Baker(unseen.added_to(baker.field, surfels), baker.size_m)
+    return unseen
+
+
+def _unknown_surface(baker: Baker, surfels: Surfels) -> tuple[NDArray, NDArray, NDArray[np.int64]]:
+    """Find a position and normal (K, 3) and the triangle (K,) in each cell of unknown radiance that the
+    surfels' rays hit.
+    """
+    step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
+    origin, normal = surfels.position_m[::step], surfels.normal[::step]
+    ray = cosine_rays(origin, normal, ESTIMATE_RAYS_A_SURFEL, baker.start_m, seed=0)
+    position, facing, face = baker.field.unknown_hits(ray)
+    keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
+    chosen = first[keys >= 0]
+    return position[chosen], facing[chosen], face[chosen]
+
+
+def typical_reflectance(
+    baker: Baker,
+    surfels: Surfels,
+    region: NDArray[np.int32],
+    object_of_region: NDArray[np.int32],
+    num_rays: int,
+) -> NDArray[np.float64]:
+    """Compute the typical reflectance pi L / E (R, 3) of R smooth regions.
+
+    It is the median over surfels, weighted by the photographed share of their light, shrunk towards that of
+    the object, and this towards that of the room; it is 0.4 if too little light is photographed.
+
+    ``region`` (N,): region of each surfel; ``object_of_region`` (R,): object of each region.
+    """
+    step = max(1, len(surfels) // MAX_RATIO_SURFELS)
+    lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], num_rays)
+    low, high = RATIO_EVIDENCE
+    weight = np.clip((lit.photographed - low) / (high - low), 0, 1) * (lit.diffuse.min(axis=1) > 0)
+    used = weight > 0
+    if not used.any():
+        return np.full((len(object_of_region), 3), 0.4)
+    weight = weight[used]
+    ratio = surfels.radiance[::step][used] * lit.known[used, None] / lit.diffuse[used]
+    log_ratio = np.log(np.clip(ratio, *_REFLECTANCE_RANGE))
+
+    def shrunk(group: NDArray, prior: NDArray) -> NDArray[np.float64]:
+        """Medians (K, 3) by ``group``, shrunk towards ``prior`` (K, 3)."""
+        total = np.bincount(group, weight, len(prior))
+        own = (total / (total + PRIOR_SURFELS))[:, None]
+        return own * grouped_medians(log_ratio, weight, group, len(prior)) + (1 - own) * prior
+
+    of_room = grouped_medians(log_ratio, weight, np.zeros(len(weight), np.int64), 1)
+    num_objects = int(object_of_region.max()) + 1
+    of_sample = region[::step][used]
+    of_object = shrunk(object_of_region[of_sample], np.repeat(of_room, num_objects, axis=0))
+    return np.exp(shrunk(of_sample, of_object[object_of_region]))
