@@ -166,7 +166,7 @@ def gather(
     return Gathered(
         surfels.radiance[chosen][kept].astype(np.float64),
         rest.extrapolated()[kept].astype(np.float64),
-        field.forms(sources, position[kept], normal[kept]),
+        field.forms(sources, position, normal)[kept],
         np.unique(region_of_face[surfels.face[chosen[kept]]], return_inverse=True)[1],
     )
 
