@@ -14,7 +14,7 @@ the point's index, so its result does not depend on other points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +62,11 @@ class SpecularShading:
     ls1: NDArray[np.float32]
     known: NDArray[np.float32]
     photographed: NDArray[np.float32]
+
+    def extrapolated(self) -> SpecularShading:
+        """Return the shading on the assumption that unknown light is as bright as known light."""
+        known = np.maximum(self.known, MIN_KNOWN)[:, None]
+        return replace(self, ls0=self.ls0 / known, ls1=self.ls1 / known)
 
 
 def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import LIGHT_BUFFERS, MIRROR_ROUGHNESS, split_channels
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
-from datagen.light.bake import MIN_KNOWN
 from datagen.light.lighting import MIN_SHADING, GatherOptions, light_surfels
 from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, surfels_around
 from datagen.multiview.compiled import compiled
@@ -55,7 +54,7 @@ class ViewLight:
         directions = surfels.directions(owner, surfels.observations.view)
         rough = np.full(len(owner), roughness)
         shading = self._lit.baker.specular(position, normal, directions, rough, MIRROR_RAYS, _MIRROR_SEED)
-        return shading.ls0 / np.maximum(shading.known, MIN_KNOWN)[:, None]
+        return shading.extrapolated().ls0
 
     def buffers(self, index: int, color_median: NDArray) -> dict[str, NDArray[np.float32]]:
         """Return the :data:`~datagen.foundation.buffers.LIGHT_BUFFERS` (H, W, 3 or 1) of view ``index``.

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.light.bake import MIN_KNOWN
 from datagen.light.lighting import Lit
 from datagen.light.surfels import Surfels
 from model.reconstruction.light.options import LightOptions
@@ -144,9 +143,8 @@ def shade_points(lit: Lit, points: Points, options: LightOptions) -> PointShadin
             np.full(len(surfel), roughness),
             options.solve_rays,
             seed=level + 1,
-        )
-        known = np.maximum(shading.known, MIN_KNOWN)[:, None]
-        ls0[used, level], ls1[used, level] = shading.ls0 / known, shading.ls1 / known
+        ).extrapolated()
+        ls0[used, level], ls1[used, level] = shading.ls0, shading.ls1
         photographed[used, level] = shading.photographed
     weight = points.weight * (UNSEEN_WEIGHT + photographed.mean(axis=2))
     return PointShading(ls0, ls1, weight.astype(np.float32))

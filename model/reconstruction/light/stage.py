@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
-from datagen.light.bake import MIN_KNOWN
 from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import Lit, clipped_surfels, light_surfels, relight, smoothed
@@ -169,9 +168,7 @@ def _specular_parts(
         roughness[owner],
         options.specular_rays,
         _SEED,
-    )
-    known = np.maximum(shading.known, MIN_KNOWN)[:, None]
-    shading = replace(shading, ls0=shading.ls0 / known, ls1=shading.ls1 / known)
+    ).extrapolated()
     s = segments.specular_albedo[segment]
     s = textured_specular_albedo(surfels, s, roughness, segments.is_metal[segment], shading)
     return s, (s[owner] * shading.ls0 + shading.ls1).astype(np.float32)

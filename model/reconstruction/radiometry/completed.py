@@ -21,7 +21,7 @@ from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import Surfels, build_surfels
 from datagen.light.unseen_surfaces import objects_of_regions
 from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
-from model.reconstruction.radiometry.recovered import SourceField, doubt_of, gather, recovered
+from model.reconstruction.radiometry.recovered import Gatherer, SourceField, doubt_of, recovered
 from model.reconstruction.radiometry.sources import Sources, find_sources, source_of_pixels
 
 SOURCE_ROUNDS = 3
@@ -78,8 +78,9 @@ def completed_views(
     if len(sources):
         field = SourceField(traced.scene, surfels, emitters, background)
         objects = objects_of_regions(traced.mesh, region_of_face)
+        gatherer = Gatherer(field, sources, region_of_face, objects)
         for _ in range(SOURCE_ROUNDS):
-            estimate = recovered(gather(field, sources, region_of_face, objects, radiance), sources)
+            estimate = recovered(gatherer.gathered(radiance), sources)
             radiance = estimate.radiance
         spread, doubt_at = estimate.spread, doubt_of(field, sources, estimate)
     for index, view in enumerate(found):

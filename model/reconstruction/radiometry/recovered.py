@@ -32,7 +32,7 @@ from model.reconstruction.radiometry.sources import Colored, Sources
 if TYPE_CHECKING:
     import mitsuba as mi
 
-MAX_POINTS, RAYS, UNSEEN_RAYS = 2500, 576, 48
+MAX_POINTS, RAYS, UNSEEN_RAYS = 2500, 1152, 48
 """Maximum number of points, rays per point (noise in a source's light biases its radiance downwards), and
 rays per point of unphotographed surfaces."""
 DOUBT_RAYS = 144
@@ -139,36 +139,44 @@ class SourceField:
         return form
 
 
-def gather(
-    field: SourceField,
-    sources: Sources,
-    region_of_face: NDArray[np.int32],
-    object_of_region: NDArray[np.int32],
-    radiance: NDArray,
-) -> Gathered:
-    """Compute the light at surfels from each source and from all else, for at most :data:`MAX_POINTS` clearly
-    visible ones; ``region_of_face`` (M,), each triangle's smooth region, is their group.
+class Gatherer:
+    """Light at up to :data:`MAX_POINTS` clearly visible surfels from each source and from all else.
 
-    The light of unphotographed surfaces is known: what they reflect (``object_of_region`` (R,), see
-    :func:`unseen_surfaces`) if the sources have ``radiance`` (S, 3).
+    ``region_of_face`` (M,), each triangle's smooth region, is the points' group; ``object_of_region`` (R,) as
+    in :func:`~datagen.light.unseen_surfaces.unseen_surfaces`.
     """
-    surfels = field.surfels
-    clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
-    usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
-    chosen = np.sort(np.random.default_rng(0).permutation(usable)[:MAX_POINTS])
-    position, normal = surfels.position_m[chosen], surfels.normal[chosen]
-    lit = field.baker(field.colored(sources, radiance))
-    unseen = unseen_surfaces(lit, surfels, region_of_face, object_of_region, UNSEEN_RAYS)
-    dark = field.baker(field.colored(sources, np.zeros_like(sources.bound)))
-    rest = Baker(unseen.added_to(dark.field, surfels), dark.size_m).irradiance(position, normal, RAYS)
-    kept = rest.photographed >= MIN_PHOTOGRAPHED
-    kept &= (surfels.radiance[chosen] > 0).all(axis=1)
-    return Gathered(
-        surfels.radiance[chosen][kept].astype(np.float64),
-        rest.extrapolated()[kept].astype(np.float64),
-        field.forms(sources, position, normal)[kept],
-        np.unique(region_of_face[surfels.face[chosen[kept]]], return_inverse=True)[1],
-    )
+
+    def __init__(
+        self,
+        field: SourceField,
+        sources: Sources,
+        region_of_face: NDArray[np.int32],
+        object_of_region: NDArray[np.int32],
+    ):
+        self._field, self._sources = field, sources
+        self._regions = region_of_face, object_of_region
+        surfels = field.surfels
+        clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
+        clear[(surfels.radiance <= 0).any(axis=1)] = 0
+        usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
+        self._chosen = np.sort(np.random.default_rng(0).permutation(usable)[:MAX_POINTS])
+        self._place = surfels.position_m[self._chosen], surfels.normal[self._chosen]
+        self._form = field.forms(sources, *self._place)
+        self._dark = field.baker(field.colored(sources, np.zeros_like(sources.bound)))
+
+    def gathered(self, radiance: NDArray) -> Gathered:
+        """Compute the light with unphotographed surfaces lit by sources of ``radiance`` (S, 3)."""
+        surfels, chosen, dark = self._field.surfels, self._chosen, self._dark
+        lit = self._field.baker(self._field.colored(self._sources, radiance))
+        unseen = unseen_surfaces(lit, surfels, *self._regions, UNSEEN_RAYS)
+        rest = Baker(unseen.added_to(dark.field, surfels), dark.size_m).irradiance(*self._place, RAYS)
+        kept = rest.photographed >= MIN_PHOTOGRAPHED
+        return Gathered(
+            surfels.radiance[chosen[kept]].astype(np.float64),
+            rest.extrapolated()[kept].astype(np.float64),
+            self._form[kept],
+            np.unique(self._regions[0][surfels.face[chosen[kept]]], return_inverse=True)[1],
+        )
 
 
 def doubt_of(
