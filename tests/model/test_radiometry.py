@@ -96,6 +96,13 @@ def test_response_is_found_where_exposures_differ() -> None:
     assert np.sqrt((np.log(found.gain / gains(0.4)[:, None]) ** 2).mean()) < 0.035
 
 
+def test_response_does_not_depend_on_the_number_of_photographs() -> None:
+    """Photographs with the same errors are no further evidence against the prior of the curve."""
+    views = taken(stops=0.4, curve=0.08)
+    once, twice = radiometry(views), radiometry([*views, *views])
+    assert twice.curve == pytest.approx(once.curve, abs=0.003)
+
+
 @pytest.mark.parametrize("curve", [-0.1, 0.08])
 def test_response_curve_is_inverted(curve: float) -> None:
     value = np.linspace(0.001, 0.999, 100)

@@ -40,6 +40,9 @@ _ROUNDS = 10
 _SCALES = (0.5, 0.06)  # first and last scale of Cauchy's distribution, in ln L
 _PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05
 _PRIOR_WEIGHT = 5.0  # weight of a prior at one standard deviation, in observations
+_CURVE_WEIGHT = (
+    2e-4  # that of the curve's prior, in shares of all, which have errors of the geometry in common
+)
 _MAX_CURVE = 0.15  # above 1 / 2 pi the curve is not monotonic
 _STEP = 1e-3  # of numerical derivatives
 
@@ -179,11 +182,13 @@ def _solved(
     channels = [_Channel.of(samples, channel) for channel in range(3)]
     last = 3 * num_views
     spread = np.array([*[_PRIOR_GAIN] * last, _PRIOR_VIGNETTING, _PRIOR_CURVE if has_curve else 1e-9])
+    weight = np.full(last + 2, _PRIOR_WEIGHT)
+    weight[-1] = _CURVE_WEIGHT * len(samples.surfel)
     state = np.zeros(last + 2)
     for number in range(_ROUNDS):
         scale = _SCALES[0] * (_SCALES[1] / _SCALES[0]) ** min(1.0, number / (_ROUNDS - 3))
-        normal = np.diag(_PRIOR_WEIGHT / spread**2)
-        right = -_PRIOR_WEIGHT * state / spread**2
+        normal = np.diag(weight / spread**2)
+        right = -weight * state / spread**2
         steps = []
         for index, channel in enumerate(channels):
             step = channel.step(state, index * num_views, last, scale)
