@@ -44,11 +44,11 @@ the observations. Unexplained dielectrics are mostly metals in inexact light or 
 worse than correct dielectrics, since they reflect the errors of light and geometry."""
 NETWORK_VARIANCE = 0.1
 """Variance of the network's R times the root of the number of views, against which variance of R over
-hypotheses lowers confidence; the latter omits errors of light and geometry that all hypotheses share, of which
-the views of a surfel are no independent samples."""
+hypotheses lowers confidence; the latter omits errors of light and geometry that all hypotheses share, of
+which the views of a surfel are no independent samples."""
 REGION_SHARE = 0.7
-"""Weight of a smooth region's mean over its dielectric segments in the probabilities of a segment's hypotheses.
-Segments differ in colour, but rarely in S and R."""
+"""Weight of a smooth region's mean over its dielectric segments in the probabilities of a segment's
+hypotheses. Segments differ in colour, but rarely in S and R."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
