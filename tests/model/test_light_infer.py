@@ -67,7 +67,7 @@ def test_atlas_has_the_walls_albedos_for_any_prediction(tmp_path: Path) -> None:
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95
     # Roughness is less certain: the untrained network predicts gloss that fits no worse than matte.
-    assert 0.4 < written["confidence"][2] < 0.95
+    assert 0.4 < written["confidence"][2] < min(written["confidence"][:2])
     assert written["num_surfels"] > 1000 and len(written["lights"]) == 1
     assert "light" in report.seconds and set(written["seconds"]) >= {"surfels", "irradiance", "solve", "maps"}
     _, other = inferred(tmp_path, 4, "both")

@@ -47,8 +47,8 @@ NETWORK_VARIANCE = 0.1
 hypotheses lowers confidence; the latter omits errors of light and geometry that all hypotheses share, of
 which the views of a surfel are no independent samples."""
 REGION_SHARE = 0.7
-"""Weight of a smooth region's mean over its dielectric segments in the probabilities of a segment's
-hypotheses. Segments differ in colour, but rarely in S and R."""
+"""Weight of the mean R of a smooth region's dielectric segments in each. Segments differ in colour, but
+rarely in R."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
@@ -164,8 +164,7 @@ def decide(
     ``views`` (G,): mean number of views of a surfel; ``group`` (G,): smooth region; ``size`` (G,): number of
     surfels; ``brightness`` (G,): typical radiance relative to white in the same light. A dielectric is the
     mean of the matte (R = 1; S = 0 or, in an inexact capture, the network's) and glossy hypotheses, weighted
-    by likelihood, since means have a lower squared error than the most likely hypothesis, and by their
-    likelihood in the region (:data:`REGION_SHARE`). Mirrors need no evidence.
+    by likelihood; its R is blended with that of its region. Mirrors need no evidence.
     Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is
     metal or its residuals as metal are below those as dielectric by :data:`MIN_LOG_RATIO`. In inexact
     captures, segments above :data:`MAX_BRIGHTNESS` are no evidence: patches of sun, which clip and whose
@@ -186,12 +185,12 @@ def decide(
     noise = np.maximum(residual, MIN_NOISE)
     cooling = (observations / REFERENCE_OBSERVATIONS) ** -(COOLING * exactness)
     heat = noise * np.minimum(cooling, MAX_HEAT)
-    likely = softmax((glossy / (-GLOSSY_TEMPERATURE * heat)[:, None, None]).reshape(len(root), -1), axis=1)
+    found_s, found_r, square_r = _expected(glossy / (GLOSSY_TEMPERATURE * heat)[:, None, None])
     matte_heat = _blended(MATTE_TEMPERATURE, exactness) * heat
     matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / matte_heat)
-    probability = np.concatenate([matte[:, None], (1 - matte)[:, None] * likely], axis=1)
-    level = np.concatenate([[1.0], np.repeat(ROUGHNESS_LEVELS, len(SPECULAR_LEVELS) - 1)])
-    variance = probability @ level**2 - (probability @ level) ** 2
+    matte_s = (1 - exactness) * np.clip(root**2, *MATTE_ALBEDO)
+    found_s, found_r = matte * matte_s + (1 - matte) * found_s, matte + (1 - matte) * found_r
+    variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
     unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # the network rarely predicts metal, but reliably
     required = weights.metal * doubt * unlike
@@ -209,12 +208,9 @@ def decide(
     ratio = np.log(noise / np.maximum(of_metal, MIN_NOISE))
     in_metal = _in_metal_regions(group, size * is_possible, is_metal, ratio, evidence, albedo)
     is_metal |= in_metal & (advantage > -METAL_TOLERANCE)
-    probability = _shared(probability, group, observations * ~is_metal)
-    matte_s = (1 - exactness) * np.clip(root**2, *MATTE_ALBEDO)
-    found_s = probability[:, 0] * matte_s
-    found_s += probability[:, 1:] @ np.tile(SPECULAR_LEVELS[1:], len(ROUGHNESS_LEVELS))
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
-    found_r = np.where(is_metal, _refined(metal, metal_level), probability @ level)
+    found_r = _shared(found_r, group, observations * ~is_metal)
+    found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
     residual = np.where(is_metal, of_metal, residual)
     low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
     confidence = np.repeat(np.clip((high - residual) / (high - low), 0, 1)[:, None], 3, axis=1)
@@ -260,14 +256,29 @@ def _blended(ends: tuple[float, float], exactness: float) -> float:
     return ends[0] + exactness * (ends[1] - ends[0])
 
 
-def _shared(probability: NDArray, group: NDArray, weight: NDArray) -> NDArray[np.float64]:
-    """Blend the ``probability`` (G, K) of hypotheses with its mean over the ``group`` (G,), by ``weight``
-    (G,), as :data:`REGION_SHARE`.
+def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Compute the means (G,) of S, R and R^2 over glossy hypotheses of ``cost`` (G, levels, nonzero
+    speculars), weighted by likelihood.
+
+    Means have a lower squared error than the most likely hypothesis.
     """
-    total = np.maximum(np.bincount(group, weight), 1e-12)
-    mean = np.stack([np.bincount(group, weight * column) / total for column in probability.T], axis=1)
-    share = np.where(total > 1e-12, REGION_SHARE, 0.0)[group, None]
-    return np.asarray((1 - share) * probability + share * mean[group])
+    weight = softmax(-cost.reshape(len(cost), -1), axis=1).reshape(cost.shape)
+    of_level = weight.sum(axis=2)
+    return (
+        weight.sum(axis=1) @ SPECULAR_LEVELS[1:],
+        of_level @ ROUGHNESS_LEVELS,
+        of_level @ ROUGHNESS_LEVELS**2,
+    )
+
+
+def _shared(values: NDArray, group: NDArray, weight: NDArray) -> NDArray[np.float64]:
+    """Blend ``values`` (G,) with their mean over the ``group`` (G,), weighted by ``weight`` (G,), by
+    :data:`REGION_SHARE`.
+    """
+    total = np.bincount(group, weight)
+    mean = np.bincount(group, weight * values) / np.maximum(total, 1e-12)
+    share = REGION_SHARE * (total > 0)[group]
+    return np.asarray(values + share * (mean[group] - values))
 
 
 def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:

@@ -40,9 +40,8 @@ _ROUNDS = 10
 _SCALES = (0.5, 0.06)  # first and last scale of Cauchy's distribution, in ln L
 _PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05
 _PRIOR_WEIGHT = 5.0  # weight of a prior at one standard deviation, in observations
-_CURVE_WEIGHT = (
-    2e-4  # that of the curve's prior, in shares of all, which have errors of the geometry in common
-)
+# That of the curve's prior, relative to the number of samples: their errors have common causes.
+_CURVE_WEIGHT = 2e-4
 _MAX_CURVE = 0.15  # above 1 / 2 pi the curve is not monotonic
 _STEP = 1e-3  # of numerical derivatives
 
