@@ -106,7 +106,7 @@ def test_sun_of_photographs_is_found() -> None:
 
 
 def test_albedo_is_found_in_sun_and_shadow() -> None:
-    """D of sunlit tiles is within 8 %, of others within 6 % and 0.004; without the sun it is over twice too high."""
+    """D of sunlit tiles is within 8 %, of others within 6 % and 0.004; without the sun it is doubled."""
     found = sunlit()
     assert wall_error(found) < 0.04
     share = found.lit.sunlight[:, 1] / found.lit.sunlight[:, 1].max()
