@@ -32,6 +32,7 @@ from model.reconstruction.light.solve import (
     SolvedSegments,
     decide,
     segment_costs,
+    shared_roughness,
 )
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -393,21 +394,24 @@ def test_segments_share_the_roughness_of_their_region() -> None:
     dielectric[1] = costs_of_levels(noise, -0.004)
     metal = np.full((num, len(ROUGHNESS_LEVELS)), 0.5, np.float32)
     dielectric[3], metal[3, 0] = 0.1, 1e-3
+    group, size = np.array([0, 0, 1, 0]), np.array([3000, 1000, 1000, 9000])
     found = decide(
         Costs(dielectric, metal, np.full((*metal.shape, 3), 0.9, np.float32)),
         np.full((num, 3), 0.04),
         np.full(num, 0.6),
         np.full(num, 0.99),
         np.full(num, 10.0),
-        np.array([0, 0, 1, 0]),
-        np.array([3000, 1000, 1000, 9000]),
+        group,
+        size,
         np.full(num, 0.5),
         PriorWeights(),
     )
     assert found.is_metal.tolist() == [False, False, False, True]
     mean = 0.75 * 0.4 + 0.25 * 1.0
     blended = [(1 - REGION_SHARE) * own + REGION_SHARE * mean for own in (0.4, 1.0)]
-    np.testing.assert_allclose(found.roughness[:3], [*blended, 0.4], atol=0.02)
+    shared = shared_roughness(found, group, size)
+    np.testing.assert_allclose(shared[:3], [*blended, 0.4], atol=0.02)
+    assert shared[3] == found.roughness[3]
 
 
 def test_unexplained_segments_have_no_confidence() -> None:

@@ -164,7 +164,7 @@ def decide(
     ``views`` (G,): mean number of views of a surfel; ``group`` (G,): smooth region; ``size`` (G,): number of
     surfels; ``brightness`` (G,): typical radiance relative to white in the same light. A dielectric is the
     mean of the matte (R = 1; S = 0 or, in an inexact capture, the network's) and glossy hypotheses, weighted
-    by likelihood; its R is blended with that of its region. Mirrors need no evidence.
+    by likelihood. Mirrors need no evidence.
     Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is
     metal or its residuals as metal are below those as dielectric by :data:`MIN_LOG_RATIO`. In inexact
     captures, segments above :data:`MAX_BRIGHTNESS` are no evidence: patches of sun, which clip and whose
@@ -209,7 +209,6 @@ def decide(
     in_metal = _in_metal_regions(group, size * is_possible, is_metal, ratio, evidence, albedo)
     is_metal |= in_metal & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
-    found_r = _shared(found_r, group, observations * ~is_metal)
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
     residual = np.where(is_metal, of_metal, residual)
     low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
@@ -223,6 +222,19 @@ def decide(
         residual.astype(np.float32),
         confidence.astype(np.float32),
     )
+
+
+def shared_roughness(solved: SolvedSegments, group: NDArray, weight: NDArray) -> NDArray[np.float32]:
+    """Blend the R (G,) of dielectrics with its mean over the smooth region ``group`` (G,), weighted by
+    ``weight`` (G,), by :data:`REGION_SHARE`.
+
+    It is the best estimate for maps; specular radiance keeps the R that explains a segment's observations.
+    """
+    weight = weight * ~solved.is_metal
+    total = np.bincount(group, weight)
+    mean = np.bincount(group, weight * solved.roughness) / np.maximum(total, 1e-12)
+    share = np.where(solved.is_metal, 0.0, REGION_SHARE)
+    return (solved.roughness + share * (mean[group] - solved.roughness)).astype(np.float32)
 
 
 def _in_metal_regions(
@@ -269,16 +281,6 @@ def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         of_level @ ROUGHNESS_LEVELS,
         of_level @ ROUGHNESS_LEVELS**2,
     )
-
-
-def _shared(values: NDArray, group: NDArray, weight: NDArray) -> NDArray[np.float64]:
-    """Blend ``values`` (G,) with their mean over the ``group`` (G,), weighted by ``weight`` (G,), by
-    :data:`REGION_SHARE`.
-    """
-    total = np.bincount(group, weight)
-    mean = np.bincount(group, weight * values) / np.maximum(total, 1e-12)
-    share = REGION_SHARE * (total > 0)[group]
-    return np.asarray(values + share * (mean[group] - values))
 
 
 def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:

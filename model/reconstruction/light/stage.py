@@ -39,7 +39,7 @@ from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
 from model.reconstruction.light.shading_correction import network_scale, shading_correction
-from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
+from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments, shared_roughness
 from model.reconstruction.light.sunlit_edges import without_sunlit_edges
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
@@ -186,7 +186,10 @@ def _solved_surfels(
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
     """Compute the surfels' shading and materials for the views' maps, and their diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
-    r, is_metal = segments.roughness[segment], segments.is_metal[segment]
+    group = np.zeros(len(segments.roughness), np.int64)
+    group[segment] = segmentation.region
+    weight = np.bincount(segment, np.diff(surfels.observations.start))
+    r, is_metal = shared_roughness(segments, group, weight)[segment], segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
     if not options.has_prior:
         ones = np.ones_like(albedo)
