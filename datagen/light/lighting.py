@@ -62,10 +62,11 @@ class Lit:
 
     ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``hidden`` (N,): share of the light attributed to
     unphotographed lamps, in [0, 1]; ``sun``, None if not found, and its part ``sunlight`` (N, 3) of Ld, which
-    the irradiance lacks.
+    the irradiance lacks; ``seen``: the field of photographed radiance.
     """
 
     surfels: Surfels
+    seen: RadianceField
     baker: Baker
     irradiance: Irradiance
     diffuse: NDArray[np.float32]
@@ -111,15 +112,21 @@ def light_surfels(
         with step("field"):
             size_m = surfels.grid.cell_m * CELLS_ACROSS
             own = surfels
+
+            def sun_in(baker: Baker) -> Sun | None:
+                if not options.finds_sun:
+                    return None
+                is_clipped = clipped_surfels(views, own)
+                return _found_sun(baker, own, is_clipped, region_of_face[own.face], options)
+
             if options.bounds_mixed:
                 unmixed = RadianceField(traced.scene, own, emitters, background, unmixed_cells(own))
                 own = bounded(own, Baker(unmixed, size_m))
             scene_field = RadianceField(traced.scene, own, emitters, background)
-            found = _Estimates(scene_field, np.zeros(len(own)), None, np.zeros((len(own), 3), np.float32))
-            if options.estimates_unseen:
-                found = _estimated(scene_field, own, views, size_m, region_of_face, object_of_region, options)
+            regions = region_of_face, object_of_region
+            found = _estimated(scene_field, own, own, size_m, regions, options, sun_in)
         with step("irradiance"):
-            return _lit(own, Baker(found.field, size_m), found, options.irradiance_rays, options)
+            return _lit(own, scene_field, Baker(found.field, size_m), found, options.irradiance_rays, options)
 
     if unseen is not None and emitters.is_dark.any():
         emitters = unseen(lit_by(emitters, replace(options, fits_estimates=False)))
@@ -150,59 +157,76 @@ def relight(
     specular_albedo: NDArray,
     roughness: NDArray,
     is_metal: NDArray[np.bool_],
+    outgoing: NDArray,
+    diffuse: NDArray,
+    regions: tuple[NDArray[np.int32], NDArray[np.int32]],
     options: GatherOptions,
 ) -> Lit:
-    """Compute the light of the surfels again, with more rays and with reflections at metals.
+    """Compute the light of the surfels again, with more rays, mean outgoing radiance and reflections at
+    metals.
 
-    Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,).
+    Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,), ``is_metal`` (N,), mean ``outgoing`` radiance
+    (N, 3) and its ``diffuse`` part (N, 3). ``regions`` are the last arguments but one of
+    :func:`unseen_surfaces`.
     """
-    field = lit.baker.field
+    surfels, size_m = lit.surfels, lit.baker.size_m
+    seen = lit.seen.with_radiance(surfels, outgoing)
+    of_outgoing, of_diffuse = replace(surfels, radiance=outgoing), replace(surfels, radiance=diffuse)
+    found = _estimated(seen, of_outgoing, of_diffuse, size_m, regions, options, lambda baker: lit.sun)
+    field = found.field
     if is_metal.any():
-        field = field.with_metals(lit.surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
-    baker = Baker(field, lit.baker.size_m)
-    found = _Estimates(field, lit.hidden, lit.sun, lit.sunlight)
-    return _lit(lit.surfels, baker, found, options.second_irradiance_rays, options)
+        field = field.with_metals(surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
+    return _lit(surfels, seen, Baker(field, size_m), found, options.second_irradiance_rays, options)
 
 
-def _lit(surfels: Surfels, baker: Baker, found: _Estimates, num_rays: int, options: GatherOptions) -> Lit:
+def _lit(
+    surfels: Surfels,
+    seen: RadianceField,
+    baker: Baker,
+    found: _Estimates,
+    num_rays: int,
+    options: GatherOptions,
+) -> Lit:
     irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
     diffuse = smoothed(surfels, irradiance.extrapolated(), options.smoothing_neighbours) + found.sunlight
-    return Lit(surfels, baker, irradiance, diffuse, found.hidden, found.sun, found.sunlight)
+    return Lit(surfels, seen, baker, irradiance, diffuse, found.hidden, found.sun, found.sunlight)
 
 
 def _estimated(
-    scene_field: RadianceField,
+    seen: RadianceField,
     surfels: Surfels,
-    views: Sequence[TracedView],
+    diffuse: Surfels,
     size_m: float,
-    region_of_face: NDArray,
-    object_of_region: NDArray,
+    regions: tuple[NDArray[np.int32], NDArray[np.int32]],
     options: GatherOptions,
+    sun_in: Callable[[Baker], Sun | None],
 ) -> _Estimates:
     """Estimate the radiance of unphotographed surfaces, the share of light from unphotographed lamps, and the
     sun.
 
     The estimated radiance is the typical reflectance of the smooth region times the incident light times the
-    fitted gain.
+    gain, which is fitted to the surfels with the ``diffuse`` part of their radiance.
     """
+    nowhere = np.zeros((len(surfels), 3), np.float32)
+    if not options.estimates_unseen:
+        return _Estimates(seen, np.zeros(len(surfels)), None, nowhere)
+    region_of_face, object_of_region = regions
     region = region_of_face[surfels.face]
     unseen = unseen_surfaces(
-        Baker(scene_field, size_m), surfels, region_of_face, object_of_region, options.estimate_rays
+        Baker(seen, size_m), surfels, region_of_face, object_of_region, options.estimate_rays
     )
-    extended = unseen.added_to(scene_field, surfels)
-    baker, sun, sunlight = Baker(extended, size_m), None, np.zeros((len(surfels), 3), np.float32)
-    if options.finds_sun:
-        sun = _found_sun(baker, surfels, clipped_surfels(views, surfels), region, options)
+    extended = unseen.added_to(seen, surfels)
+    baker, sunlight = Baker(extended, size_m), nowhere
+    sun = sun_in(baker)
     if sun is not None:
-        rays = ShadowRays(scene_field.scene, baker.start_m)
+        rays = ShadowRays(seen.scene, baker.start_m)
         sunlight = rays.sunlight(sun, surfels.position_m, surfels.normal)
     if not options.fits_estimates:
         return _Estimates(extended, np.zeros(len(surfels)), sun, sunlight)
-    gains = fitted_gains(baker, surfels, region, sunlight)
+    gains = fitted_gains(baker, diffuse, region, sunlight)
     of_unseen = gains.of_group[surface_groups(unseen.position_m, unseen.normal, surfels), None]
     unseen = replace(unseen, radiance=(unseen.radiance * of_unseen).astype(np.float32))
-    background = with_gains(scene_field.background, gains.of_group)
-    fitted = RadianceField(scene_field.scene, surfels, scene_field.emitters, background)
+    fitted = seen.with_background(surfels, with_gains(seen.background, gains.of_group))
     return _Estimates(unseen.added_to(fitted, surfels), gains.hidden, sun, sunlight)
 
 

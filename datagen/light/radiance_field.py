@@ -294,7 +294,16 @@ class RadianceField:
             radiance=np.concatenate([self.cells.radiance, radiance[chosen[free]]]).astype(np.float32),
             is_photographed=np.concatenate([self.cells.is_photographed, np.zeros(int(free.sum()), bool)]),
         )
-        return RadianceField(self.scene, surfels, self.emitters, self.background, cells, outer=outer)
+        return self._changed(surfels, cells=cells, outer=outer)
+
+    def with_radiance(self, surfels: Surfels, radiance: NDArray) -> RadianceField:
+        """Return a field in which ``surfels`` have ``radiance`` (N, 3) instead of their photographed one."""
+        rows = np.concatenate([radiance, self.cells.radiance[len(surfels) :]]).astype(np.float32)
+        return self._changed(surfels, cells=replace(self.cells, radiance=rows))
+
+    def with_background(self, surfels: Surfels, background: Background) -> RadianceField:
+        """Return a field with another ``background``."""
+        return self._changed(surfels, background=background)
 
     def with_metals(
         self,
@@ -316,8 +325,11 @@ class RadianceField:
             np.pad(is_metal, (0, rest)),
             start_m,
         )
-        parts = self.emitters, self.background, self.cells, metals, self.outer
-        return RadianceField(self.scene, surfels, *parts)
+        return self._changed(surfels, metals=metals)
+
+    def _changed(self, surfels: Surfels, **parts: Any) -> RadianceField:
+        names = ("emitters", "background", "cells", "metals", "outer")
+        return RadianceField(self.scene, surfels, **{name: getattr(self, name) for name in names} | parts)
 
 
 def schlick_weight(cosine: Any) -> Any:

@@ -24,6 +24,7 @@ from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import Lit, clipped_surfels, light_surfels, relight, smoothed
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
+from datagen.light.unseen_surfaces import objects_of_regions
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.light.confidence import (
     impossible_shares,
@@ -36,6 +37,7 @@ from model.reconstruction.light.confidence import (
 )
 from model.reconstruction.light.metal_texture import textured_specular_albedo
 from model.reconstruction.light.options import LightOptions, LightReport
+from model.reconstruction.light.outgoing import outgoing_radiance
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
 from model.reconstruction.light.shading_correction import network_scale, shading_correction
@@ -117,7 +119,10 @@ def materials_from_light(
                 segments.roughness[segment],
                 segments.is_metal[segment],
             )
-            lit = relight(lit, *of_surfels, options)
+            _, specular = _specular_parts(lit, segments, segment, options)
+            radiance = outgoing_radiance(lit, specular, *of_surfels)
+            regions = region_of_face, objects_of_regions(traced.mesh, region_of_face)
+            lit = relight(lit, *of_surfels, *radiance, regions, options)
             if segments.is_metal.any():
                 shading = shade_points(lit, points, options)
                 segments = solve_points(lit, points, shading, segmentation, exposure, options)
