@@ -101,7 +101,7 @@ def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
 
 
 @lru_cache(maxsize=1)
-def sunlit_room(samples: int = 256) -> tuple[TracedView, ...]:
+def sunlit_room(samples: int = 512) -> tuple[TracedView, ...]:
     """:func:`photographed_room` with the light of a sun added, which the sky's panel would block."""
     sun = once(f"light-room-sun-{samples}", lambda: _photographs(samples, is_sunlit=True))
     views = zip(photographed_room(samples), sun, strict=True)

@@ -20,10 +20,10 @@ class LightOptions(GatherOptions):
 
     ``solve_rays``: rays per observation of a solved surfel and roughness level; ``specular_rays``: rays per
     observation of any surfel; ``max_points``: maximum number of solved surfels; ``num_observations``: maximum
-    number of observations of each; ``num_rounds``: number of rounds, of which the second has less noise and
-    includes reflections at metals; ``unmixes_edges``: whether radiance is separated in pixels that mix two
-    surfaces; ``has_prior``: whether the network's maps are a prior; ``is_corrected``: whether shading by
-    unphotographed light is corrected smoothly.
+    number of observations of each; ``num_rounds``: number of rounds, of which the second has less noise,
+    reflections at metals and the mean outgoing radiance of dielectrics; ``unmixes_edges``: whether radiance
+    is separated in pixels that mix two surfaces; ``has_prior``: whether the network's maps are a prior;
+    ``is_corrected``: whether shading by unphotographed light is corrected smoothly.
     """
 
     finds_sun: bool = True

@@ -18,6 +18,9 @@ NUM_DIRECTIONS, RAYS = 6, 8
 """Number of cosine-distributed outgoing directions of a surfel, and number of rays for each."""
 MIN_DIFFUSE = 0.1
 """Minimum diffuse part, relative to the photographed radiance."""
+ROUGH = (0.5, 0.8)
+"""Range of R over which light that the photographs do not show decreases to 0, since rough dielectrics can
+hardly be distinguished from matte surfaces, whose S is 0."""
 _SEED = 41
 
 
@@ -42,7 +45,10 @@ def outgoing_radiance(
         surfels.position_m[surfel], normal, _directions(normal), roughness[surfel], RAYS, _SEED
     ).extrapolated()
     leaving = specular_albedo[surfel] * shading.ls0 + shading.ls1
-    outgoing = diffuse + leaving.reshape(-1, NUM_DIRECTIONS, 3).mean(axis=1)
+    change = diffuse + leaving.reshape(-1, NUM_DIRECTIONS, 3).mean(axis=1) - surfels.radiance
+    low, high = ROUGH
+    change = np.where(change > 0, change * np.clip((high - roughness) / (high - low), 0, 1)[:, None], change)
+    outgoing = surfels.radiance + change
     is_kept = (is_metal | surfels.is_mixed)[:, None]
     return np.where(is_kept, surfels.radiance, outgoing), np.where(is_kept, surfels.radiance, diffuse)
 

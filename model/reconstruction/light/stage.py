@@ -2,10 +2,10 @@
 """The stage between prediction and merge that recovers material maps of the views from their recorded light.
 
 Surfels and their radiance field are gathered (``lighting``) and divided into segments, whose S and R are
-solved (``points``, ``solve``), in a second round with less noise and with reflections at metals. Then the
-specular part of every observation is computed, shading by unphotographed light is corrected
-(``shading_correction``), and maps (``view_maps``) are computed and blended with the network's by
-``confidence``. See docs/light.md.
+solved (``points``, ``solve``), in a second round with less noise, reflections at metals and the mean outgoing
+radiance of dielectrics (``outgoing``). Then the specular part of every observation is computed, shading by
+unphotographed light is corrected (``shading_correction``), and maps (``view_maps``) are computed and blended
+with the network's by ``confidence``. See docs/light.md.
 """
 
 from __future__ import annotations
