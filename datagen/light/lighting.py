@@ -62,7 +62,8 @@ class Lit:
 
     ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``hidden`` (N,): share of the light attributed to
     unphotographed lamps, in [0, 1]; ``sun``, None if not found, and its part ``sunlight`` (N, 3) of Ld, which
-    the irradiance lacks; ``seen``: the field of photographed radiance.
+    the irradiance lacks; ``seen``: the field of photographed radiance; ``regions``: smooth region of each
+    triangle and object of each region, as in :func:`unseen_surfaces`.
     """
 
     surfels: Surfels
@@ -73,6 +74,7 @@ class Lit:
     hidden: NDArray[np.float64]
     sun: Sun | None
     sunlight: NDArray[np.float32]
+    regions: tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
 @dataclass(frozen=True)
@@ -106,27 +108,25 @@ def light_surfels(
         emitters = photographed_emitters(views, traced, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.high)
-        object_of_region = objects_of_regions(traced.mesh, region_of_face)
+        regions = region_of_face, objects_of_regions(traced.mesh, region_of_face)
 
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
         with step("field"):
             size_m = surfels.grid.cell_m * CELLS_ACROSS
             own = surfels
-
-            def sun_in(baker: Baker) -> Sun | None:
-                if not options.finds_sun:
-                    return None
-                is_clipped = clipped_surfels(views, own)
-                return _found_sun(baker, own, is_clipped, region_of_face[own.face], options)
-
             if options.bounds_mixed:
                 unmixed = RadianceField(traced.scene, own, emitters, background, unmixed_cells(own))
                 own = bounded(own, Baker(unmixed, size_m))
             scene_field = RadianceField(traced.scene, own, emitters, background)
-            regions = region_of_face, object_of_region
+
+            def sun_in(baker: Baker) -> Sun | None:
+                is_clipped = clipped_surfels(views, own)
+                return _found_sun(baker, own, is_clipped, region_of_face[own.face], options)
+
             found = _estimated(scene_field, own, own, size_m, regions, options, sun_in)
         with step("irradiance"):
-            return _lit(own, scene_field, Baker(found.field, size_m), found, options.irradiance_rays, options)
+            baker = Baker(found.field, size_m)
+            return _lit(own, scene_field, baker, found, regions, options.irradiance_rays, options)
 
     if unseen is not None and emitters.is_dark.any():
         emitters = unseen(lit_by(emitters, replace(options, fits_estimates=False)))
@@ -159,24 +159,23 @@ def relight(
     is_metal: NDArray[np.bool_],
     outgoing: NDArray,
     diffuse: NDArray,
-    regions: tuple[NDArray[np.int32], NDArray[np.int32]],
     options: GatherOptions,
 ) -> Lit:
     """Compute the light of the surfels again, with more rays, mean outgoing radiance and reflections at
     metals.
 
     Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,), ``is_metal`` (N,), mean ``outgoing`` radiance
-    (N, 3) and its ``diffuse`` part (N, 3). ``regions`` are the last arguments but one of
-    :func:`unseen_surfaces`.
+    (N, 3) and its ``diffuse`` part (N, 3).
     """
     surfels, size_m = lit.surfels, lit.baker.size_m
     seen = lit.seen.with_radiance(surfels, outgoing)
     of_outgoing, of_diffuse = replace(surfels, radiance=outgoing), replace(surfels, radiance=diffuse)
-    found = _estimated(seen, of_outgoing, of_diffuse, size_m, regions, options, lambda baker: lit.sun)
+    found = _estimated(seen, of_outgoing, of_diffuse, size_m, lit.regions, options, lambda baker: lit.sun)
     field = found.field
     if is_metal.any():
         field = field.with_metals(surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
-    return _lit(surfels, seen, Baker(field, size_m), found, options.second_irradiance_rays, options)
+    baker, num_rays = Baker(field, size_m), options.second_irradiance_rays
+    return _lit(surfels, seen, baker, found, lit.regions, num_rays, options)
 
 
 def _lit(
@@ -184,12 +183,13 @@ def _lit(
     seen: RadianceField,
     baker: Baker,
     found: _Estimates,
+    regions: tuple[NDArray[np.int32], NDArray[np.int32]],
     num_rays: int,
     options: GatherOptions,
 ) -> Lit:
     irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
     diffuse = smoothed(surfels, irradiance.extrapolated(), options.smoothing_neighbours) + found.sunlight
-    return Lit(surfels, seen, baker, irradiance, diffuse, found.hidden, found.sun, found.sunlight)
+    return Lit(surfels, seen, baker, irradiance, diffuse, found.hidden, found.sun, found.sunlight, regions)
 
 
 def _estimated(
@@ -217,7 +217,7 @@ def _estimated(
     )
     extended = unseen.added_to(seen, surfels)
     baker, sunlight = Baker(extended, size_m), nowhere
-    sun = sun_in(baker)
+    sun = sun_in(baker) if options.finds_sun else None
     if sun is not None:
         rays = ShadowRays(seen.scene, baker.start_m)
         sunlight = rays.sunlight(sun, surfels.position_m, surfels.normal)

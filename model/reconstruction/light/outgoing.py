@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.light.bake import cosine_rays
 from datagen.light.lighting import Lit
 from datagen.light.surfels import weighted_medians
 
@@ -40,10 +41,10 @@ def outgoing_radiance(
     diffuse = weighted_medians(observations.start, observations.radiance - specular, observations.weight)
     diffuse = np.maximum(diffuse, MIN_DIFFUSE * surfels.radiance)
     surfel = np.repeat(np.arange(len(surfels)), NUM_DIRECTIONS)
-    normal = surfels.normal[surfel]
-    shading = lit.baker.specular(
-        surfels.position_m[surfel], normal, _directions(normal), roughness[surfel], RAYS, _SEED
-    ).extrapolated()
+    position, normal = surfels.position_m[surfel], surfels.normal[surfel]
+    ray = cosine_rays(surfels.position_m, surfels.normal, NUM_DIRECTIONS, lit.baker.start_m, _SEED)
+    view = np.asarray(ray.d.numpy()).reshape(3, -1).T
+    shading = lit.baker.specular(position, normal, view, roughness[surfel], RAYS, _SEED).extrapolated()
     leaving = specular_albedo[surfel] * shading.ls0 + shading.ls1
     change = diffuse + leaving.reshape(-1, NUM_DIRECTIONS, 3).mean(axis=1) - surfels.radiance
     low, high = ROUGH
@@ -51,10 +52,3 @@ def outgoing_radiance(
     outgoing = surfels.radiance + change
     is_kept = (is_metal | surfels.is_mixed)[:, None]
     return np.where(is_kept, surfels.radiance, outgoing), np.where(is_kept, surfels.radiance, diffuse)
-
-
-def _directions(normal: NDArray) -> NDArray[np.float32]:
-    """Sample a cosine-distributed unit vector (K, 3) about each ``normal`` (K, 3)."""
-    offset = np.random.default_rng(_SEED).normal(size=normal.shape)
-    direction = normal + offset * (0.999 / np.linalg.norm(offset, axis=1, keepdims=True))
-    return (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)

@@ -43,6 +43,12 @@ class Segmentation:
     region: NDArray[np.int32]
     prior: NDArray[np.float32]
 
+    def region_of_segment(self) -> NDArray[np.int64]:
+        """Return the smooth region (G,) of each of G segments."""
+        region = np.zeros(int(self.segment.max()) + 1, np.int64)
+        region[self.segment] = self.region
+        return region
+
 
 @dataclass(frozen=True)
 class Points:
@@ -177,8 +183,7 @@ def solve_points(
         exposure,
     )
     weights = options.prior if options.has_prior else PriorWeights(0.0, (0.0, 0.0), options.prior.metal)
-    group = np.zeros(num_segments, np.int64)
-    group[segmentation.segment] = segmentation.region
+    group = segmentation.region_of_segment()
     size = np.bincount(segmentation.segment, minlength=num_segments)
     views = np.bincount(segment, seen, num_segments) / total
     white = lit.diffuse @ LUMINANCE_WEIGHTS

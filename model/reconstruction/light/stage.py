@@ -24,7 +24,6 @@ from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import Lit, clipped_surfels, light_surfels, relight, smoothed
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
-from datagen.light.unseen_surfaces import objects_of_regions
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.light.confidence import (
     impossible_shares,
@@ -121,8 +120,7 @@ def materials_from_light(
             )
             _, specular = _specular_parts(lit, segments, segment, options)
             radiance = outgoing_radiance(lit, specular, *of_surfels)
-            regions = region_of_face, objects_of_regions(traced.mesh, region_of_face)
-            lit = relight(lit, *of_surfels, *radiance, regions, options)
+            lit = relight(lit, *of_surfels, *radiance, options)
             if segments.is_metal.any():
                 shading = shade_points(lit, points, options)
                 segments = solve_points(lit, points, shading, segmentation, exposure, options)
@@ -191,10 +189,9 @@ def _solved_surfels(
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
     """Compute the surfels' shading and materials for the views' maps, and their diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
-    group = np.zeros(len(segments.roughness), np.int64)
-    group[segment] = segmentation.region
     weight = np.bincount(segment, np.diff(surfels.observations.start))
-    r, is_metal = shared_roughness(segments, group, weight)[segment], segments.is_metal[segment]
+    r = shared_roughness(segments, segmentation.region_of_segment(), weight)[segment]
+    is_metal = segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
     if not options.has_prior:
         ones = np.ones_like(albedo)
