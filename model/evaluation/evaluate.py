@@ -50,7 +50,7 @@ from model.reconstruction.stages import MapSource
 
 _MEASURES = 5
 """Revision of the measures; cached figures of another revision are measured again."""
-_RECONSTRUCTION = 28
+_RECONSTRUCTION = 29
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _TRUE_SCENE = 17
 """Revision of the second rendering of the scene itself."""

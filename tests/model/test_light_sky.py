@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -332,7 +333,7 @@ def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) ->
 
 
 def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
-    """An unnamed triangle emits on its photographed side; lamps are named by their parts."""
+    """An unnamed triangle emits on its photographed side; lamps are named by their parts, and black."""
     capture = room_capture(2, (32, 24))
     mesh = Mesh(capture.geometry.mesh.positions, capture.geometry.mesh.faces)
     of_face = np.full(len(mesh.faces), -1, np.int32)
@@ -359,11 +360,18 @@ def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
     with write_asset(tmp_path / "asset", reconstruction, "room") as package:
         material = package.asset.materials["found-0"]  # type: ignore[union-attr]
         assert material.emission == (1.0, 1.0, 1.0) and material.textures()
+        dark = package.asset.materials["lamp-0"]  # type: ignore[union-attr]
+        assert dark.emission == lamp.radiance
+        assert dark.diffuse_albedo == dark.specular_albedo == (0.0, 0.0, 0.0)
         for slot, face, side in (("lamp-0", 2, 1), ("found-0", 5, -1)):
             shape = decode_ply(package.read_bytes(f"{slot}.ply"), slot)
             a, b, c = shape.triangles()[0]
             d, e, f = mesh.triangles()[face]
             np.testing.assert_allclose(np.cross(b - a, c - a), side * np.cross(e - d, f - d), atol=1e-6)
+    scene = ElementTree.parse(write_mitsuba_scene(tmp_path / "mitsuba", reconstruction))
+    shapes = {shape.get("id"): shape for shape in scene.iter("shape")}
+    assert shapes["lamp-0"].find("bsdf/rgb").get("value") == "0"  # type: ignore[union-attr]
+    assert shapes["found-0"].find("ref") is not None
     write_glb(tmp_path / "room.glb", reconstruction, has_punctual=True)
     document = glb_document(tmp_path / "room.glb")
     (shining,) = (m for m in document["materials"] if m["name"] == "found-0")

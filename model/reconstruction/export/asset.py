@@ -107,8 +107,11 @@ def _found_lights(found: FoundLights) -> tuple[Light, ...]:
 
 
 def _material(slot: Slot) -> SlotMaterial:
-    if not slot.has_material:
-        return SlotMaterial(emission=slot.emission)
+    if not slot.has_material:  # black, as lamps of scenes are, also when they are switched off
+        black = (0.0, 0.0, 0.0)
+        return SlotMaterial(
+            diffuse_albedo=black, specular_albedo=black, roughness=1.0, emission=slot.emission
+        )
     return SlotMaterial(
         classes=("other",),
         diffuse_albedo=Texture(texture="diffuse_albedo.png", encoding="srgb"),

@@ -57,6 +57,8 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
         shape = _add_mesh(scene, folder, name, slot.mesh)
         if slot.has_material:
             ElementTree.SubElement(shape, "ref", id=_MATERIAL)
+        else:
+            _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0"))
         _add_emission(shape, slot.emission)
     found = reconstruction.shining_lights
     if found is None:
