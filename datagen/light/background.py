@@ -24,7 +24,7 @@ from datagen.foundation.color import luminance
 from datagen.geometry.views import TracedView
 from mitsuba_plugins.cells import cell_of
 
-REACH = 1.0
+REACH = 2.0
 MIN_PIXELS = 3
 """Minimum number of pixels in a filled bin."""
 PLACE_WEIGHT = 2.25
@@ -210,11 +210,17 @@ def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
 
 
 def photographed_background(
-    views: Sequence[TracedView], low: NDArray, high: NDArray, layout: Layout | None = None
+    views: Sequence[TracedView],
+    low: NDArray,
+    high: NDArray,
+    layout: Layout | None = None,
+    reach: float = REACH,
 ) -> Background:
     """Estimate the background outside the box with corners ``low`` and ``high`` (3,) from ``views``.
 
-    If ``layout`` is None, :func:`is_far` decides between :data:`NEAR` and :data:`FAR`."""
+    If ``layout`` is None, :func:`is_far` decides between :data:`NEAR` and :data:`FAR`. Bins are known up to
+    the distance ``reach`` from a photographed one.
+    """
     pixels = outside_pixels(views)
     if layout is None:
         layout = FAR if is_far(pixels, low, high) else NEAR
@@ -228,7 +234,7 @@ def photographed_background(
     is_known[keys] = is_photographed[keys] = True
     rest = np.flatnonzero(~is_known)
     distance, nearest = cKDTree(_centres(keys, low, high, layout)).query(
-        _centres(rest, low, high, layout), distance_upper_bound=REACH, workers=-1
+        _centres(rest, low, high, layout), distance_upper_bound=reach, workers=-1
     )
     found = np.isfinite(distance)
     radiance[rest[found]] = colors[nearest[found]]

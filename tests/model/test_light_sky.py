@@ -124,7 +124,7 @@ def test_hole_of_the_mesh_is_no_window() -> None:
     (window,) = found.windows
     np.testing.assert_allclose(window.place_m, [4.0, 1.5, 1.4], atol=0.06)
     assert [window.slot, *(hole.slot for hole in found.holes)] == ["window-0", "hole-0", "hole-1"]
-    in_floor, on_wall = found.holes
+    on_wall, in_floor = found.holes  # by power
     np.testing.assert_allclose(on_wall.place_m, [0, 2.875, 1.25], atol=0.1)
     np.testing.assert_allclose(in_floor.place_m, [1.75, 1.25, 0], atol=0.1)
     np.testing.assert_allclose([on_wall.area_m2, in_floor.area_m2], [0.625, 0.25], rtol=0.2)

@@ -36,6 +36,9 @@ merged with the largest."""
 BLOCK_OF_HEIGHT, AZIMUTHS_A_BLOCK = (0, 0, 0, 0, 0, 0, 1, 2, 2, 3, 3, 3), 3
 """Block of each row of directions in an opening, from nadir to zenith, and columns of azimuth per block; all
 directions below the horizon are one block. A clear sky is ten times as bright near the sun as elsewhere."""
+SKY_REACH = 1.0
+"""Maximum distance between bins of the background at which a photographed one shows that another is clipped;
+more blocks of sky than photographs distinguish would be solved less accurately."""
 MAX_SOURCES = 24
 """Maximum number of sources of each other kind; further ones are merged into the last."""
 
@@ -103,7 +106,7 @@ def find_sources(
     marked = [replace(view, color=_mask_of(view).astype(np.float32)) for view in views]
     emitting = photographed_emitters(marked, traced, emits, region_of_face).radiance
     low, high = background.low, background.high
-    bins = photographed_background(marked, low, high, NEAR).radiance
+    bins = photographed_background(marked, low, high, NEAR, SKY_REACH).radiance
     of_bin, pairs = _labelled_bins(bins, _seen_bins(marked, low, high))
     parts = [
         (emitters.radiance, *_labelled_emitters(emitting)),
