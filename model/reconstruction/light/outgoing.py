@@ -17,6 +17,8 @@ from datagen.light.surfels import weighted_medians
 
 NUM_DIRECTIONS, RAYS = 6, 8
 """Number of cosine-distributed outgoing directions of a surfel, and number of rays for each."""
+SPECULAR_RAYS = 3
+"""Rays per observation for its specular part; the median over observations has less noise than each."""
 MIN_DIFFUSE = 0.1
 """Minimum diffuse part, relative to the photographed radiance."""
 ROUGH = (0.5, 0.8)

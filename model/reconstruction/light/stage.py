@@ -36,7 +36,7 @@ from model.reconstruction.light.confidence import (
 )
 from model.reconstruction.light.metal_texture import textured_specular_albedo
 from model.reconstruction.light.options import LightOptions, LightReport
-from model.reconstruction.light.outgoing import outgoing_radiance
+from model.reconstruction.light.outgoing import SPECULAR_RAYS, outgoing_radiance
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
 from model.reconstruction.light.shading_correction import network_scale, shading_correction
@@ -118,7 +118,7 @@ def materials_from_light(
                 segments.roughness[segment],
                 segments.is_metal[segment],
             )
-            _, specular = _specular_parts(lit, segments, segment, options)
+            _, specular = _specular_parts(lit, segments, segment, SPECULAR_RAYS)
             radiance = outgoing_radiance(lit, specular, *of_surfels)
             lit = relight(lit, *of_surfels, *radiance, options)
             if segments.is_metal.any():
@@ -126,7 +126,7 @@ def materials_from_light(
                 segments = solve_points(lit, points, shading, segmentation, exposure, options)
     report.num_segments, report.num_metal = len(segments.roughness), int(segments.is_metal.sum())
     with report.step("specular"):
-        specular_albedo, specular = _specular_parts(lit, segments, segment, options)
+        specular_albedo, specular = _specular_parts(lit, segments, segment, options.specular_rays)
     with report.step("correction"):
         sure = np.ones(len(surfels))
         if doubt_at is not None:
@@ -158,9 +158,9 @@ def _packed(view_maps: dict[str, NDArray]) -> NDArray:
 
 
 def _specular_parts(
-    lit: Lit, segments: SolvedSegments, segment: NDArray, options: LightOptions
+    lit: Lit, segments: SolvedSegments, segment: NDArray, num_rays: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute S (N, 3) of the surfels, and the specular part (M, 3) of the radiance of every observation."""
+    """Compute S (N, 3) of surfels, and the specular part (M, 3) of every observation by ``num_rays`` rays."""
     surfels = lit.surfels
     owner = surfels.surfel_of_observation()
     roughness = segments.roughness[segment]
@@ -169,7 +169,7 @@ def _specular_parts(
         surfels.observations.normal,
         surfels.directions(owner, surfels.observations.view),
         roughness[owner],
-        options.specular_rays,
+        num_rays,
         _SEED,
     ).extrapolated()
     s = segments.specular_albedo[segment]
