@@ -25,6 +25,8 @@ from datagen.geometry.views import TracedView
 from mitsuba_plugins.cells import cell_of
 
 REACH = 2.0
+"""Distance up to which a bin has the radiance of the nearest filled one; light of unknown bins would count as
+the mean of all other light."""
 MIN_PIXELS = 3
 """Minimum number of pixels in a filled bin."""
 PLACE_WEIGHT = 2.25

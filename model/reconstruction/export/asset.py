@@ -107,8 +107,8 @@ def _found_lights(found: FoundLights) -> tuple[Light, ...]:
 
 
 def _material(slot: Slot) -> SlotMaterial:
-    if not slot.has_material:  # black, as lamps of scenes are, also when they are switched off
-        black = (0.0, 0.0, 0.0)
+    if not slot.has_material:
+        black = (0.0, 0.0, 0.0)  # with R = 1, since smooth surfaces of S = 0 reflect at grazing angles
         return SlotMaterial(
             diffuse_albedo=black, specular_albedo=black, roughness=1.0, emission=slot.emission
         )

@@ -52,8 +52,8 @@ class Reconstruction:
 
 @dataclass(frozen=True)
 class Slot:
-    """Triangles with one material, which uses the atlas if ``has_material``; ``emission`` is a lamp's
-    radiance.
+    """Triangles with one material, which uses the atlas if ``has_material`` and is black otherwise;
+    ``emission`` is a lamp's radiance.
     """
 
     mesh: Mesh
