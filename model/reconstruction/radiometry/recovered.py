@@ -5,6 +5,9 @@ At a surfel i below the limit, with the known light E_i and the contribution F_i
 
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k).
 
+The model omits the specular reflection of L_i, which does not follow the diffuse shading: on a dark, glossy
+floor it is strongest in the shadows. A surfel counts the less, the more of L_i a dielectric reflects so.
+
 The albedo D_g of a region is also unknown, so the contrast within a region, between surfels with and without
 light from a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded below by the
 photographs, are estimated by least squares with Student's t weights and weak priors.
@@ -25,7 +28,7 @@ from datagen.light.bake import Baker
 from datagen.light.cells import Cells
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
-from datagen.light.surfels import CELLS_ACROSS, Surfels
+from datagen.light.surfels import CELLS_ACROSS, Surfels, grouped_medians
 from datagen.light.unseen_surfaces import unseen_surfaces
 from model.reconstruction.radiometry.sources import Colored, Sources
 
@@ -43,7 +46,10 @@ MAX_FACTOR = 3000.0
 MAX_SUNLIT_FACTOR = 30.0
 """Ratio above which a patch of surface is unlikely even in sunlight: its estimate is rather the light of a
 lamp that no photograph shows, so the patch keeps its photographed radiance."""
-_SCALE = 0.15  # scale of Student's t, in ln L
+TYPICAL_SPECULAR = 0.04
+"""Specular albedo of most dielectrics, whose ratio to the diffuse albedo is the error of a purely diffuse
+model."""
+_SCALE = 0.15  # scale of Student's t, in ln L, without specular reflection
 _FREEDOM = 2.0
 _EFFECTIVE = 1000.0  # maximum number of independent points, since errors of neighbours are correlated
 _ALBEDO, _ALBEDO_SPREAD = np.log(0.3), 1.2  # prior of ln D_g
@@ -61,13 +67,14 @@ class Gathered:
 
     ``radiance`` (P, 3): outgoing radiance; ``known`` (P, 3): diffuse shading without the sources; ``form``
     (P, S): diffuse shading by each source at radiance 1; ``group`` (P,): index of each point's region of
-    uniform albedo.
+    uniform albedo; ``scale``, (P, 3) or one for all: scale of Student's t, in ln radiance.
     """
 
     radiance: NDArray[np.float64]
     known: NDArray[np.float64]
     form: NDArray[np.float64]
     group: NDArray[np.int64]
+    scale: NDArray[np.float64] | float = _SCALE
 
 
 @dataclass(frozen=True)
@@ -171,12 +178,14 @@ class Gatherer:
         unseen = unseen_surfaces(lit, surfels, *self._regions, UNSEEN_RAYS)
         rest = Baker(unseen.added_to(dark.field, surfels), dark.size_m).irradiance(*self._place, RAYS)
         kept = rest.photographed >= MIN_PHOTOGRAPHED
-        return Gathered(
-            surfels.radiance[chosen[kept]].astype(np.float64),
-            rest.extrapolated()[kept].astype(np.float64),
-            self._form[kept],
-            np.unique(self._regions[0][surfels.face[chosen[kept]]], return_inverse=True)[1],
-        )
+        leaving = surfels.radiance[chosen[kept]].astype(np.float64)
+        known, form = rest.extrapolated()[kept].astype(np.float64), self._form[kept]
+        group = np.unique(self._regions[0][surfels.face[chosen[kept]]], return_inverse=True)[1]
+        reflectance = leaving / np.maximum(known + form @ radiance, 1e-12)
+        ones = np.ones(len(group), np.float32)
+        albedo = grouped_medians(reflectance, ones, group, int(group.max(initial=-1)) + 1)[group]
+        scale = np.hypot(_SCALE, TYPICAL_SPECULAR / np.maximum(albedo, 1e-3))
+        return Gathered(leaving, known, form, group, scale)
 
 
 def doubt_of(
@@ -253,7 +262,9 @@ def _derivatives(
     radiance = bound * np.exp(factor)
     unit = min(1.0, _EFFECTIVE / points)
     cost, gradient, hessian = 0.0, np.zeros(3 * num), np.zeros((3 * num, 3 * num))
+    scales = np.broadcast_to(gathered.scale, (len(gathered.group), 3))
     for channel in range(3):
+        scale = scales[:, channel]
         opened = is_open[:, channel]
         parts = gathered.form * np.where(opened, radiance[:, channel], 0.0)
         light = np.maximum(gathered.known[:, channel] + parts.sum(axis=1), 1e-12)
@@ -262,12 +273,12 @@ def _derivatives(
         albedo = expected
         for _ in range(4):
             rest = wanted - albedo[gathered.group]
-            weight = unit * (_FREEDOM + 1) / (_FREEDOM + (rest / _SCALE) ** 2) / _SCALE**2
+            weight = unit * (_FREEDOM + 1) / (_FREEDOM + (rest / scale) ** 2) / scale**2
             total = np.bincount(gathered.group, weight, count) + 1 / prior.albedo_spread**2
             albedo = np.bincount(gathered.group, weight * wanted, count) + expected / prior.albedo_spread**2
             albedo = np.minimum(albedo / total, np.log(0.95))
         rest = wanted - albedo[gathered.group]
-        cost += unit * 0.5 * (_FREEDOM + 1) * float(np.log1p((rest / _SCALE) ** 2 / _FREEDOM).sum())
+        cost += unit * 0.5 * (_FREEDOM + 1) * float(np.log1p((rest / scale) ** 2 / _FREEDOM).sum())
         cost += 0.5 * float((((albedo - expected) / prior.albedo_spread) ** 2).sum())
         slope = -parts / light[:, None]
         of_group = np.stack(
