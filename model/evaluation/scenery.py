@@ -19,13 +19,12 @@ from datagen.formats.base import matrix4
 from datagen.formats.capture import CaptureGeometry
 from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.light_changes import scaled
-from datagen.formats.lights import AreaLight, Light
+from datagen.formats.lights import AreaLight, Light, SphereLight
 from datagen.formats.package import open_package
 from datagen.formats.shard import ShardReader
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
 from datagen.library import Library
-from datagen.rendering.capture_geometry import is_lamp
 from model.evaluation.room import PreparedScene
 from model.evaluation.suite import InsertedObject, ModifiedLight
 
@@ -53,12 +52,16 @@ class Scenery:
         return self._with({"cameras": chosen})
 
     def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
-        """Return the scenery under its own lights times ``modified.own_gain`` plus the ``added`` lights."""
-        own = () if modified.own_gain == 0 else self.configuration.lights
-        lights = (*(scaled(light, modified.own_gain) for light in own), *added)
+        """Return the scenery under its own lights times ``modified.own_gain`` plus the ``added`` lights.
+
+        Visible lights of gain 0 remain as black surfaces, as lamps that are switched off.
+        """
+        gain = modified.own_gain
+        own = [scaled(light, gain) for light in self.configuration.lights if gain > 0 or _is_visible(light)]
+        lights = (*own, *added)
         with Library(self.library) as library:
             placed = [
-                _dimmed(placed, library, modified.own_gain)
+                _dimmed(placed, library, gain)
                 for placed in (self.configuration.environment, *self.configuration.objects)
             ]
         return self._with({"lights": lights, "environment": placed[0], "objects": tuple(placed[1:])})
@@ -116,11 +119,16 @@ def recovered_scenery(
         "environment": PlacedAsset(name="environment", asset=package.id, emission=emission),
         "objects": inserted,
         "lights": tuple(
-            light for light in configuration.lights if light.name not in lamps or not is_lamp(light)
+            light for light in configuration.lights if light.name not in lamps or not _is_visible(light)
         ),
         "assets": {**configuration.assets, package.id: package.sha256},
     }
     return Scenery(configuration.model_copy(update=changes), (*truth.library, asset))
+
+
+def _is_visible(light: Light) -> bool:
+    """Return whether cameras see a light as a surface, black if its radiance is 0."""
+    return isinstance(light, SphereLight) or (isinstance(light, AreaLight) and light.is_visible)
 
 
 def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:

@@ -19,6 +19,7 @@ from model.evaluation.opened_scene import INSERTED, MODIFIED, OWN, RECOVERED
 from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.scenery import Scenery
+from model.evaluation.suite import ModifiedLight
 from model.evaluation.tables import tables_of
 from model.reconstruction.export.asset import write_asset
 from model.reconstruction.found_lights import FoundLamp, FoundLights
@@ -103,6 +104,27 @@ def test_lights_that_the_geometry_shows_are_lamps(reconstruction: Path, mitsuba_
     lit = recovered_sceneries(shown, reconstruction)[OWN].configuration  # type: ignore[arg-type]
     assert lit.lights == (SUN, hidden)
     assert lit.environment.emission["lamp-0"] == TRUE
+
+
+def test_visible_lights_stay_when_switched_off(reconstruction: Path, mitsuba_variant: str) -> None:
+    """At gain 0, a visible light remains as a black surface, which a lamp of the reconstruction replaces."""
+    panel = AreaLight(name="bulb", origin_m=(0, 0, 2), edge_u_m=(1, 0, 0), edge_v_m=(0, -1, 0), radiance=TRUE)
+    other = panel.model_copy(update={"name": "panel"})
+    hidden = panel.model_copy(update={"is_visible": False})
+    scene = opened(reconstruction, 0.0)
+    own = scene.sceneries[OWN]
+    configuration = own.configuration.model_copy(update={"lights": (SUN, panel, other, hidden)})
+    off = replace(own, configuration=configuration).lit_by(ModifiedLight(), [SUN])
+    black = {"radiance": (0.0, 0.0, 0.0)}
+    assert off.configuration.lights == (
+        panel.model_copy(update=black),
+        other.model_copy(update=black),
+        SUN,
+    )
+    parts = (GeometryPart("wall", 0, 5), GeometryPart("lights/bulb", 5, 1, TRUE))
+    shown = replace(scene, sceneries={OWN: own, MODIFIED: off}, capture=Seen(Geometry(parts)))
+    lit = recovered_sceneries(shown, reconstruction)[MODIFIED].configuration  # type: ignore[arg-type]
+    assert lit.lights == (other.model_copy(update=black), SUN)
 
 
 def test_recovered_lights_replace_those_of_the_scene(reconstruction: Path, mitsuba_variant: str) -> None:
