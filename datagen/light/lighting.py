@@ -23,7 +23,7 @@ from datagen.light.estimated_light import fitted_gains, surface_groups, with_gai
 from datagen.light.radiance_field import RadianceField
 from datagen.light.sun import LitSurfaces, ShadowRays, Sun, find_sun
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, clipped_shares, near_surfels
-from datagen.light.unseen_surfaces import objects_of_regions, unseen_surfaces
+from datagen.light.unseen_surfaces import Regions, unseen_surfaces
 
 MIN_SHADING = 1e-3
 """Share of the room's median shading below which a diffuse albedo is undetermined."""
@@ -62,8 +62,7 @@ class Lit:
 
     ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``hidden`` (N,): share of the light attributed to
     unphotographed lamps, in [0, 1]; ``sun``, None if not found, and its part ``sunlight`` (N, 3) of Ld, which
-    the irradiance lacks; ``seen``: the field of photographed radiance; ``regions``: smooth region of each
-    triangle and object of each region, as in :func:`unseen_surfaces`.
+    the irradiance lacks; ``seen``: the field of photographed radiance.
     """
 
     surfels: Surfels
@@ -74,7 +73,7 @@ class Lit:
     hidden: NDArray[np.float64]
     sun: Sun | None
     sunlight: NDArray[np.float32]
-    regions: tuple[NDArray[np.int32], NDArray[np.int32]]
+    regions: Regions
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ def light_surfels(
         emitters = photographed_emitters(views, traced, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.high)
-        regions = region_of_face, objects_of_regions(traced.mesh, region_of_face)
+        regions = Regions.of_mesh(traced.mesh, region_of_face)
 
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
         with step("field"):
@@ -183,7 +182,7 @@ def _lit(
     seen: RadianceField,
     baker: Baker,
     found: _Estimates,
-    regions: tuple[NDArray[np.int32], NDArray[np.int32]],
+    regions: Regions,
     num_rays: int,
     options: GatherOptions,
 ) -> Lit:
@@ -197,7 +196,7 @@ def _estimated(
     surfels: Surfels,
     diffuse: Surfels,
     size_m: float,
-    regions: tuple[NDArray[np.int32], NDArray[np.int32]],
+    regions: Regions,
     options: GatherOptions,
     sun_in: Callable[[Baker], Sun | None],
 ) -> _Estimates:
@@ -210,11 +209,7 @@ def _estimated(
     nowhere = np.zeros((len(surfels), 3), np.float32)
     if not options.estimates_unseen:
         return _Estimates(seen, np.zeros(len(surfels)), None, nowhere)
-    region_of_face, object_of_region = regions
-    region = region_of_face[surfels.face]
-    unseen = unseen_surfaces(
-        Baker(seen, size_m), surfels, region_of_face, object_of_region, options.estimate_rays
-    )
+    unseen = unseen_surfaces(Baker(seen, size_m), surfels, regions, options.estimate_rays)
     extended = unseen.added_to(seen, surfels)
     baker, sunlight = Baker(extended, size_m), nowhere
     sun = sun_in(baker) if options.finds_sun else None
@@ -223,7 +218,7 @@ def _estimated(
         sunlight = rays.sunlight(sun, surfels.position_m, surfels.normal)
     if not options.fits_estimates:
         return _Estimates(extended, np.zeros(len(surfels)), sun, sunlight)
-    gains = fitted_gains(baker, diffuse, region, sunlight)
+    gains = fitted_gains(baker, diffuse, regions.of_face[surfels.face], sunlight)
     of_unseen = gains.of_group[surface_groups(unseen.position_m, unseen.normal, surfels), None]
     unseen = replace(unseen, radiance=(unseen.radiance * of_unseen).astype(np.float32))
     fitted = seen.with_background(surfels, with_gains(seen.background, gains.of_group))

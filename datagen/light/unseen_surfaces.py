@@ -34,6 +34,23 @@ _MIN_KNOWN = 0.2  # lower bound of the known share of light, by which light is d
 
 
 @dataclass(frozen=True)
+class Regions:
+    """Smooth regions of a mesh: the region ``of_face`` (M,) of each triangle, and the object (R,) of each
+    region, the connected part of the mesh that contains it.
+    """
+
+    of_face: NDArray[np.int32]
+    object_of_region: NDArray[np.int32]
+
+    @classmethod
+    def of_mesh(cls, mesh: Mesh, region_of_face: NDArray[np.int32]) -> Regions:
+        """Find the objects of the regions ``region_of_face`` (M,) of ``mesh``."""
+        objects = np.zeros(int(region_of_face.max(initial=-1)) + 1, np.int32)
+        objects[region_of_face] = smooth_regions(mesh, np.pi)
+        return cls(region_of_face, objects)
+
+
+@dataclass(frozen=True)
 class UnseenSurfaces:
     """K unphotographed surface points: ``position_m``, ``normal`` and estimated ``radiance``, (K, 3) each."""
 
@@ -48,34 +65,16 @@ class UnseenSurfaces:
         return field.extended(self.position_m, self.normal, surfels, self.radiance)
 
 
-def objects_of_regions(mesh: Mesh, region_of_face: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the index (R,) of each smooth region's object, a connected part of ``mesh``."""
-    objects = np.zeros(int(region_of_face.max(initial=-1)) + 1, np.int32)
-    objects[region_of_face] = smooth_regions(mesh, np.pi)
-    return objects
-
-
-def unseen_surfaces(
-    baker: Baker,
-    surfels: Surfels,
-    region_of_face: NDArray[np.int32],
-    object_of_region: NDArray[np.int32],
-    num_rays: int,
-) -> UnseenSurfaces:
+def unseen_surfaces(baker: Baker, surfels: Surfels, regions: Regions, num_rays: int) -> UnseenSurfaces:
     """Estimate the radiance of surfaces that are unknown in the field of ``baker`` but visible to the
-    surfels: the typical reflectance of their smooth region times their incident light.
-
-    ``region_of_face`` (M,): smooth region of each triangle; ``object_of_region`` (R,): object of each region;
-    ``num_rays``: number of rays per point.
+    surfels: the typical reflectance of their smooth region times their incident light, by ``num_rays`` rays
+    per point.
     """
     position, facing, face = _unknown_surface(baker, surfels)
     unseen = UnseenSurfaces(position, facing, np.zeros((len(position), 3), np.float32))
     if not len(position):
         return unseen
-    region = region_of_face[surfels.face]
-    reflectance = typical_reflectance(baker, surfels, region, object_of_region, num_rays)[
-        region_of_face[face]
-    ]
+    reflectance = typical_reflectance(baker, surfels, regions, num_rays)[regions.of_face[face]]
     lit = baker
     for _ in range(ESTIMATE_ROUNDS):
         light = lit.irradiance(position, facing, num_rays)
@@ -99,24 +98,19 @@ def _unknown_surface(baker: Baker, surfels: Surfels) -> tuple[NDArray, NDArray, 
 
 
 def typical_reflectance(
-    baker: Baker,
-    surfels: Surfels,
-    region: NDArray[np.int32],
-    object_of_region: NDArray[np.int32],
-    num_rays: int,
+    baker: Baker, surfels: Surfels, regions: Regions, num_rays: int
 ) -> NDArray[np.float64]:
     """Compute the typical reflectance pi L / E (R, 3) of R smooth regions.
 
     It is the median over surfels, weighted by the photographed share of their light, shrunk towards that of
     the object, and this towards that of the room; it is 0.4 if too little light is photographed.
-
-    ``region`` (N,): region of each surfel; ``object_of_region`` (R,): object of each region.
     """
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], num_rays)
     low, high = RATIO_EVIDENCE
     weight = np.clip((lit.photographed - low) / (high - low), 0, 1) * (lit.diffuse.min(axis=1) > 0)
     used = weight > 0
+    object_of_region = regions.object_of_region
     if not used.any():
         return np.full((len(object_of_region), 3), 0.4)
     weight = weight[used]
@@ -131,6 +125,6 @@ def typical_reflectance(
 
     of_room = grouped_medians(log_ratio, weight, np.zeros(len(weight), np.int64), 1)
     num_objects = int(object_of_region.max()) + 1
-    of_sample = region[::step][used]
+    of_sample = regions.of_face[surfels.face[::step][used]]
     of_object = shrunk(object_of_region[of_sample], np.repeat(of_room, num_objects, axis=0))
     return np.exp(shrunk(of_sample, of_object[object_of_region]))

@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from datagen.light.bake import Irradiance
-from datagen.light.unseen_surfaces import PRIOR_SURFELS, RATIO_EVIDENCE, typical_reflectance
+from datagen.light.unseen_surfaces import PRIOR_SURFELS, RATIO_EVIDENCE, Regions, typical_reflectance
 
 NUM = 90
 TRUE = np.array([0.2, 0.6, 0.8])
 """Reflectance of the regions 0, 1 and 2; region 3 has no surfels."""
-REGION = np.repeat([0, 1, 2], [40, 49, 1])
+REGION = np.repeat([0, 1, 2], [40, 49, 1]).astype(np.int32)
 SHADING = np.random.default_rng(1).uniform(0.5, 2.0, (NUM, 3)).astype(np.float32)
 
 
@@ -28,6 +28,7 @@ class Surfels:
     position_m: NDArray[np.float64]
     normal: NDArray[np.float64]
     radiance: NDArray[np.float64]
+    face: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.radiance)
@@ -50,9 +51,10 @@ def typical(
     objects: Sequence[int] = (0, 1, 2, 3),
 ) -> NDArray[np.float64]:
     nowhere = np.zeros((NUM, 3))
-    surfels: Any = Surfels(nowhere, nowhere, TRUE[REGION, None] * SHADING if radiance is None else radiance)
+    radiance = TRUE[REGION, None] * SHADING if radiance is None else radiance
+    surfels: Any = Surfels(nowhere, nowhere, radiance, np.arange(NUM))  # a triangle each
     baker: Any = Baker(np.broadcast_to(np.float32(photographed), (NUM,)))
-    return typical_reflectance(baker, surfels, REGION, np.array(objects, np.int32), 48)
+    return typical_reflectance(baker, surfels, Regions(REGION, np.array(objects, np.int32)), 48)
 
 
 def test_regions_have_the_median_of_their_surfels() -> None:

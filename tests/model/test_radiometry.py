@@ -17,7 +17,7 @@ from datagen.geometry.views import TracedView
 from datagen.light.background import NEAR, photographed_background
 from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import build_surfels
-from datagen.light.unseen_surfaces import objects_of_regions
+from datagen.light.unseen_surfaces import Regions
 from model.reconstruction.radiometry.completed import Completed, completed_views
 from model.reconstruction.radiometry.exposures import (
     Radiometry,
@@ -167,11 +167,8 @@ def test_sky_that_is_brighter_near_the_sun_is_recovered() -> None:
     emitters = photographed_emitters(views, traced, emits, regions)
     background = photographed_background(views, low, high, NEAR)
     sources = find_sources(views, surfels, emitters, background, emits, regions, traced)
-    field, objects = (
-        SourceField(traced.scene, surfels, emitters, background),
-        objects_of_regions(traced.mesh, regions),
-    )
-    gathered = Gatherer(field, sources, regions, objects).gathered(sources.bound)
+    field = SourceField(traced.scene, surfels, emitters, background)
+    gathered = Gatherer(field, sources, Regions.of_mesh(traced.mesh, regions)).gathered(sources.bound)
     blocks, direction = sky_blocks(sources)
     radiance = np.where(sources.is_open, 2.0, sources.bound)
     radiance[sources.of_emitter.max()] = LAMP

@@ -19,7 +19,7 @@ from datagen.geometry.views import TracedView
 from datagen.light.background import NEAR, photographed_background
 from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import Surfels, build_surfels
-from datagen.light.unseen_surfaces import objects_of_regions
+from datagen.light.unseen_surfaces import Regions
 from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
 from model.reconstruction.radiometry.recovered import Gatherer, SourceField, doubt_of, recovered
 from model.reconstruction.radiometry.sources import Sources, find_sources, source_of_pixels
@@ -77,8 +77,7 @@ def completed_views(
     radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
     if len(sources):
         field = SourceField(traced.scene, surfels, emitters, background)
-        objects = objects_of_regions(traced.mesh, region_of_face)
-        gatherer = Gatherer(field, sources, region_of_face, objects)
+        gatherer = Gatherer(field, sources, Regions.of_mesh(traced.mesh, region_of_face))
         for _ in range(SOURCE_ROUNDS):
             estimate = recovered(gatherer.gathered(radiance), sources)
             radiance = estimate.radiance

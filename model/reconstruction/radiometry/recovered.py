@@ -29,7 +29,7 @@ from datagen.light.cells import Cells
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels, grouped_medians
-from datagen.light.unseen_surfaces import unseen_surfaces
+from datagen.light.unseen_surfaces import Regions, unseen_surfaces
 from model.reconstruction.radiometry.sources import Colored, Sources
 
 if TYPE_CHECKING:
@@ -149,19 +149,11 @@ class SourceField:
 class Gatherer:
     """Light at up to :data:`MAX_POINTS` clearly visible surfels from each source and from all else.
 
-    ``region_of_face`` (M,), each triangle's smooth region, is the points' group; ``object_of_region`` (R,) as
-    in :func:`~datagen.light.unseen_surfaces.unseen_surfaces`.
+    The points' groups are their smooth ``regions``.
     """
 
-    def __init__(
-        self,
-        field: SourceField,
-        sources: Sources,
-        region_of_face: NDArray[np.int32],
-        object_of_region: NDArray[np.int32],
-    ):
-        self._field, self._sources = field, sources
-        self._regions = region_of_face, object_of_region
+    def __init__(self, field: SourceField, sources: Sources, regions: Regions):
+        self._field, self._sources, self._regions = field, sources, regions
         surfels = field.surfels
         clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
         clear[(surfels.radiance <= 0).any(axis=1)] = 0
@@ -175,12 +167,12 @@ class Gatherer:
         """Compute the light with unphotographed surfaces lit by sources of ``radiance`` (S, 3)."""
         surfels, chosen, dark = self._field.surfels, self._chosen, self._dark
         lit = self._field.baker(self._field.colored(self._sources, radiance))
-        unseen = unseen_surfaces(lit, surfels, *self._regions, UNSEEN_RAYS)
+        unseen = unseen_surfaces(lit, surfels, self._regions, UNSEEN_RAYS)
         rest = Baker(unseen.added_to(dark.field, surfels), dark.size_m).irradiance(*self._place, RAYS)
         kept = rest.photographed >= MIN_PHOTOGRAPHED
         leaving = surfels.radiance[chosen[kept]].astype(np.float64)
         known, form = rest.extrapolated()[kept].astype(np.float64), self._form[kept]
-        group = np.unique(self._regions[0][surfels.face[chosen[kept]]], return_inverse=True)[1]
+        group = np.unique(self._regions.of_face[surfels.face[chosen[kept]]], return_inverse=True)[1]
         reflectance = leaving / np.maximum(known + form @ radiance, 1e-12)
         ones = np.ones(len(group), np.float32)
         albedo = grouped_medians(reflectance, ones, group, int(group.max(initial=-1)) + 1)[group]
