@@ -2,7 +2,7 @@
 """Seconds by stage and peak memory of ``materials infer``, with networks of full size.
 
     python -m benchmarks.bench_infer --views 160 --size 640x384 --atlas 16384
-    python -m benchmarks.bench_infer --capture SHARD --atlas auto
+    python -m benchmarks.bench_infer --capture SHARD --photographs 160 --atlas auto
     python -m benchmarks.bench_infer --capture SHARD --views 160 --size 640x384 --atlas 16384
 
 Without ``--capture`` the capture is a room of 24 triangles, whose geometry takes no time, so the work per
@@ -145,6 +145,7 @@ def main() -> None:
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])
     parser.add_argument("--views", type=int, help="number of views; default: 24, or all of --capture")
+    parser.add_argument("--photographs", type=int, help="number of the first photographs of --capture used")
     parser.add_argument("--size", default="640x384")
     parser.add_argument("--atlas", default="auto")
     parser.add_argument("--precision", default="auto", choices=("auto", "float32", "bfloat16"))
@@ -158,6 +159,7 @@ def main() -> None:
         capture = shot_again(arguments.capture, arguments.library, arguments.views, (width, height))
     elif arguments.capture:
         capture = read_capture(arguments.capture, CaptureOptions(library=tuple(arguments.library)))
+        capture = replace(capture, views=capture.views[: arguments.photographs])
     else:
         capture = room_capture(arguments.views or 24, (width, height))
     atlas: Any = "auto" if arguments.atlas == "auto" else int(arguments.atlas)
