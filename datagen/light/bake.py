@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from datagen.light.bright_cells import bright_rectangles
 from datagen.light.bright_guide import BrightGuide
 from datagen.light.emitters import EmitterSampler
-from datagen.light.radiance_field import MIN_COSINE, Met, RadianceField, lobe_pdf, schlick_weight
+from datagen.light.radiance_field import (
+    MIN_COSINE,
+    Met,
+    MetalSample,
+    RadianceField,
+    lobe_pdf,
+    schlick_weight,
+)
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 
@@ -148,9 +155,9 @@ class Baker:
         shares = np.array(known.numpy()), np.array(photographed.numpy())
         return SpecularShading(_rows(ls0), _rows(ls1), *shares)
 
-    def meet(self, ray: Any, active: Any, sample: Any) -> Met:
-        """Trace ``ray`` by :meth:`RadianceField.meet`; reflections at metals also sample bright surfaces."""
-        return self.field.meet(ray, active, sample, self.guide)
+    def meet(self, ray: Any, active: Any, sample: MetalSample | None) -> Met:
+        """Trace ``ray`` by :meth:`RadianceField.meet`."""
+        return self.field.meet(ray, active, self, sample)
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
         """Sample a point of an emitter; return its direction in ``frame``, radiance (0 if occluded), density
@@ -237,7 +244,7 @@ def _shifted(step: Any, shift: Any) -> Any:
     return dr.minimum(value - dr.floor(value), 1.0 - 6e-8)
 
 
-def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
+def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> MetalSample | None:
     """Return the argument ``sample`` of :meth:`RadianceField.meet`; None without metals."""
     import mitsuba as mi
 
@@ -245,11 +252,12 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
         return None
     a, b = mi.sample_tea_32(lane, seed + 1299709)
     i = mi.Float(index)
-    half = mi.Point2f(_shifted(i * 0.7320508075688772, a), _shifted(i * 0.2360679774997898, b))
-    return half, _guide_sample(lane, index, seed + 49979687)
+    half = mi.Point2f(_shifted(i * 0.7320508075688772, a), _shifted(i * 0.605551275463989, b))
+    of_guide = _light_sample(lane, index, seed + 49979687)
+    return MetalSample(half, of_guide, _light_sample(lane, index, seed + 86028121))
 
 
-def _guide_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
+def _light_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
     """Return the arguments ``sample_1`` and ``sample_2`` of :meth:`BrightGuide.sample`."""
     import mitsuba as mi
 
@@ -277,7 +285,7 @@ def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, se
             light = cosine_pdf / dr.maximum(others + cosine_pdf, 1e-20)
             total = total + dr.select(counts, radiance * light, 0.0)
         if baker.guide is not None:
-            toward, guide_pdf = baker.guide.sample(p, *_guide_sample(lane, index, seed))
+            toward, guide_pdf = baker.guide.sample(p, *_light_sample(lane, index, seed))
             guided = mi.Ray3f(p, toward)
             cosine_pdf = dr.maximum(dr.dot(toward, frame.n), 0.0) * dr.inv_pi
             counts = (cosine_pdf > 0) & (guide_pdf > 0)
@@ -324,7 +332,7 @@ def _specular_loop(
             ls0 = ls0 + arriving * (1.0 - light_f)
             ls1 = ls1 + arriving * light_f
         if baker.guide is not None:
-            toward, guide_pdf = baker.guide.sample(p, *_guide_sample(lane, index, seed))
+            toward, guide_pdf = baker.guide.sample(p, *_light_sample(lane, index, seed))
             guided, direction = mi.Ray3f(p, toward), frame.to_local(toward)
             half = dr.normalize(wi + direction)
             lobe = lobe_pdf(wi, direction, half, alpha)

@@ -11,7 +11,7 @@ from that along the ray, rays are reflected once (:meth:`RadianceField.with_meta
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +79,34 @@ class Estimated(NamedTuple):
     background_bin: NDArray[np.int64]
     position_m: NDArray[np.float32]
     normal: NDArray[np.float32]
+
+
+class LightSampling(Protocol):
+    """Samples directions to bright surfaces and emitters; :class:`~datagen.light.bake.Baker` has the
+    meanings of its members."""
+
+    guide: BrightGuide | None
+
+    def guide_pdf(self, p: Any, direction: Any) -> Any: ...
+
+    @property
+    def samples_emitters(self) -> bool: ...
+
+    def emitter_sample(
+        self, p: Any, frame: Any, sample_1: Any, sample_2: Any
+    ) -> tuple[Any, Any, Any, Any]: ...
+
+    def emitter_pdf(self, met: Met, ray: Any) -> Any: ...
+
+
+class MetalSample(NamedTuple):
+    """Random numbers of a reflection at metal: ``half`` in [0, 1)^2 selects the half vector; ``guide`` and
+    ``emitter`` are the arguments (number, point) of the sampling methods.
+    """
+
+    half: Any
+    guide: tuple[Any, Any]
+    emitter: tuple[Any, Any]
 
 
 class _End(NamedTuple):
@@ -164,11 +192,13 @@ class RadianceField:
                 finest = dr.select(wanted, row, finest)
         return radiance, is_known, is_photographed, finest
 
-    def meet(self, ray: Any, active: Any, sample: Any = None, guide: BrightGuide | None = None) -> Met:
+    def meet(
+        self, ray: Any, active: Any, sampling: LightSampling | None = None, sample: MetalSample | None = None
+    ) -> Met:
         """Trace ``ray`` into the field.
 
-        Only a field with metals needs ``sample``: a point in [0, 1)^2 that selects the half vector, and the
-        random numbers of ``guide``, which samples further reflected rays towards bright surfaces.
+        Only a field with metals needs ``sampling``, by which reflections also sample bright surfaces and
+        emitters, combined by the balance heuristic, and its random numbers ``sample``.
         """
         import drjit as dr
         import mitsuba as mi
@@ -176,6 +206,7 @@ class RadianceField:
         end = self._end_of(ray, active)
         if self.metals is None:
             return end.met
+        assert sampling is not None and sample is not None
         is_metal = end.row >= 0
         is_metal &= dr.gather(mi.Float, self._is_metal, end.row, is_metal) > 0
         s = dr.gather(mi.Color3f, self._metal_albedo, end.row, is_metal)
@@ -186,30 +217,40 @@ class RadianceField:
         wi.z = dr.maximum(wi.z, MIN_COSINE)
         wi = dr.normalize(wi)
         origin = end.position + end.normal * self.metals.start_m
-        of_half, of_guide = sample
 
-        def mirrored(direction: Any, wo: Any, half: Any, counts: Any) -> tuple[Any, Met]:
-            met = self._end_of(mi.Ray3f(origin, direction), counts).met
+        def mirrored(wo: Any, half: Any, radiance: Any, pdf: Any, others: Any) -> Any:
+            """Light reflected from ``wo``, sampled with the density ``pdf`` of the lobe and ``others``."""
             albedo = s + (1.0 - s) * schlick_weight(dr.dot(wi, half))
-            return dr.select(counts, met.radiance * albedo * smith_g1(wo, alpha), 0.0), met
+            return radiance * albedo * smith_g1(wo, alpha) * (pdf / dr.maximum(pdf + others, 1e-20))
 
-        half = sample_visible_normal(wi, alpha, of_half)
+        half = sample_visible_normal(wi, alpha, sample.half)
         wo = mi.reflect(wi, half)
         goes_on = is_metal & (wo.z > 0)
-        direction = frame.to_world(wo)
-        reflected, beyond = mirrored(direction, wo, half, goes_on)
-        if guide is not None:
-            pdf = lobe_pdf(wi, wo, half, alpha)
-            reflected *= pdf / dr.maximum(pdf + guide.pdf(origin, direction), 1e-20)
-            toward, guide_pdf = guide.sample(origin, *of_guide)
+        reflected_ray = mi.Ray3f(origin, frame.to_world(wo))
+        beyond = self._end_of(reflected_ray, goes_on).met
+        others = sampling.guide_pdf(origin, reflected_ray.d) + sampling.emitter_pdf(beyond, reflected_ray)
+        reflected = mirrored(wo, half, beyond.radiance, lobe_pdf(wi, wo, half, alpha), others)
+        direct = mi.Color3f(0.0)
+        if sampling.guide is not None:
+            toward, guide_pdf = sampling.guide.sample(origin, *sample.guide)
             wo = frame.to_local(toward)
             half = dr.normalize(wi + wo)
             pdf = lobe_pdf(wi, wo, half, alpha)
-            guided, _ = mirrored(toward, wo, half, is_metal & (pdf > 0) & (guide_pdf > 0))
-            reflected += guided * (pdf / dr.maximum(pdf + guide_pdf, 1e-20))
-        replaced = goes_on & beyond.is_known
-        radiance = dr.select(replaced, reflected, end.met.radiance)
-        radiance = dr.select(is_metal & ~goes_on, 0.0, radiance)
+            counts = is_metal & (pdf > 0) & (guide_pdf > 0)
+            guided = mi.Ray3f(origin, toward)
+            met = self._end_of(guided, counts).met
+            light = mirrored(wo, half, met.radiance, pdf, guide_pdf + sampling.emitter_pdf(met, guided))
+            direct += dr.select(counts, light, 0.0)
+        if sampling.samples_emitters:
+            wo, radiance, light_pdf, counts = sampling.emitter_sample(origin, frame, *sample.emitter)
+            half = dr.normalize(wi + wo)
+            pdf = lobe_pdf(wi, wo, half, alpha)
+            others = light_pdf + sampling.guide_pdf(origin, frame.to_world(wo))
+            counts &= is_metal & (pdf > 0)
+            direct += dr.select(counts, mirrored(wo, half, radiance, pdf, others), 0.0)
+        is_known = goes_on & beyond.is_known
+        radiance = dr.select(is_known, reflected, dr.select(is_metal & ~goes_on, 0.0, end.met.radiance))
+        radiance += dr.select(is_known | (is_metal & ~goes_on), direct, 0.0)
         is_photographed = end.met.is_photographed & (~goes_on | beyond.is_photographed)
         return end.met._replace(radiance=radiance, is_photographed=is_photographed)
 
