@@ -79,6 +79,8 @@ MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
 as metal to it. Moving mirror images have no other explanation, so mirrors need no photographed hemisphere."""
 MIRROR_VIEWS, MIRROR_SURFELS = 1.2, 48
 """Minimum mean number of views of a mirror's surfels, and minimum number of surfels."""
+MATTE_METAL = 0.7
+"""Roughness above which metal looks so much like matte paint that the network's S is no evidence of it."""
 METAL_TOLERANCE = 0.005
 """Maximum excess cost of metal over a dielectric at which a segment of a metal region becomes metal."""
 
@@ -192,12 +194,13 @@ def decide(
     found_s, found_r = matte * matte_s + (1 - matte) * found_s, matte + (1 - matte) * found_r
     variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
-    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # the network rarely predicts metal, but reliably
-    required = weights.metal * doubt * unlike
     metal = costs.metal + of_r
     mean_albedo = costs.metal_albedo.mean(axis=2)
     metal = np.where(mean_albedo < MIN_DARK_METAL, np.inf, metal)
     metal_level = metal.argmin(axis=1)
+    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # the network rarely predicts metal, but reliably
+    unlike[ROUGHNESS_LEVELS[metal_level] > MATTE_METAL] = 1
+    required = weights.metal * doubt * unlike
     albedo, advantage = mean_albedo[rows, metal_level], best - metal[rows, metal_level]
     of_metal = costs.metal[rows, metal_level]
     is_mirror = (ROUGHNESS_LEVELS[metal_level] <= MIRROR_ROUGHNESS) & (of_metal <= MIRROR_FIT * residual)
