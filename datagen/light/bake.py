@@ -37,6 +37,10 @@ from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal
 MIN_KNOWN = 0.1
 """Lower bound of the known share of light, by which known light is divided to extrapolate to all light."""
 GOLDEN = 0.6180339887498949
+# Fractional parts of square roots. All steps of the random numbers of one path are rationally independent;
+# otherwise, its error would not vanish with more rays.
+_GUIDE_STEPS = (0.4142135623730951, 0.6457513110645906, 0.3166247903553998)
+_METAL_STEPS = (0.4494897427831781, 0.7416573867739413, 0.3851648071345042)
 _START = 2e-4  # offset of a ray's origin from the surface, relative to the room's diagonal
 _SHADOW = 1e-3  # shortening of shadow rays, relative to the distance to the emitter
 
@@ -253,19 +257,20 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> MetalSample
     a, b = mi.sample_tea_32(lane, seed + 1299709)
     i = mi.Float(index)
     half = mi.Point2f(_shifted(i * 0.7320508075688772, a), _shifted(i * 0.605551275463989, b))
-    of_guide = _light_sample(lane, index, seed + 49979687)
-    return MetalSample(half, of_guide, _light_sample(lane, index, seed + 86028121))
+    of_guide, of_emitter = (
+        _light_sample(lane, index, seed + offset, _METAL_STEPS) for offset in (49979687, 86028121)
+    )
+    return MetalSample(half, of_guide, of_emitter)
 
 
-def _light_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
+def _light_sample(lane: Any, index: Any, seed: Any, steps: tuple[float, float, float]) -> tuple[Any, Any]:
     """Return the arguments ``sample_1`` and ``sample_2`` of :meth:`BrightGuide.sample`."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed + 15485863)
     c, _ = mi.sample_tea_32(lane, seed + 32352991)
     i = mi.Float(index)
-    point = mi.Point2f(_shifted(i * 0.6457513110645906, b), _shifted(i * 0.3166247903553998, c))
-    return _shifted(i * 0.4142135623730951, a), point
+    return _shifted(i * steps[0], a), mi.Point2f(_shifted(i * steps[1], b), _shifted(i * steps[2], c))
 
 
 def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, seed: Any) -> tuple[Any, ...]:
@@ -285,7 +290,7 @@ def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, se
             light = cosine_pdf / dr.maximum(others + cosine_pdf, 1e-20)
             total = total + dr.select(counts, radiance * light, 0.0)
         if baker.guide is not None:
-            toward, guide_pdf = baker.guide.sample(p, *_light_sample(lane, index, seed))
+            toward, guide_pdf = baker.guide.sample(p, *_light_sample(lane, index, seed, _GUIDE_STEPS))
             guided = mi.Ray3f(p, toward)
             cosine_pdf = dr.maximum(dr.dot(toward, frame.n), 0.0) * dr.inv_pi
             counts = (cosine_pdf > 0) & (guide_pdf > 0)
@@ -332,7 +337,7 @@ def _specular_loop(
             ls0 = ls0 + arriving * (1.0 - light_f)
             ls1 = ls1 + arriving * light_f
         if baker.guide is not None:
-            toward, guide_pdf = baker.guide.sample(p, *_light_sample(lane, index, seed))
+            toward, guide_pdf = baker.guide.sample(p, *_light_sample(lane, index, seed, _GUIDE_STEPS))
             guided, direction = mi.Ray3f(p, toward), frame.to_local(toward)
             half = dr.normalize(wi + direction)
             lobe = lobe_pdf(wi, direction, half, alpha)

@@ -82,8 +82,7 @@ class Estimated(NamedTuple):
 
 
 class LightSampling(Protocol):
-    """Samples directions to bright surfaces and emitters; :class:`~datagen.light.bake.Baker` has the
-    meanings of its members."""
+    """Sampling of directions to bright surfaces and emitters, as by :class:`~datagen.light.bake.Baker`."""
 
     guide: BrightGuide | None
 

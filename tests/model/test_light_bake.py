@@ -185,7 +185,7 @@ def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
 @pytest.mark.parametrize("roughness", [0.3, 0.6])
 def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
     """Below a small lamp, a point above a metal floor receives its reflection within 2 %, with 64 rays within
-    20 % (standard deviation); if only reflected rays met the lamp, it would be over 100 %."""
+    30 % (standard deviation); if only reflected rays met the lamp, it would be over 100 %."""
     lamp = np.array([[0.45, -0.05, 1], [0.45, 0.05, 1], [0.55, 0.05, 1], [0.55, -0.05, 1]], np.float32)
     corners = np.array([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
@@ -218,7 +218,7 @@ def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
     area = (2 / 600) * (2 / 400)
     true = (radiance * view[:, 2] ** 2 / to_view[:, 0] ** 2).sum() * area / np.pi
     np.testing.assert_allclose(found, true, rtol=0.02)
-    assert noisy.std() < 0.2 * noisy.mean()
+    assert noisy.std() < 0.3 * noisy.mean()
 
 
 def observations(num: int, metal: bool, seed: int) -> tuple[NDArray, ...]:
