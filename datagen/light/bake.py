@@ -15,7 +15,7 @@ the point's index, so its result does not depend on other points.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,6 @@ from datagen.light.emitters import EmitterSampler
 from datagen.light.radiance_field import (
     MIN_COSINE,
     Met,
-    MetalSample,
     RadianceField,
     lobe_pdf,
     schlick_weight,
@@ -95,6 +94,16 @@ def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: fl
     return mi.Ray3f(origin + n * start_m, mi.Frame3f(n).to_world(local))
 
 
+class MetalSample(NamedTuple):
+    """Random numbers of a reflection at metal: ``half`` in [0, 1)^2 selects the half vector; ``guide`` and
+    ``emitter`` are the arguments (number, point) of the sampling methods.
+    """
+
+    half: Any
+    guide: tuple[Any, Any]
+    emitter: tuple[Any, Any]
+
+
 class Baker:
     """Computes shading at points in a radiance field; ``size_m`` is the diagonal of the room."""
 
@@ -160,8 +169,60 @@ class Baker:
         return SpecularShading(_rows(ls0), _rows(ls1), *shares)
 
     def meet(self, ray: Any, active: Any, sample: MetalSample | None) -> Met:
-        """Trace ``ray`` by :meth:`RadianceField.meet`."""
-        return self.field.meet(ray, active, self, sample)
+        """Trace ``ray`` into the field, and reflect it once at metals.
+
+        Reflections also sample bright surfaces and emitters, combined by the balance heuristic; only a field
+        with metals needs ``sample``.
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        end = self.field.end_of(ray, active)
+        if self.field.metals is None:
+            return end.met
+        assert sample is not None
+        is_metal, s, alpha = self.field.metal_at(end)
+        frame = mi.Frame3f(end.normal)
+        wi = frame.to_local(-ray.d)
+        wi.z = dr.maximum(wi.z, MIN_COSINE)
+        wi = dr.normalize(wi)
+        origin = end.position + end.normal * self.start_m
+
+        def mirrored(wo: Any, half: Any, radiance: Any, pdf: Any, others: Any) -> Any:
+            """Light reflected from ``wo``, sampled with the density ``pdf`` of the lobe and ``others``."""
+            albedo = s + (1.0 - s) * schlick_weight(dr.dot(wi, half))
+            return radiance * albedo * smith_g1(wo, alpha) * (pdf / dr.maximum(pdf + others, 1e-20))
+
+        half = sample_visible_normal(wi, alpha, sample.half)
+        wo = mi.reflect(wi, half)
+        goes_on = is_metal & (wo.z > 0)
+        reflected_ray = mi.Ray3f(origin, frame.to_world(wo))
+        beyond = self.field.end_of(reflected_ray, goes_on).met
+        others = self.guide_pdf(origin, reflected_ray.d) + self.emitter_pdf(beyond, reflected_ray)
+        reflected = mirrored(wo, half, beyond.radiance, lobe_pdf(wi, wo, half, alpha), others)
+        direct = mi.Color3f(0.0)
+        if self.guide is not None:
+            toward, guide_pdf = self.guide.sample(origin, *sample.guide)
+            wo = frame.to_local(toward)
+            half = dr.normalize(wi + wo)
+            pdf = lobe_pdf(wi, wo, half, alpha)
+            counts = is_metal & (pdf > 0) & (guide_pdf > 0)
+            guided = mi.Ray3f(origin, toward)
+            met = self.field.end_of(guided, counts).met
+            light = mirrored(wo, half, met.radiance, pdf, guide_pdf + self.emitter_pdf(met, guided))
+            direct += dr.select(counts, light, 0.0)
+        if self.samples_emitters:
+            wo, radiance, light_pdf, counts = self.emitter_sample(origin, frame, *sample.emitter)
+            half = dr.normalize(wi + wo)
+            pdf = lobe_pdf(wi, wo, half, alpha)
+            others = light_pdf + self.guide_pdf(origin, frame.to_world(wo))
+            counts &= is_metal & (pdf > 0)
+            direct += dr.select(counts, mirrored(wo, half, radiance, pdf, others), 0.0)
+        is_known = goes_on & beyond.is_known
+        radiance = dr.select(is_known, reflected, dr.select(is_metal & ~goes_on, 0.0, end.met.radiance))
+        radiance += dr.select(is_known | (is_metal & ~goes_on), direct, 0.0)
+        is_photographed = end.met.is_photographed & (~goes_on | beyond.is_photographed)
+        return end.met._replace(radiance=radiance, is_photographed=is_photographed)
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
         """Sample a point of an emitter; return its direction in ``frame``, radiance (0 if occluded), density
@@ -249,7 +310,7 @@ def _shifted(step: Any, shift: Any) -> Any:
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> MetalSample | None:
-    """Return the argument ``sample`` of :meth:`RadianceField.meet`; None without metals."""
+    """Return the argument ``sample`` of :meth:`Baker.meet`; None without metals."""
     import mitsuba as mi
 
     if baker.field.metals is None:
@@ -264,7 +325,7 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> MetalSample
 
 
 def _light_sample(lane: Any, index: Any, seed: Any, steps: tuple[float, float, float]) -> tuple[Any, Any]:
-    """Return the arguments ``sample_1`` and ``sample_2`` of :meth:`BrightGuide.sample`."""
+    """Return the arguments ``sample_1`` and ``sample_2`` of a sampling method, with one of ``steps`` each."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed + 15485863)

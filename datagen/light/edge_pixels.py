@@ -208,7 +208,7 @@ def _rays_through(
     toward = rays_within_pixels(view.camera, pixel).reshape(-1, 3)
     direction: Any = mi.Vector3f(np.ascontiguousarray(toward.T, np.float32))
     position = mi.Point3f(*view.camera.position_m.tolist())
-    met = field.meet(mi.Ray3f(position, direction), mi.Bool(True))
+    met = field.end_of(mi.Ray3f(position, direction), mi.Bool(True)).met
     face = dr.select(dr.isfinite(met.distance_m), mi.Int32(met.face), -1)
     dr.eval(met, face)
     shape = len(pixel), PIXEL_RAYS

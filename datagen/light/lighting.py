@@ -172,7 +172,7 @@ def relight(
     found = _estimated(seen, of_outgoing, of_diffuse, size_m, lit.regions, options, lambda baker: lit.sun)
     field = found.field
     if is_metal.any():
-        field = field.with_metals(surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
+        field = field.with_metals(surfels, specular_albedo, roughness, is_metal)
     baker, num_rays = Baker(field, size_m), options.second_irradiance_rays
     return _lit(surfels, seen, baker, found, lit.regions, num_rays, options)
 

@@ -5,19 +5,18 @@ A ray that hits an emitter returns the emitter's radiance. A ray that hits anoth
 radiance of the surfel there or, without a surfel, of the enclosing cell of twice or four times the size. A
 ray that leaves the mesh returns the background in its direction. Unphotographed radiance is estimated
 (:meth:`RadianceField.extended`) or unknown. At detected metals, whose radiance towards the cameras differs
-from that along the ray, rays are reflected once (:meth:`RadianceField.with_metals`).
+from that along the ray, ``bake.Baker`` reflects rays once.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.light.background import Background
-from datagen.light.bright_guide import BrightGuide
 from datagen.light.cells import Cells, cell_keys, outer_cells, pyramid, surfel_cells
 from datagen.light.emitters import Emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
@@ -25,8 +24,6 @@ from datagen.multiview.visibility import aligned
 from mitsuba_plugins.beckmann import (
     alpha_from_roughness,
     beckmann_d,
-    sample_visible_normal,
-    smith_g1,
     smith_g1_over_cos,
 )
 
@@ -57,14 +54,12 @@ class Met(NamedTuple):
 class Metals:
     """Specular parameters of a field's metals, for each of the K rows of ``Cells.radiance``.
 
-    ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). ``start_m`` is the offset of reflected
-    rays from the surface.
+    ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,).
     """
 
     specular_albedo: NDArray[np.float32]
     roughness: NDArray[np.float32]
     is_metal: NDArray[np.bool_]
-    start_m: float
 
 
 class Estimated(NamedTuple):
@@ -81,34 +76,7 @@ class Estimated(NamedTuple):
     normal: NDArray[np.float32]
 
 
-class LightSampling(Protocol):
-    """Sampling of directions to bright surfaces and emitters, as by :class:`~datagen.light.bake.Baker`."""
-
-    guide: BrightGuide | None
-
-    def guide_pdf(self, p: Any, direction: Any) -> Any: ...
-
-    @property
-    def samples_emitters(self) -> bool: ...
-
-    def emitter_sample(
-        self, p: Any, frame: Any, sample_1: Any, sample_2: Any
-    ) -> tuple[Any, Any, Any, Any]: ...
-
-    def emitter_pdf(self, met: Met, ray: Any) -> Any: ...
-
-
-class MetalSample(NamedTuple):
-    """Random numbers of a reflection at metal: ``half`` in [0, 1)^2 selects the half vector; ``guide`` and
-    ``emitter`` are the arguments (number, point) of the sampling methods.
-    """
-
-    half: Any
-    guide: tuple[Any, Any]
-    emitter: tuple[Any, Any]
-
-
-class _End(NamedTuple):
+class End(NamedTuple):
     """Endpoint of a ray: its result ``met``, the ``row`` of the cell's radiance (-1 for none), position,
     normal facing the ray's origin, and whether the ray ``leaves`` the mesh.
     """
@@ -191,69 +159,19 @@ class RadianceField:
                 finest = dr.select(wanted, row, finest)
         return radiance, is_known, is_photographed, finest
 
-    def meet(
-        self, ray: Any, active: Any, sampling: LightSampling | None = None, sample: MetalSample | None = None
-    ) -> Met:
-        """Trace ``ray`` into the field.
-
-        Only a field with metals needs ``sampling``, by which reflections also sample bright surfaces and
-        emitters, combined by the balance heuristic, and its random numbers ``sample``.
-        """
+    def metal_at(self, end: End) -> tuple[Any, Any, Any]:
+        """Return whether a ray's ``end`` is on metal, the specular albedo there, and alpha, 1 elsewhere."""
         import drjit as dr
         import mitsuba as mi
 
-        end = self._end_of(ray, active)
-        if self.metals is None:
-            return end.met
-        assert sampling is not None and sample is not None
         is_metal = end.row >= 0
         is_metal &= dr.gather(mi.Float, self._is_metal, end.row, is_metal) > 0
-        s = dr.gather(mi.Color3f, self._metal_albedo, end.row, is_metal)
+        albedo = dr.gather(mi.Color3f, self._metal_albedo, end.row, is_metal)
         alpha = alpha_from_roughness(dr.gather(mi.Float, self._metal_roughness, end.row, is_metal))
-        alpha = dr.select(is_metal, alpha, 1.0)
-        frame = mi.Frame3f(end.normal)
-        wi = frame.to_local(-ray.d)
-        wi.z = dr.maximum(wi.z, MIN_COSINE)
-        wi = dr.normalize(wi)
-        origin = end.position + end.normal * self.metals.start_m
+        return is_metal, albedo, dr.select(is_metal, alpha, 1.0)
 
-        def mirrored(wo: Any, half: Any, radiance: Any, pdf: Any, others: Any) -> Any:
-            """Light reflected from ``wo``, sampled with the density ``pdf`` of the lobe and ``others``."""
-            albedo = s + (1.0 - s) * schlick_weight(dr.dot(wi, half))
-            return radiance * albedo * smith_g1(wo, alpha) * (pdf / dr.maximum(pdf + others, 1e-20))
-
-        half = sample_visible_normal(wi, alpha, sample.half)
-        wo = mi.reflect(wi, half)
-        goes_on = is_metal & (wo.z > 0)
-        reflected_ray = mi.Ray3f(origin, frame.to_world(wo))
-        beyond = self._end_of(reflected_ray, goes_on).met
-        others = sampling.guide_pdf(origin, reflected_ray.d) + sampling.emitter_pdf(beyond, reflected_ray)
-        reflected = mirrored(wo, half, beyond.radiance, lobe_pdf(wi, wo, half, alpha), others)
-        direct = mi.Color3f(0.0)
-        if sampling.guide is not None:
-            toward, guide_pdf = sampling.guide.sample(origin, *sample.guide)
-            wo = frame.to_local(toward)
-            half = dr.normalize(wi + wo)
-            pdf = lobe_pdf(wi, wo, half, alpha)
-            counts = is_metal & (pdf > 0) & (guide_pdf > 0)
-            guided = mi.Ray3f(origin, toward)
-            met = self._end_of(guided, counts).met
-            light = mirrored(wo, half, met.radiance, pdf, guide_pdf + sampling.emitter_pdf(met, guided))
-            direct += dr.select(counts, light, 0.0)
-        if sampling.samples_emitters:
-            wo, radiance, light_pdf, counts = sampling.emitter_sample(origin, frame, *sample.emitter)
-            half = dr.normalize(wi + wo)
-            pdf = lobe_pdf(wi, wo, half, alpha)
-            others = light_pdf + sampling.guide_pdf(origin, frame.to_world(wo))
-            counts &= is_metal & (pdf > 0)
-            direct += dr.select(counts, mirrored(wo, half, radiance, pdf, others), 0.0)
-        is_known = goes_on & beyond.is_known
-        radiance = dr.select(is_known, reflected, dr.select(is_metal & ~goes_on, 0.0, end.met.radiance))
-        radiance += dr.select(is_known | (is_metal & ~goes_on), direct, 0.0)
-        is_photographed = end.met.is_photographed & (~goes_on | beyond.is_photographed)
-        return end.met._replace(radiance=radiance, is_photographed=is_photographed)
-
-    def _end_of(self, ray: Any, active: Any) -> _End:
+    def end_of(self, ray: Any, active: Any) -> End:
+        """Trace ``ray`` into the field, without reflections at metals."""
         import drjit as dr
         import mitsuba as mi
 
@@ -280,7 +198,7 @@ class RadianceField:
             si.t,
             cosine,
         )
-        return _End(met, row, si.p, normal, missed)
+        return End(met, row, si.p, normal, missed)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray, NDArray[np.int64]]:
         """Return positions (K, 3), ray-facing normals (K, 3) and triangles (K,) of hits on surfaces of
@@ -289,7 +207,7 @@ class RadianceField:
         import drjit as dr
         import mitsuba as mi
 
-        end = self._end_of(ray, mi.Bool(True))
+        end = self.end_of(ray, mi.Bool(True))
         is_unknown = ~end.leaves & ~end.met.is_known
         dr.eval(is_unknown, end)
         chosen = np.flatnonzero(is_unknown.numpy())
@@ -303,7 +221,7 @@ class RadianceField:
         import drjit as dr
         import mitsuba as mi
 
-        end = self._end_of(ray, mi.Bool(True))
+        end = self.end_of(ray, mi.Bool(True))
         where = dr.select(end.leaves, mi.Int32(self.background.bin_of(ray.o, ray.d)), -1)
         is_estimated = end.met.is_known & ~end.met.is_photographed
         dr.eval(is_estimated, where, end)
@@ -351,19 +269,16 @@ class RadianceField:
         specular_albedo: NDArray,
         roughness: NDArray,
         is_metal: NDArray[np.bool_],
-        start_m: float,
     ) -> RadianceField:
         """Return a field in which metallic ``surfels`` reflect rays.
 
-        Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,). ``start_m`` offsets
-        the origins of reflected rays.
+        Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,).
         """
         rest = len(self.cells.radiance) - len(surfels)  # rows of estimated surfaces
         metals = Metals(
             np.pad(specular_albedo, ((0, rest), (0, 0))).astype(np.float32),
             np.pad(roughness, (0, rest), constant_values=1.0).astype(np.float32),
             np.pad(is_metal, (0, rest)),
-            start_m,
         )
         return self._changed(surfels, metals=metals)
 

@@ -62,11 +62,14 @@ def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeom
     return _geometry(_parts_of(package, placed, None) + _lamps(moved))
 
 
+def has_surface(light: Light) -> TypeGuard[AreaLight | SphereLight]:
+    """Return whether cameras see a light as a surface, black if its radiance is 0."""
+    return isinstance(light, SphereLight) or (isinstance(light, AreaLight) and light.is_visible)
+
+
 def is_lamp(light: Light) -> TypeGuard[AreaLight | SphereLight]:
     """Return whether cameras see a light as an emitting surface."""
-    if isinstance(light, AreaLight):
-        return light.is_visible and any(light.radiance)
-    return isinstance(light, SphereLight) and any(light.radiance)
+    return has_surface(light) and any(light.radiance)
 
 
 def lamp_mesh(lamp: AreaLight | SphereLight) -> Mesh:

@@ -19,12 +19,13 @@ from datagen.formats.base import matrix4
 from datagen.formats.capture import CaptureGeometry
 from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.light_changes import scaled
-from datagen.formats.lights import AreaLight, Light, SphereLight
+from datagen.formats.lights import AreaLight, Light
 from datagen.formats.package import open_package
 from datagen.formats.shard import ShardReader
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
 from datagen.library import Library
+from datagen.rendering.capture_geometry import has_surface
 from model.evaluation.room import PreparedScene
 from model.evaluation.suite import InsertedObject, ModifiedLight
 
@@ -57,7 +58,7 @@ class Scenery:
         Visible lights of gain 0 remain as black surfaces, as lamps that are switched off.
         """
         gain = modified.own_gain
-        own = [scaled(light, gain) for light in self.configuration.lights if gain > 0 or _is_visible(light)]
+        own = [scaled(light, gain) for light in self.configuration.lights if gain > 0 or has_surface(light)]
         lights = (*own, *added)
         with Library(self.library) as library:
             placed = [
@@ -119,16 +120,11 @@ def recovered_scenery(
         "environment": PlacedAsset(name="environment", asset=package.id, emission=emission),
         "objects": inserted,
         "lights": tuple(
-            light for light in configuration.lights if light.name not in lamps or not _is_visible(light)
+            light for light in configuration.lights if light.name not in lamps or not has_surface(light)
         ),
         "assets": {**configuration.assets, package.id: package.sha256},
     }
     return Scenery(configuration.model_copy(update=changes), (*truth.library, asset))
-
-
-def _is_visible(light: Light) -> bool:
-    """Return whether cameras see a light as a surface, black if its radiance is 0."""
-    return isinstance(light, SphereLight) or (isinstance(light, AreaLight) and light.is_visible)
 
 
 def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:

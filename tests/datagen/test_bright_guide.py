@@ -203,7 +203,7 @@ def test_metal_mirrors_the_lamp_without_noise() -> None:
     field, surfels = room(ceiling_radiance())
     num = len(surfels)
     is_floor = np.arange(num) >= num // 2
-    metal = field.with_metals(surfels, np.full((num, 3), 0.8), np.full(num, 0.4), is_floor, 1e-5)
+    metal = field.with_metals(surfels, np.full((num, 3), 0.8), np.full(num, 0.4), is_floor)
     baker = Baker(metal, 1e-2)
     position, normal = np.tile([[0.0, 0.1, 0.3]], (200, 1)), np.tile([[0.0, 0.0, -1.0]], (200, 1))
     few = baker.irradiance(position, normal, 256).diffuse[:, 0]

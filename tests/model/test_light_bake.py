@@ -169,7 +169,7 @@ def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
     seen = Baker(field, 1e-2).irradiance(point, down, 4096)
     np.testing.assert_allclose(seen.diffuse, 7.0, rtol=0.01)
     s, r, is_metal = np.full((1, 3), albedo), np.full(1, roughness), np.ones(1, dtype=bool)
-    found = Baker(field.with_metals(surfels, s, r, is_metal, 1e-4), 1e-2).irradiance(point, down, 4096)
+    found = Baker(field.with_metals(surfels, s, r, is_metal), 1e-2).irradiance(point, down, 4096)
     directions, solid = hemisphere(400)
     cosines = (np.arange(40) + 0.5) / 40
     reflected = []
@@ -203,7 +203,7 @@ def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
     field = RadianceField(mesh_scene(mesh), surfels, emitters, background(np.zeros(3)))
     albedo = 0.7
     s, r, is_metal = np.full((1, 3), albedo), np.full(1, roughness), np.ones(1, dtype=bool)
-    baker = Baker(field.with_metals(surfels, s, r, is_metal, 1e-4), 1e-2)
+    baker = Baker(field.with_metals(surfels, s, r, is_metal), 1e-2)
     point, down = np.array([[0.0, 0.0, 0.2]]), np.array([[0.0, 0.0, -1.0]])
     found = baker.irradiance(point, down, 16_384).diffuse[0]
     noisy = baker.irradiance(np.repeat(point, 200, axis=0), np.repeat(down, 200, axis=0), 64).diffuse[:, 0]
