@@ -5,7 +5,7 @@ VENV ?= .venv
 OUT ?= demo-output
 WORKERS ?= 2
 ONLY ?= tests
-# Processes of pytest, one more than the cores, as many tests wait. Each takes up to 5 GB.
+# Processes of pytest: one more than two cores, since many tests wait. Each takes up to 5 GB.
 JOBS ?= 3
 # Idle OpenMP threads sleep, since they would spin on cores that other processes need.
 PYTEST = OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder

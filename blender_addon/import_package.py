@@ -38,8 +38,8 @@ def import_package(path: Path) -> Imported:
     """Load a package (its folder, its ``asset.json`` or a zip) into a new collection of the scene.
 
     An environment light becomes the scene's world, and the first camera becomes the scene's camera if it had
-    none. Images of a zip are stored in the .blend file. Raises ``ValueError`` with file and field for an
-    invalid package, and for a version of Blender that is too old.
+    none. Images of a zip are stored in the .blend file. Raises ``ValueError`` for an invalid package or a
+    version of Blender that is too old, and ``KeyError`` for a missing field.
     """
     fault = fault_of_version()
     if fault is not None:

@@ -79,7 +79,7 @@ RECIPE = {
 
 
 def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
-    """``num`` cameras on an ellipse around the room's centre, at two heights in turn, directed across it."""
+    """``num`` cameras on a circle around the room's centre, at two heights in turn, directed across it."""
     width, height = size
     focal = 0.5 * width / float(np.tan(np.radians(FOV_X_DEG) / 2))
     made = []

@@ -32,7 +32,7 @@ from .expression import (
 )
 
 _MIN_DIFFUSE_SHARE: Expression = constant(1e-3)  # D of an entirely specular mix would be 0 / 0
-_NO_SPECULAR: Expression = constant(1e-6)  # makes the mean slope width of lobes without F0 1, not 0 / 0
+_NO_SPECULAR: Expression = constant(1e-6)  # lobes without F0 get a mean slope width of 1, not 0 / 0
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from ..bake.execute import BakeSession
 
 PICTURE_PX = 112
 SAMPLES = 48
-_SPACING = 40.0  # at this spacing, samples change each other's light by less than a thousandth
+_SPACING = 40.0  # neighbours change a material's light by less than a thousandth
 _PREFIX = ".sm_report"
 _SPHERE_ROWS, _SPHERE_COLUMNS = 48, 96
 
