@@ -47,9 +47,9 @@ def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -
     return found
 
 
-def median_seconds(action: Action, repeats: int, clock: str = "wall", warm_up: int = 1) -> float:
+def median_seconds(action: Action, repeats: int, clock: str = "wall") -> float:
     """Median seconds of ``action`` over ``repeats`` calls, by a ``clock``, ``wall`` or ``cpu``."""
-    times = interleaved({"": action}, repeats, warm_up)[""]
+    times = interleaved({"": action}, repeats)[""]
     return float(np.median([getattr(seconds, clock) for seconds in times]))
 
 

@@ -129,8 +129,6 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
     directory: StringProperty(subtype="DIR_PATH")  # type: ignore[valid-type]
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})  # type: ignore[valid-type]
 
-    _running: ClassVar[bool] = False
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.directory:
             self.directory = bpy.path.abspath(options().directory)
@@ -152,7 +150,6 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
         window_manager.progress_begin(0, 1000)
         self._timer = window_manager.event_timer_add(_TICK_S, window=context.window)
         window_manager.modal_handler_add(self)
-        type(self)._running = True
         return {"RUNNING_MODAL"}
 
     def _finish_now(self) -> set[str]:
@@ -195,7 +192,6 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
     def _clean_up(self, context: bpy.types.Context) -> None:
         context.window_manager.progress_end()
         context.window_manager.event_timer_remove(self._timer)
-        type(self)._running = False
         _redraw(context)
 
     def _succeed(self, result: ExportResult) -> set[str]:

@@ -91,8 +91,7 @@ class Copy:
             )  # fmt: skip
         assert self._warm.stdin is not None and self._warm.stdout is not None
         output = self.work / "output.txt"
-        request = {"arguments": self._arguments(tests), "environment": {}, "timeout_s": timeout_s,
-                   "output": str(output)}  # fmt: skip
+        request = {"arguments": self._arguments(tests), "timeout_s": timeout_s, "output": str(output)}
         print(json.dumps(request), file=self._warm.stdin, flush=True)
         return int(self._warm.stdout.readline()), output.read_text(errors="replace")
 

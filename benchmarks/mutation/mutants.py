@@ -235,14 +235,13 @@ class _Finder:
             self.add(kind, function, of, start + at, start + at + len(old), new)
 
     def _call(self, node: ast.Call, function: str, of: ast.stmt) -> None:
-        is_method = isinstance(node.func, ast.Attribute)
         name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
         if name in SWAPS:
             end = self.span(node.func)[1]
             self.add("swap", function, of, end - len(name), end, SWAPS[name])
         if name in UNWRAPPED and node.args:
             self.add("swap", function, of, *self.span(node), f"({self.text(node.args[0])})")
-        if name in UNCHAINED and isinstance(node.func, ast.Attribute) and is_method:
+        if name in UNCHAINED and isinstance(node.func, ast.Attribute):
             self.add("swap", function, of, *self.span(node), f"({self.text(node.func.value)})")
         if name in ("select", "where") and len(node.args) == 3:
             _, b, c = node.args

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A process that imports slow modules once, and runs each call of pytest in a fork.
 
-Reads one JSON object per line: ``arguments`` of pytest, ``environment`` to add, ``timeout_s`` and the file
-for its ``output``; answers with the exit code, negative after a signal. Modules of the project are imported
-by the fork alone.
+Reads one JSON object per line: ``arguments`` of pytest, ``timeout_s`` and the file for its ``output``;
+answers with the exit code, negative after a signal. Modules of the project are imported by the fork alone.
 """
 
 from __future__ import annotations
@@ -47,7 +46,6 @@ def _run(request: dict[str, Any]) -> None:
     for descriptor in (1, 2):
         os.dup2(output, descriptor)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.environ.update(request["environment"])
     sys.dont_write_bytecode = True
     import pytest
 

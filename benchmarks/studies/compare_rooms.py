@@ -125,7 +125,7 @@ def read_room(shard: Path, num_views: int) -> RoomFigures:
     """Measure a room's figures in ``num_views`` evenly spaced views of its shard."""
     reader = ShardReader(shard)
     count = sum(1 for _ in reader.records())
-    chosen = {k * count // num_views for k in range(min(num_views, count))} if count > num_views else None
+    chosen = {k * count // num_views for k in range(num_views)} if count > num_views else None
     views = [view for k, view in enumerate(reader) if chosen is None or k in chosen]
     return figures_of(reader.configuration().id, views)
 

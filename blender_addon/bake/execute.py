@@ -28,7 +28,7 @@ _VECTOR_MATH = {
 _SCALAR_MATH = {**_VECTOR_MATH, "sqrt": "SQRT"}
 Array = NDArray[np.float32]
 _NOT_BAKED = -1.0
-"""Initial value of texels, which an EMIT or NORMAL bake never writes. (Alpha does not mark covered texels: a
+"""Initial value of texels; an EMIT or NORMAL bake never writes it. (Alpha does not mark covered texels: a
 bake that clears its image sets it to 1 everywhere.)"""
 
 
@@ -210,12 +210,7 @@ class BakeSession:
     # ---- baking
 
     def bake(
-        self,
-        thing: bpy.types.Object,
-        working: WorkingMaterial,
-        channel: str,
-        size: int,
-        uv_layer: str = BAKE_UV,
+        self, thing: bpy.types.Object, working: WorkingMaterial, channel: str, size: int
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Bake a channel; returns pixels (size, size, 3), row 0 at the bottom, and a mask of baked pixels."""
         tree = working.material.node_tree
@@ -227,24 +222,24 @@ class BakeSession:
             value = source.value * (3 if source.width == 1 else 1)
             return np.full((size, size, 3), value, np.float32), np.ones((size, size), bool)
         tree.links.new(source, colour)
-        return self._run("EMIT", thing, working, size, uv_layer)
+        return self._run("EMIT", thing, working, size)
 
     def bake_normal(
-        self, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str = BAKE_UV
+        self, thing: bpy.types.Object, working: WorkingMaterial, size: int
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Bake tangent-space normals of the original surface as (n + 1) / 2, +Y up; see :meth:`bake`."""
         tree = working.material.node_tree
         end = tree.get_output_node("CYCLES").inputs["Surface"]
         assert working.surface is not None
         tree.links.new(working.surface, end)
-        thing.data.uv_layers.active = thing.data.uv_layers[uv_layer]
+        thing.data.uv_layers.active = thing.data.uv_layers[BAKE_UV]
         try:
-            return self._run("NORMAL", thing, working, size, uv_layer)
+            return self._run("NORMAL", thing, working, size)
         finally:
             tree.links.new(working.emission.outputs[0], end)
 
     def _run(
-        self, kind: str, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str
+        self, kind: str, thing: bpy.types.Object, working: WorkingMaterial, size: int
     ) -> tuple[Array, NDArray[np.bool_]]:
         image = bpy.data.images.new(
             f"{_PREFIX}target", size, size, alpha=True, float_buffer=True, is_data=True
@@ -255,7 +250,7 @@ class BakeSession:
             image.pixels.foreach_set(pixels)
             working.target.image = image
             with self.only(thing):
-                bpy.ops.object.bake(type=kind, uv_layer=uv_layer, margin=0, use_clear=False)
+                bpy.ops.object.bake(type=kind, uv_layer=BAKE_UV, margin=0, use_clear=False)
             image.pixels.foreach_get(pixels)
         finally:
             working.target.image = None

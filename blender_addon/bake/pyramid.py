@@ -118,14 +118,12 @@ def fill(image: Image, mask: Mask) -> Image:
     return filled.astype(np.float32)
 
 
-def smallest_level(
-    image: Image, mask: Mask, tolerance: float, least: int = 1, counted: Mask | None = None
-) -> Level:
+def smallest_level(image: Image, mask: Mask, tolerance: float, counted: Mask | None = None) -> Level:
     """Find the coarsest level whose error is at most ``tolerance``; each axis is halved separately.
 
     A channel that varies along one axis only is reduced to a single row or column. Returns the filled image
-    (error 0) if no level is good enough. ``least``: minimum side in texels. ``counted``: mask of the texels
-    over which the error is computed, by default ``mask``.
+    (error 0) if no level is good enough. ``counted``: mask of the texels over which the error is computed, by
+    default ``mask``.
     """
     counted = mask if counted is None else counted
     best = Level(fill(image, mask), 0.0)
@@ -136,7 +134,7 @@ def smallest_level(
     axes = [0, 1]
     while axes:
         for axis in list(axes):
-            if current.shape[axis] // 2 < least:
+            if current.shape[axis] == 1:
                 axes.remove(axis)
                 continue
             smaller, smaller_weight = halve(current, weight, axis)

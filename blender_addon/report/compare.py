@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -168,8 +169,6 @@ def _mitsuba_image(folder: Path, package: str, index: int) -> np.ndarray | None:
 
 def _textures(folder: Path, material: str) -> str:
     """Describe for each channel of an exported material whether it is a constant or a texture."""
-    import json
-
     entries = json.loads((folder / "packages" / "report_materials" / "asset.json").read_text())["materials"]
     names = [name for name in entries if name == material or name.startswith(f"{material} on ")]
     if not names:

@@ -43,8 +43,8 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
             room.before_window(make(style, draws, window.width, window.height), window, window.sill)
 
 
-def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
-    """Place ``along`` chairs at each long side of a table and, if ``ends`` is 1, one at each end.
+def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int) -> None:
+    """Place ``along`` chairs at each long side of a table, and one at each end.
 
     Raises :class:`Unfit` if fewer than two chairs fit.
     """
@@ -54,7 +54,7 @@ def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends:
         for k in range(along):
             offset = (k + 0.5) * 2 * half / along - half
             made += room.seat(chair, table, side, offset, 0.16) is not None
-    for side in SIDES[2 : 2 + 2 * ends]:
+    for side in SIDES[2:]:
         made += room.seat(chair, table, side, 0.0, 0.16) is not None
     if made < 2:
         raise Unfit(f"{table.name} has no space for chairs")
@@ -75,7 +75,7 @@ def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
     """Place a table lamp on a host, ``x`` metres to the right of its middle."""
     support = host.item.supports[0]
     back = max(0.02, support.size[1] / 2 - 0.16)
-    return room.on(lamps.table_lamp(room.draws, room.glow()), host, 0, x, back)
+    return room.on(lamps.table_lamp(room.draws, room.glow()), host, x, back)
 
 
 def floor_lamp_somewhere(room: Furnisher) -> Placed | None:
@@ -217,8 +217,8 @@ def desk_place(room: Furnisher, needed: bool) -> bool:
     if seated is None and needed:
         raise Unfit("no space for a chair at the desk")
     if draws.chance(0.7):
-        room.on(tables.monitor(style, draws), desk, 0, draws.uniform(-0.2, 0.2), 0.02)
+        room.on(tables.monitor(style, draws), desk, draws.uniform(-0.2, 0.2), 0.02)
     if draws.chance(0.6):
         side = draws.choice((-1, 1)) * (desk.item.bounds[1, 0] - 0.2)
-        room.on(lamps.desk_lamp(draws, room.glow()), desk, 0, side, 0.04)
+        room.on(lamps.desk_lamp(draws, room.glow()), desk, side, 0.04)
     return True

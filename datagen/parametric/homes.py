@@ -118,7 +118,7 @@ def living_room(room: Furnisher) -> None:
     stand = across or room.at_wall(bench, where="middle")
     if stand is not None:
         size = min(1.35, float(stand.item.bounds[1, 0] * 2) - 0.3)
-        room.on(fittings.television(style, draws, size), stand, 0, 0.0, 0.06)
+        room.on(fittings.television(style, draws, size), stand, 0.0, 0.06)
     seats(room, draws.integer(0, 2))
     if draws.chance(0.7):
         room.at_wall(storage.bookcase(style, draws, draws.uniform(0.8, 1.7), draws.uniform(1.1, 2.1)))
@@ -149,7 +149,7 @@ def dining_room(room: Furnisher) -> None:
     table = room.in_middle(item, True, 0.25)
     assert table is not None
     chair = seating.chair(style, draws)
-    chairs_around(room, table, chair, 1 if is_round else max(2, int(long / 0.68)), 1)
+    chairs_around(room, table, chair, 1 if is_round else max(2, int(long / 0.68)))
     room.at_wall(
         storage.sideboard(style, draws, draws.uniform(1.2, 2.0), draws.uniform(0.75, 0.95)), where="middle"
     )
@@ -191,7 +191,7 @@ def kitchen(room: Furnisher) -> None:
         )
         table = room.in_middle(item)
         if table is not None:
-            chairs_around(room, table, seating.chair(style, draws), 1 if is_round else 2, 1)
+            chairs_around(room, table, seating.chair(style, draws), 1 if is_round else 2)
     else:
         item = units.kitchen_run(style, draws, ["drawers", "doors"], False)
         room.at_wall(item, where="any")
@@ -289,7 +289,7 @@ def bedsit(room: Furnisher) -> None:
     assert bed is not None
     table = room.in_middle(tables.round_table(style, draws, draws.uniform(0.7, 0.9)))
     if table is not None:
-        chairs_around(room, table, seating.chair(style, draws), 1, 1)
+        chairs_around(room, table, seating.chair(style, draws), 1)
     room.at_wall(storage.wardrobe(style, draws, 2), where="corner")
     if draws.chance(0.6):
         room.at_wall(seating.sofa(style, draws, 2))

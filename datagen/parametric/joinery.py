@@ -39,8 +39,7 @@ def front(
             item.add(slot, box((w - 2 * rail + 0.0004, _FRONT, rail), (x, y, z + dz), 0.002, grain=0))
     else:
         item.add(slot, box((w, _FRONT, h), (x, y, z), 0.002, grain=0 if is_drawer else 2))
-    if handle:
-        _handle(item, style, (w, h), (x, at[1] - _FRONT, z), handle, is_drawer)
+    _handle(item, style, (w, h), (x, at[1] - _FRONT, z), handle, is_drawer)
 
 
 def _handle(
@@ -64,11 +63,9 @@ def _handle(
         )
         item.add("metal", knob.turned("x", 90).moved(x + dx, y, level))
     elif style.handle == "bar":
-        length = min(
-            0.16 if is_drawer or where in ("middle", "top") else 0.18, 0.55 * w if is_drawer else 0.5 * h
-        )
+        is_level = is_drawer or where == "middle"
+        length = min(0.16 if is_level else 0.18, 0.55 * w if is_drawer else 0.5 * h)
         ends = (-length / 2, length / 2)
-        is_level = is_drawer or where in ("middle", "top")
         if is_level:
             item.add(
                 "metal",

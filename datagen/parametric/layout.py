@@ -176,11 +176,10 @@ class Furnisher:
         where: Literal["any", "corner", "middle"] = "any",
         needed: bool = False,
         gap: float = OFF_WALL_M,
-        s: float | None = None,
     ) -> Placed | None:
         """Place an item with its back to a wall, preferably at the position ``where``.
 
-        Tries only ``s`` if given. Without space, returns None or, if ``needed``, raises :class:`Unfit`.
+        Without space, returns None or, if ``needed``, raises :class:`Unfit`.
         """
         b = item.bounds
         order = list(walls) if walls is not None else self.draws.shuffled(WALLS)
@@ -193,7 +192,7 @@ class Furnisher:
             random = [low + u * (high - low) for u in self.draws.units(_TRIES).tolist()]
             corners = self.draws.shuffled([low, high])
             tries = {"any": random, "corner": [*corners, *random[:6]], "middle": [middle, *random]}[where]
-            for place in tries if s is None else [s]:
+            for place in tries:
                 found = self.offer(item, (*self.shell.point(wall, place, gap), 0.0), self.shell.yaw(wall))
                 if found is not None:
                     return found
@@ -235,23 +234,16 @@ class Furnisher:
         at = host.room_from_item @ np.array([x, 0.0, 0.0, 1.0])
         return self.offer(item, (float(at[0]), float(at[1]), 0.0), host.yaw_rad)
 
-    def before(
-        self, item: Item, host: Placed, gap: float, needed: bool = False, turned: bool = False
-    ) -> Placed | None:
+    def before(self, item: Item, host: Placed, gap: float, turned: bool = False) -> Placed | None:
         """Place an item ``gap`` metres in front of a host; if ``turned``, it faces the host."""
         h, b = host.item.bounds, item.bounds
         y = h[0, 1] - gap - (b[1, 1] if not turned else -b[0, 1])
         at = host.room_from_item @ np.array([0.5 * (h[0, 0] + h[1, 0]), y, 0.0, 1.0])
         yaw = host.yaw_rad + (math.pi if turned else 0.0)
-        found = self.offer(item, (float(at[0]), float(at[1]), 0.0), yaw, ignores=(host.name,))
-        if found is None and needed:
-            raise Unfit(f"{item.name} has no space in front of {host.name}")
-        return found
+        return self.offer(item, (float(at[0]), float(at[1]), 0.0), yaw, ignores=(host.name,))
 
-    def seat(
-        self, chair: Item, table: Placed, side: Side, offset: float, tuck: float, jitter: float = 1.0
-    ) -> Placed | None:
-        """Place a chair at a table's side, ``offset`` metres from the middle and ``tuck`` metres under it."""
+    def seat(self, chair: Item, table: Placed, side: Side, offset: float, tuck: float) -> Placed | None:
+        """Place a chair at a table's side, about ``offset`` metres from the middle and ``tuck`` under it."""
         b, depth = table.item.bounds, -float(chair.bounds[0, 1])
         middle = b.mean(axis=0)[:2]
         half = 0.5 * (b[1] - b[0])[:2]
@@ -259,37 +251,29 @@ class Furnisher:
         outward = rotation("z", angle)[:2, :2] @ np.array([0.0, 1.0])
         along = rotation("z", angle)[:2, :2] @ np.array([1.0, 0.0])
         edge = half[0] if side in ("left", "right") else half[1]
-        shift = offset + jitter * self.draws.uniform(-0.02, 0.02)
-        tuck = tuck + jitter * self.draws.uniform(-0.06, 0.03)
+        shift = offset + self.draws.uniform(-0.02, 0.02)
+        tuck = tuck + self.draws.uniform(-0.06, 0.03)
         place = middle + outward * (edge + depth - tuck) + along * shift
         at = table.room_from_item @ np.array([*place, 0.0, 1.0])
-        turn = jitter * math.radians(self.draws.uniform(-7, 7))
+        turn = math.radians(self.draws.uniform(-7, 7))
         return self.offer(
             chair, (float(at[0]), float(at[1]), table.at[2]), table.yaw_rad + angle + turn,
             near=(table,), ignores=(table.name,), stands_on=table.stands_on,
         )  # fmt: skip
 
-    def on(
-        self,
-        item: Item,
-        host: Placed,
-        index: int = 0,
-        x: float = 0.0,
-        y: float | None = None,
-        turn: float = 0.0,
-    ) -> Placed | None:
-        """Place an item on the support ``index`` of a host, rotated by ``turn`` radians.
+    def on(self, item: Item, host: Placed, x: float, y: float) -> Placed | None:
+        """Place an item on a host's first support.
 
-        Its origin is ``x`` metres to the right of the support's middle and ``y`` metres (None: 0.02) in front
-        of the support's back edge.
+        Its origin is ``x`` metres to the right of the support's middle and ``y`` metres in front of the
+        support's back edge.
         """
-        support = host.item.supports[index]
-        back = support.middle[1] + support.size[1] / 2 - (0.02 if y is None else y)
+        support = host.item.supports[0]
+        back = support.middle[1] + support.size[1] / 2 - y
         at = host.room_from_item @ np.array([support.middle[0] + x, back, support.z, 1.0])
         return self.offer(
             item,
             (float(at[0]), float(at[1]), float(at[2])),
-            host.yaw_rad + turn,
+            host.yaw_rad,
             near=(host,),
             stands_on=host.name,
         )

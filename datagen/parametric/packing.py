@@ -32,9 +32,7 @@ from datagen.parametric.kinds import KINDS, Kind
 from datagen.parametric.prints import print_image
 from datagen.parametric.room import MadeRoom, make_room
 from datagen.parametric.shapes import Floats, Shape, joined
-from datagen.parametric.shell import (
-    openings,
-)
+from datagen.parametric.shell import openings
 from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
 
 _LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, by the convention of renderers
@@ -238,7 +236,7 @@ def _free_rectangles(room: MadeRoom) -> list[Rectangle]:
     found = []
     for _ in range(_MAX_REGIONS):
         r0, r1, c0, c1 = _largest_rectangle(free)
-        if min(r1 - r0, c1 - c0) * CELL_M < 2 * CELL_M:
+        if min(r1 - r0, c1 - c0) < 2:
             break
         found.append((origin + CELL_M * np.array([c0, r0]), origin + CELL_M * np.array([c1, r1])))
         free[r0:r1, c0:c1] = False

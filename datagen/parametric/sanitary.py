@@ -108,9 +108,7 @@ def vanity(style: Style, draws: Draws, width: float) -> Item:
         tap(item, x, -0.04, h, 0.15, 0.3)
         top = h
         if x:
-            item.support(
-                "counter", (-0.28 * np.sign(x) * width / 1.0, -d / 2), (width - 0.7, d - 0.12), top, 0.5
-            )
+            item.support("counter", (-0.28 * np.sign(x) * width, -d / 2), (width - 0.7, d - 0.12), top, 0.5)
     return item
 
 

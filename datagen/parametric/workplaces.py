@@ -34,7 +34,7 @@ def office(room: Furnisher) -> None:
             continue
         made += 1
         room.seat(seating.office_chair(style, draws), first, "front", 0.0, 0.1)
-        room.on(tables.monitor(style, draws), first, 0, draws.uniform(-0.2, 0.2), 0.05)
+        room.on(tables.monitor(style, draws), first, draws.uniform(-0.2, 0.2), 0.05)
     for _ in range(draws.integer(1, 3)):
         made += desk_place(room, False)
     if not made:
@@ -64,7 +64,7 @@ def meeting_room(room: Furnisher) -> None:
     assert table is not None
     office = draws.chance(0.5)
     chair = seating.office_chair(style, draws) if office else seating.chair(style, draws)
-    chairs_around(room, table, chair, max(2, int(length / 0.72)), 1)
+    chairs_around(room, table, chair, max(2, int(length / 0.72)))
     room.hang(fittings.board(style, draws, draws.uniform(1.5, 2.0), 1.05, "white_board"), 0.9)
     room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8)))
     if draws.chance(0.5):
@@ -108,7 +108,8 @@ def laundry(room: Furnisher) -> None:
         assert first is not None
         if draws.chance(0.6):
             room.beside(units.washing_machine(style, draws), first, draws.choice(("left", "right")))
-    room.in_middle(storage.drying_rack(style, draws)) if draws.chance(0.6) else None
+    if draws.chance(0.6):
+        room.in_middle(storage.drying_rack(style, draws))
     for _ in range(draws.integer(1, 2)):
         room.at_wall(storage.basket(style, draws))
     if draws.chance(0.7):

@@ -8,7 +8,7 @@ material's grain runs along u. ``unit_uv`` marks a unique UV layout in [0, 1] (p
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import bmesh
@@ -29,7 +29,7 @@ class Shape:
     points: NDArray
     faces: list[Face]
     uvs: NDArray
-    unit_uv: bool = field(default=False)
+    unit_uv: bool = False
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
         return replace(self, points=self.points + np.array([x, y, z]))
@@ -391,13 +391,13 @@ def rounded_rectangle(width: float, depth: float, radius: float, steps: int = 4)
     return outline
 
 
-def sheet(points: NDArray, thickness: float, unit_uv: bool = False) -> Shape:
+def sheet(points: NDArray, thickness: float) -> Shape:
     """A closed sheet of ``thickness`` around a lattice (rows, columns, 3): curtains, leaves, cloth, rugs."""
     du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
     normal = np.cross(du, dv)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     front, back = points + normal * thickness / 2, points - normal * thickness / 2
-    face = grid(front, unit_uv=unit_uv)
+    face = grid(front)
     reverse = replace(face, points=back.reshape(-1, 3)).flipped()
     shape = face + reverse
     rows, columns = points.shape[:2]
@@ -418,9 +418,9 @@ def sheet(points: NDArray, thickness: float, unit_uv: bool = False) -> Shape:
     faces, uvs = list(shape.faces), [shape.uvs]
     for i, j in zip(index, index[1:] + index[:1], strict=True):
         faces.append((i, i + count, j + count, j))
-        inset = np.array([0.0, 0.0]) if unit_uv else np.array([0.0, thickness])
+        inset = np.array([0.0, thickness])
         uvs.append(np.array([uv_of[i], uv_of[i] + inset, uv_of[j] + inset, uv_of[j]]))
-    return Shape(shape.points, faces, np.concatenate(uvs), unit_uv)
+    return Shape(shape.points, faces, np.concatenate(uvs))
 
 
 def soft_box(

@@ -9,7 +9,7 @@ at y < 0. Furniture is modelled in such a frame, with its back at y = 0 and its 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -55,7 +55,6 @@ class Room:
     height: float
     windows: tuple[Window, ...] = ()
     doors: tuple[Door, ...] = ()
-    surfaces: list[tuple[str, str, Point, float, float, float]] = field(default_factory=list)
 
     def frame(self, wall: str) -> tuple[float, float, float]:
         """Origin (x, y) and rotation [degrees] of a wall's frame in the room."""
@@ -234,10 +233,7 @@ class Room:
             window.wall, (handle + lever).moved(x=-offset + (0.025 if columns > 1 else 0.027)), window.s
         )
         if z > 0.3:
-            board = box(
-                (w + 0.12, depth + 0.005, 0.028), (0, depth / 2 - 0.0325 - 0.04, z - 0.026), 0.008, 2, grain=0
-            )
-            board = box((w + 0.12, 0.10, 0.03), (0, -0.022 + 0.0, z - 0.029), 0.008, 2, grain=0) + box(
+            board = box((w + 0.12, 0.10, 0.03), (0, -0.022, z - 0.029), 0.008, 2, grain=0) + box(
                 (w - 0.002, depth - 0.03, 0.0305), (0, (depth - 0.03) / 2 - 0.001, z - 0.029), 0.001, grain=0
             )
             self.builder["sills", "sill"] += self.on_wall(window.wall, board, window.s)
@@ -275,7 +271,7 @@ class Room:
 
     def _door(self, door: Door) -> None:
         w, h = door.width, door.height
-        leaf = [box((w, 0.03, h), (0, 0.012 - 0.015 + 0.0, 0.006), 0.003, grain=2)]
+        leaf = [box((w, 0.03, h), (0, 0.012 - 0.015, 0.006), 0.003, grain=2)]
         for low, high in ((0.12, 0.78), (0.92, h - 0.14)):
             for side in (-1, 1):
                 pw = (w - 0.36) / 2
@@ -354,16 +350,11 @@ class Room:
         modelling.box_marker(self.collection, name, low, high)
 
     # soft furnishings ------------------------------------------------------------------------------------
-    def curtains(
-        self, window: Window, slot: str, *, drop: float | None = None, open_share: float = 0.62, seed: int = 0
-    ) -> None:
-        """Add a pair of curtains on a rail above a window; ``open_share`` is the uncovered share of the rail.
-
-        ``drop``: height of the curtains' lower edge [m]; None: 0.02 m.
-        """
+    def curtains(self, window: Window, slot: str, *, open_share: float = 0.62, seed: int = 0) -> None:
+        """Add a pair of curtains on a rail above a window; ``open_share`` is the uncovered share of the rail."""
         rng = np.random.default_rng(seed)
         top = window.sill + window.height + 0.16
-        bottom = 0.02 if drop is None else drop
+        bottom = 0.02
         full = window.width + 0.5
         cloth_width = full * (1 - open_share) / 2
         rail = tube([(-full / 2 - 0.08, -0.1, top), (full / 2 + 0.08, -0.1, top)], 0.012, 12)

@@ -48,7 +48,7 @@ def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
     spine = np.stack([width / 2 * np.sin(angle), -depth - 0.005 * np.cos(angle), 0 * angle], axis=-1)
     lattice = np.stack([spine + np.array([0, t / 2, z]) for z in (0.0, height)])
     cover = cover + sheet(lattice, t)
-    pages = box((width - 2 * t, depth - 0.004, height - 0.008), (0, -depth / 2 + 0.0, 0.004), 0)
+    pages = box((width - 2 * t, depth - 0.004, height - 0.008), (0, -depth / 2, 0.004), 0)
     return cover, pages
 
 
@@ -73,7 +73,7 @@ def book_row(
             angle = -9.0
             c = np.cos(np.radians(angle))
             lift = thick / 2 * abs(np.sin(np.radians(angle)))
-            move = (at + thick / 2 / c + 0.002 + tall * 0.0, move[1], z + lift + 0.0003)
+            move = (at + thick / 2 / c + 0.002, move[1], z + lift + 0.0003)
             cover, block = cover.turned("y", angle), block.turned("y", angle)
         slot = covers[int(rng.integers(len(covers)))]
         w[part, slot] += cover.moved(*move)
@@ -85,14 +85,14 @@ def book_row(
 
 def cabinet(
     w: PartBuilder, part: str, *, width: float, height: float, depth: float, columns: int, rows: tuple[float, ...] = (1.0,),
-    slot: str = "cabinet", front: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
+    slot: str = "cabinet", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
     panel: bool = False, knobs: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
     """Add a chest, sideboard or kitchen base unit: carcass, plinth and fronts. ``rows``: relative heights of the
     rows of fronts, from the top.
     """
-    front, top = front or slot, top or slot
-    body = height - (top_thick if top_thick else 0.0)
+    top = top or slot
+    body = height - top_thick
     w[part, slot] += box(
         (width, depth - 0.022, body - plinth),
         (0, -(depth - 0.022) / 2, plinth),
@@ -122,18 +122,18 @@ def cabinet(
             door = box(
                 (fw - gap, 0.02, fh - gap), (x, -depth + 0.011, fz), 0.003, 2, grain=2 if fh > fw else 0
             )
-            w[part, front] += door
+            w[part, slot] += door
             if panel and fh > 0.2:
                 rail = 0.06
                 for dx in (-1, 1):
-                    w[part, front] += box(
+                    w[part, slot] += box(
                         (rail, 0.012, fh - gap),
                         (x + dx * (fw - gap - rail) / 2, -depth + 0.001 - 0.004, fz),
                         0.003,
                         grain=2,
                     )
                 for dz in (0.0, fh - gap - rail):
-                    w[part, front] += box(
+                    w[part, slot] += box(
                         (fw - gap - 2 * rail, 0.012, rail),
                         (x, -depth + 0.001 - 0.004, fz + dz),
                         0.003,
@@ -172,8 +172,8 @@ def _pull(
         return
     if is_drawer:
         length = min(0.6 * fw, 0.22)
-        a, b, height = (x - length / 2, 0.0), (x + length / 2, 0.0), z + fh - min(0.05, fh / 2)
-        path = [(a[0], y, height), (a[0], y - 0.028, height), (b[0], y - 0.028, height), (b[0], y, height)]
+        left, right, height = x - length / 2, x + length / 2, z + fh - min(0.05, fh / 2)
+        path = [(left, y, height), (left, y - 0.028, height), (right, y - 0.028, height), (right, y, height)]
     else:
         side = 1 if (k % 2 == 0 and columns > 1) else -1
         px = x + side * (fw / 2 - 0.035)

@@ -70,8 +70,8 @@ class Graph:
             target.default_value = value
 
     # arithmetic ------------------------------------------------------------------------------------------
-    def math(self, operation: str, a: Value, b: Value = 0.0, c: Value = 0.0, clamp: bool = False) -> Socket:
-        node = self.node("ShaderNodeMath", operation=operation, use_clamp=clamp)
+    def math(self, operation: str, a: Value, b: Value = 0.0, c: Value = 0.0) -> Socket:
+        node = self.node("ShaderNodeMath", operation=operation)
         for target, value in zip(node.inputs, (a, b, c), strict=True):
             self.feed(target, value)
         return node.outputs[0]
@@ -102,8 +102,8 @@ class Graph:
             self.feed(node.inputs[name], item)
         return node.outputs["Result"]
 
-    def mix(self, factor: Value, a: ColorValue, b: ColorValue, blend: str = "MIX") -> Socket:
-        node = self.node("ShaderNodeMix", data_type="RGBA", blend_type=blend, clamp_factor=True)
+    def mix(self, factor: Value, a: ColorValue, b: ColorValue) -> Socket:
+        node = self.node("ShaderNodeMix", data_type="RGBA", clamp_factor=True)
         self.feed(node.inputs[0], factor)
         self.feed(node.inputs[6], a)
         self.feed(node.inputs[7], b)

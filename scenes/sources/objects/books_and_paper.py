@@ -139,16 +139,16 @@ def _magazine(ground: str, ink: str, seed: float) -> Slot:
 def magazines(w: PartBuilder) -> None:
     for k, (slot, angle) in enumerate((("second", 7.0), ("third", -12.0), ("second", 3.0))):
         w["magazines", slot] += (
-            _limp(0.21, 0.28, 0.005).turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026)
+            _closed_magazine().turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026)
         )
-    w["magazines", "third"] += _limp(0.21, 0.28, 0.005).turned("z", -5).moved(z=0.0052 * 3 + 0.0026)
+    w["magazines", "third"] += _closed_magazine().turned("z", -5).moved(z=0.0052 * 3 + 0.0026)
     front = panel(0.208, 0.278).turned("x", -90).moved(0, -0.139, 0.0208 + 0.0026 - 0.0026 + 0.0004)
     w["magazines", "front"] += front.turned("z", -5)
 
 
-def _limp(sx: float, sy: float, thick: float) -> Shape:
+def _closed_magazine() -> Shape:
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 8), np.linspace(-0.5, 0.5, 9))
-    return sheet(np.stack([u * sx, v * sy, 0 * u], axis=-1), thick)
+    return sheet(np.stack([0.21 * u, 0.28 * v, 0 * u], axis=-1), 0.005)
 
 
 # boxes -------------------------------------------------------------------------------------------------------

@@ -153,7 +153,7 @@ def lantern(w: PartBuilder) -> None:
     w["candle", "wick"] += tube([(0, 0, 0.11), (0.001, 0, 0.122), (0.004, 0, 0.13)], 0.0012, 6)
 
 
-def _standing_frame(w: PartBuilder, width: float, height: float, rim: float, art_slot: str) -> None:
+def _standing_frame(w: PartBuilder, width: float, height: float, rim: float) -> None:
     parts = [box((width, 0.016, rim), (0, 0, z), 0.003, 2, grain=0) for z in (0, height - rim)]
     parts += [
         box((rim, 0.016, height - 2 * rim), (s * (width - rim) / 2, 0, rim), 0.003, 2, grain=2)
@@ -165,7 +165,7 @@ def _standing_frame(w: PartBuilder, width: float, height: float, rim: float, art
     for part in parts:
         w["frame", "frame"] += part.turned("x", lean)
     w["frame", "backing"] += back.turned("x", lean)
-    w["frame", art_slot] += picture.turned("x", lean)
+    w["frame", "photo"] += picture.turned("x", lean)
     strut = box((0.05, 0.004, height * 0.72), (0, 0, 0), 0.001).turned("x", 20)
     top = 0.72 * height
     w["frame", "backing"] += strut.moved(
@@ -185,7 +185,7 @@ _portrait = partial(art.portrait, ground=srgb("6a7f72"), skin=srgb("c99a78"), co
     photo=Slot(("paper",), (), graph=_portrait),
 )
 def frame_portrait(w: PartBuilder) -> None:
-    _standing_frame(w, 0.16, 0.21, 0.02, "photo")
+    _standing_frame(w, 0.16, 0.21, 0.02)
 
 
 @thing(
@@ -207,7 +207,7 @@ def frame_portrait(w: PartBuilder) -> None:
     ),
 )
 def frame_landscape(w: PartBuilder) -> None:
-    _standing_frame(w, 0.22, 0.165, 0.014, "photo")
+    _standing_frame(w, 0.22, 0.165, 0.014)
 
 
 @thing(
@@ -248,21 +248,13 @@ def mirror_stand(w: PartBuilder) -> None:
     w["head", "mirror"] += glass.turned("x", 78).moved(z=0.225)
 
 
-def _hands(
-    w: PartBuilder,
-    part: str,
-    slot: str,
-    at: tuple[float, float, float],
-    radius: float,
-    hour: float,
-    minute: float,
-) -> None:
+def _hands(w: PartBuilder, at: tuple[float, float, float], radius: float, hour: float, minute: float) -> None:
     for angle, length, width in ((30 * hour, 0.52, 0.055), (6 * minute, 0.8, 0.035)):
         hand = box((width * radius, 0.0012, length * radius), (0, 0, -0.1 * radius), 0.0003).turned(
             "y", angle
         )
-        w[part, slot] += hand.moved(*at)
-    w[part, slot] += (
+        w["case", "hands"] += hand.moved(*at)
+    w["case", "hands"] += (
         cylinder(0.05 * radius, 0.003, segments=16, bevel=0.0005)
         .turned("x", 90)
         .moved(at[0], at[1] + 0.001, at[2])
@@ -307,7 +299,7 @@ def clock_alarm(w: PartBuilder) -> None:
     z = 0.066
     w["case", "case"] += drum.turned("x", 90).moved(0, 0.022, z)
     w["case", "dial"] += _face(r - 0.0035).moved(0, -0.0192, z)
-    _hands(w, "case", "hands", (0, -0.0212, z), r, 10.2, 9)
+    _hands(w, (0, -0.0212, z), r, 10.2, 9)
     bell = lathe(
         [(0, 0.016), (0.012, 0.014), (0.0195, 0.006), (0.021, 0), (0.0195, 0), (0.011, 0.012), (0, 0.014)], 28
     )
@@ -346,7 +338,7 @@ def clock_mantel(w: PartBuilder) -> None:
     ring = lathe([(0.062, 0), (0.074, 0), (0.075, 0.006), (0.069, 0.01), (0.063, 0.006), (0.062, 0)], 48)
     w["case", "brass"] += ring.turned("x", 90).moved(0, -0.044, 0.115)
     w["case", "dial"] += _face(0.064).moved(0, -0.0465, 0.115)
-    _hands(w, "case", "hands", (0, -0.0488, 0.115), 0.064, 4.4, 24)
+    _hands(w, (0, -0.0488, 0.115), 0.064, 4.4, 24)
 
 
 @thing("Kitchen timer", "clock", shell=plastic("d8d2c2", 0.3), knob=plastic("b5482f", 0.35))

@@ -18,9 +18,9 @@ from scenes.sources.objects.registry import (
 from scenes.sources.shapes import Shape, join, loft, tube
 
 
-def _sole(length: float, width: float, scale: float = 1.0, count: int = 36) -> np.ndarray:
-    """Outline (count, 2) of a right shoe's sole about its centre, toe towards -y."""
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+def _sole(length: float, width: float) -> np.ndarray:
+    """Outline (36, 2) of a right shoe's sole about its centre, toe towards -y."""
+    angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)
     y = -length / 2 * np.sin(angle)
     t = (y + length / 2) / length  # 0 at the toe
     half = (
@@ -33,7 +33,7 @@ def _sole(length: float, width: float, scale: float = 1.0, count: int = 36) -> n
         )
     )
     x = half * np.cos(angle) + 0.006 * np.sin(np.pi * t)
-    return np.column_stack([x * scale, y * (1 - (1 - scale) * 0.4)])
+    return np.column_stack([x, y])
 
 
 def _upper(
