@@ -195,10 +195,9 @@ def _is_opaque(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
 
 
 class GeometryCache:
-    """Cache of geometries by package hash; drops the least recently used above ``max_triangles`` in total."""
+    """Cache of geometries by package hash; keeps the most recent, up to :data:`_MAX_CACHED_TRIANGLES`."""
 
-    def __init__(self, max_triangles: int = _MAX_CACHED_TRIANGLES):
-        self._max_triangles = max_triangles
+    def __init__(self) -> None:
         self._entries: OrderedDict[str, AssetGeometry] = OrderedDict()
 
     def get(self, package: Package) -> AssetGeometry:
@@ -210,7 +209,8 @@ class GeometryCache:
         geometry = load_geometry(package)
         self._entries[key] = geometry
         while (
-            len(self._entries) > 1 and sum(len(g.faces) for g in self._entries.values()) > self._max_triangles
+            len(self._entries) > 1
+            and sum(len(g.faces) for g in self._entries.values()) > _MAX_CACHED_TRIANGLES
         ):
             self._entries.popitem(last=False)
         return geometry

@@ -28,9 +28,10 @@ from datagen.formats.lights import (
     SphereLight,
     SpotLight,
 )
+from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.random import Draws
 
-LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
+LUMINANCE = LUMINANCE_WEIGHTS
 NUM_BOUNCES = 5
 _OFFSET_M = 1e-4  # rays start this far from a surface, as float32 positions in a room have errors of 1e-6 m
 _MAX_LIGHTS_A_STEP = 6  # in larger groups, one light is sampled per step

@@ -132,8 +132,8 @@ def _dark(weight: float, roughness: Interval = (0.12, 0.5), only: Joinery | None
     return Look(weight, "painted", (0.004, 0.06), (0.0, 0.35), roughness, only=only)
 
 
-def _muted(weight: float, roughness: Interval = (0.15, 0.5)) -> Look:
-    return Look(weight, "painted", (0.06, 0.42), (0.1, 0.5), roughness, follows="accent")
+def _muted(weight: float) -> Look:
+    return Look(weight, "painted", (0.06, 0.42), (0.1, 0.5), (0.15, 0.5), follows="accent")
 
 
 def _steel(weight: float, roughness: Interval = (0.05, 0.42), only: Finish | None = None) -> Look:

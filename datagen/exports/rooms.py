@@ -97,14 +97,10 @@ class Export:
         write_bytes_atomically(path, data)
         self.num_files += 1
 
-    def write_json(self, name: str, value: Any) -> None:
+    def write_json(self, name: str, value: dict[str, Any]) -> None:
         """Write JSON with one line per top-level key, for readability of long files."""
-        if isinstance(value, dict):
-            lines = (f"{json.dumps(key)}: {json.dumps(item)}" for key, item in value.items())
-            text = "{\n" + ",\n".join(lines) + "\n}\n"
-        else:
-            text = json.dumps(value, indent=1) + "\n"
-        self.write(name, text.encode())
+        lines = (f"{json.dumps(key)}: {json.dumps(item)}" for key, item in value.items())
+        self.write(name, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
     def write_picture(self, name: str, beauty: NDArray, exposure: float) -> None:
         """Write an 8-bit sRGB PNG of linear radiance (H, W, 3) times ``exposure``."""

@@ -36,6 +36,7 @@ from datagen.foundation.archives import ZIP_ERRORS, check_archive
 from datagen.foundation.budget import Budget
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.images import IMAGE_SUFFIXES
 from datagen.foundation.paths import fault_of
 
 AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset | PanoramaAsset
@@ -48,7 +49,6 @@ _MODELS: dict[str, type[AnyAsset]] = {
 ZIP_SUFFIX = ".zip"
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest time of the zip format; constant for deterministic bytes
 _MESH_SUFFIXES = (".ply",)
-_TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 
 @dataclass(repr=False, eq=False)
@@ -215,7 +215,7 @@ def _parse(data: bytes, where: str) -> tuple[AnyAsset, Any]:
 def _format_problems(asset: AnyAsset, where: str) -> list[Problem]:
     problems = []
     for field, name in referenced_files(asset):
-        suffixes = _MESH_SUFFIXES if field.endswith(".mesh") else _TEXTURE_SUFFIXES
+        suffixes = _MESH_SUFFIXES if field.endswith(".mesh") else IMAGE_SUFFIXES
         if not name.lower().endswith(suffixes):
             expected = f"a file ending in {' or '.join(suffixes)}"
             problems.append(Problem(where, field, repr(name), expected, "convert the file"))
@@ -383,7 +383,7 @@ def _write_zip(target: Path | io.BytesIO, content: Mapping[str, FileSource]) -> 
             info.external_attr = (stat.S_IFREG | 0o644) << 16
             info.create_system = 3  # Unix: otherwise the field depends on the system that writes the zip
             # images are compressed already
-            stored = name.lower().endswith(_TEXTURE_SUFFIXES)
+            stored = name.lower().endswith(IMAGE_SUFFIXES)
             info.compress_type = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED
             source = content[name]
             with archive.open(info, "w", force_zip64=True) as sink:

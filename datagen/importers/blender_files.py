@@ -62,7 +62,7 @@ def import_by_blender(
         lines = (done.stdout + "\n" + done.stderr).splitlines()
         messages = [line.removeprefix(_MARK) for line in lines if line.startswith(_MARK)]
         if done.returncode != 0 or not converted.is_file():
-            last = [*[line for line in lines if line.strip()], f"exit code {done.returncode}"][:-1][-1:]
+            last = [line for line in lines if line.strip()][-1:]
             got = "; ".join(messages or last or [f"exit code {done.returncode}"])[:400]
             remedy = "open it in Blender, or export glTF from the program that made it"
             raise input_error(path, got=f"Blender: {got}", expected="a file that it can read", remedy=remedy)

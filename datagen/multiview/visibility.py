@@ -105,14 +105,12 @@ class PackedViews:
     tested only by ``trace``. Raises :class:`InputError` for empty or mismatched input, NaN and Inf.
     """
 
-    def __init__(
-        self, cameras: Sequence[Camera], depth_z_m: Sequence[NDArray] | None, name: str = "views"
-    ) -> None:
+    def __init__(self, cameras: Sequence[Camera], depth_z_m: Sequence[NDArray] | None) -> None:
         if not cameras:
-            raise input_error(name, "", "no views", "at least one view", "add views")
+            raise input_error("views", "", "no views", "at least one view", "add views")
         if depth_z_m is not None and len(depth_z_m) != len(cameras):
             expected = f"{len(cameras)}, one per camera"
-            raise input_error(name, "depth_z_m", f"{len(depth_z_m)} buffers", expected)
+            raise input_error("views", "depth_z_m", f"{len(depth_z_m)} buffers", expected)
         select_variant()
         import mitsuba as mi
 
@@ -121,7 +119,7 @@ class PackedViews:
         self.num_pixels = sum(sizes)
         if self.num_pixels >= _MAX_PIXELS:
             got, expected = f"{self.num_pixels} pixels", f"fewer than {_MAX_PIXELS}"
-            raise input_error(name, "", got, expected, "use smaller images")
+            raise input_error("views", "", got, expected, "use smaller images")
         first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
         self.first_pixels = first
         layout = [(at, view.width_px, view.height_px, 0) for at, view in zip(first, cameras, strict=True)]
@@ -129,7 +127,7 @@ class PackedViews:
         centres = np.array([[*camera.position_m, 0.0] for camera in cameras], dtype=np.float32)
         self.centres = mi.Float(aligned(centres))
         self.layout = mi.UInt32(aligned(np.array(layout), np.uint32))
-        self.depth = None if depth_z_m is None else mi.Float(_flatten_depth(cameras, depth_z_m, name))
+        self.depth = None if depth_z_m is None else mi.Float(_flatten_depth(cameras, depth_z_m))
 
 
 def aligned_empty(size: int, dtype: Any) -> NDArray:
@@ -157,8 +155,8 @@ def _camera_row(camera: Camera) -> NDArray[np.float32]:
     return np.concatenate([rotation, camera.position_m, intrinsics]).astype(np.float32)
 
 
-def _flatten_depth(cameras: Sequence[Camera], depth: Sequence[NDArray], name: str) -> NDArray[np.float32]:
-    problems = Problems(name)
+def _flatten_depth(cameras: Sequence[Camera], depth: Sequence[NDArray]) -> NDArray[np.float32]:
+    problems = Problems("views")
     flat = aligned_empty(sum(camera.width_px * camera.height_px for camera in cameras), np.float32)
     first = 0
     for index, (camera, buffer) in enumerate(zip(cameras, depth, strict=True)):

@@ -312,7 +312,7 @@ class _Parser:
     def color(self, node: SceneNode, name: str, text: str) -> tuple[float, ...]:
         if text.startswith("#"):
             digits = text[1:]
-            if len(digits) != 6 or re.fullmatch(r"[0-9a-fA-F]{6}", digits) is None:
+            if re.fullmatch(r"[0-9a-fA-F]{6}", digits) is None:
                 self.problem(f"{node.where}: {name}", repr(text), "a colour such as #ff8000")
                 return (0.0, 0.0, 0.0)
             from datagen.foundation.color import linear_from_srgb
