@@ -51,7 +51,7 @@ class Reach:
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
         """Return the adjustment at the fractions ``where`` (4,), in [0, 1], of the ranges, in their order.
 
-        ``strength`` in [0, 1] interpolates to it from the values in the ranges that are nearest to no change.
+        ``strength`` in [0, 1] interpolates from the value of each range that is nearest to no change.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:

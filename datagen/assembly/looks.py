@@ -155,7 +155,7 @@ def _cloth(weight: float, value: Interval, saturation: Interval, accent: bool = 
 
 
 KEPT: dict[Surface, float] = {"cover": 0.7, "frame": 0.3, "joinery": 0.3}
-"""Probability, by kind of surface, that a slot keeps its material; book covers thereby remain varied."""
+"""Probability, by kind of surface, that a material to be replaced is kept; book covers thus stay varied."""
 LOOKS: dict[Surface, tuple[Look, ...]] = {
     "ceiling": (
         Look(4, "painted", (0.66, 0.88), (0.0, 0.1), (0.6, 1.0)),

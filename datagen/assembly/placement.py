@@ -206,7 +206,7 @@ class Placer:
 
 
 def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
-    """Whether ``outer``'s box contains ``inner``'s, from whose centre all six axis rays hit ``outer``."""
+    """Whether ``inner``'s box is inside ``outer``'s, and all six axis rays from its centre hit ``outer``."""
     if (inner.bounds_m[0] < outer.bounds_m[0]).any() or (inner.bounds_m[1] > outer.bounds_m[1]).any():
         return False
     center = inner.bounds_m.mean(axis=0)

@@ -2,8 +2,7 @@
 """Plans a configuration as a pure function of recipe, index and library.
 
 The steps are room, objects, materials, lights and views, each in its module. Every configuration belongs to
-one split; with ``splits.disjoint`` the library is partitioned too, so that no asset of the test or validation
-split occurs in training.
+one split; with ``splits.disjoint``, the library's rooms, objects and materials are partitioned too.
 """
 
 from __future__ import annotations
@@ -234,7 +233,7 @@ def _dress(
 
 
 def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
-    """Map each object's id to its library and the library's weight; empty without library weights."""
+    """Map object ids to (library, weight); empty without weights or if ``library`` has other folders."""
     wanted = recipe.objects.library_weights
     if not wanted or len(recipe.library) != len(library.paths):
         return {}

@@ -38,7 +38,7 @@ class Pools:
     objects: list[Package]
     materials: list[Package]
     foreign_slots: frozenset[tuple[str, str]] = frozenset()
-    """Pairs (asset id, slot) of slots whose material contains an image that belongs to another split."""
+    """Pairs (asset id, slot) of slots whose material has an image of another split or is a placeholder."""
 
 
 def _shares(recipe: Recipe) -> dict[Split, Fraction]:

@@ -51,7 +51,7 @@ _DEPTH_POWER = 3  # a heading is drawn with a probability proportional to its me
 _ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
 # overlap above this value does not raise the score of a view, which favours different views
 _ENOUGH_OVERLAP = 0.42
-_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6
+_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6  # weight of a view's difference in its score, and its maximum
 _ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if there are enough
 
 

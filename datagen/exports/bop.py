@@ -160,7 +160,7 @@ class BopFiles:
         return entry, poses, infos
 
     def finish(self) -> None:
-        """Write the models and ``models_info.json``, in millimetres."""
+        """Write the models and ``models_info.json``, in mm; ``diameter`` is the bounding box's diagonal."""
         infos: dict[str, Any] = {}
         for key, number in self.numbers.items():
             mesh = self.mesh(key).transformed(np.diag([1e3, 1e3, 1e3, 1.0]))

@@ -31,7 +31,7 @@ class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
     ``brown``: k1 k2 p1 p2 k3 k4 k5 k6; ``polynomial``: k1 k2 p1 p2 k3 k4 without a denominator, where k4 is
-    the coefficient of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. The default is 0.
+    the coefficient of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. Omitted ones are 0.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]

@@ -140,8 +140,8 @@ class LightRecipe(StrictModel):
 
     With ``panoramas`` every room with openings and without a sky has a panorama outside, regardless
     of ``daylight_probability``; generated rooms then have no modelled surroundings.
-    Intensities are drawn log-uniformly, then all are scaled by one factor so that a probe estimate of the
-    mean irradiance in the camera region falls into ``mean_irradiance`` (W/m^2).
+    ``color_temperature_k`` and ``mean_irradiance`` (W/m^2, at possible camera positions) are drawn
+    log-uniformly, as are the shares of the irradiance that the groups of lights contribute.
     """
 
     native_probability: Unit = 0.5
@@ -163,7 +163,7 @@ class CameraRecipe(StrictModel):
     ``min_distance_m``: no surface may be nearer in more than 2 % of the image; ``max_near_share``: maximum
     share of the image nearer than twice this distance. ``min_content``: minimum number of distinct visible
     instances. ``min_overlap``: minimum share of a view's points that are visible in another view too.
-    ``min_luminance``: minimum luminance of a view relative to the configuration's median view.
+    ``min_luminance``: minimum luminance of a view relative to the median of all candidates.
 
     ``subject``: with ``things``, cameras aim at objects at any height, also from above at floors and tables;
     with ``room``, cameras look across the room, nearly level, and overlapping views are preferred.
@@ -307,7 +307,7 @@ class StatisticsRecipe(StrictModel):
 
 
 class SplitRecipe(StrictModel):
-    """Shares of configurations. ``disjoint``: no asset or material of the test split appears in training."""
+    """Shares of configurations. ``disjoint``: each room, object and material occurs in one split only."""
 
     train: Unit = 1.0
     validation: Unit = 0.0

@@ -95,10 +95,10 @@ class StatisticsRecord(StrictModel):
 class ViewRecord(StrictModel):
     """``<view>.json``: all metadata of a view.
 
-    ``instances`` and ``materials`` map the ids of the id buffers to names (``object/part``, ``slot`` or
-    material id). ``exposure`` brings the 95th percentile of luminance to 0.9. ``exr_sha256`` is the hash of
-    the view's EXR file; ``versions`` lists the versions of software that affects pixels. Version 1, in which
-    names of ids were dictionaries, can be read too.
+    ``instances`` maps ids to names of placed objects or, for the room, ``name/part``; ``materials`` maps ids
+    to ids of assigned materials or ``asset/slot``. ``exposure`` brings the 95th percentile of luminance to
+    0.9. ``exr_sha256`` is the hash of the view's EXR file; ``versions`` lists the versions of software that
+    affects pixels. Version 1, in which names of ids were dictionaries, can be read too.
     """
 
     format: Literal["scene-materials/view"] = "scene-materials/view"

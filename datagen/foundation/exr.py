@@ -21,7 +21,7 @@ from datagen.foundation.errors import InputError, Problem, Problems, raise_probl
 
 MAX_SIDE_PX = 16384  # larger headers are refused before any pixel is allocated
 _MAX_COMPRESSION = 500  # plausible decoded bytes per stored byte, with halves counted as floats
-_CLAIM_FREE_BYTES = 256 << 20
+_CLAIM_FREE_BYTES = 256 << 20  # decoded size that is plausible for any file
 COMPRESSIONS = {
     "none": OpenEXR.NO_COMPRESSION,
     "rle": OpenEXR.RLE_COMPRESSION,
@@ -81,7 +81,7 @@ def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, wher
 
 
 def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
-    """Return (width, height) in an EXR file's header. Raises :class:`InputError` if it is implausible."""
+    """Return (width, height) in an EXR header. Raises :class:`InputError` if it is damaged or implausible."""
     OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
     try:
         with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
@@ -110,7 +110,8 @@ def decode_view(
 ) -> dict[str, NDArray[Any]]:
     """Decode buffers (H, W, C) of an EXR file by name, as stored (half: float16); ``names`` None: all.
 
-    Raises :class:`InputError` if the file is damaged, too large, or lacks a requested buffer.
+    Raises :class:`InputError` if the file is damaged, too large, or lacks a requested buffer, ``KeyError``
+    for an unknown name.
     """
     where = source if isinstance(source, Path) else "EXR data"
     try:

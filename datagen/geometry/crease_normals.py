@@ -8,7 +8,7 @@ import numpy as np
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
 
 CREASE_RAD = np.radians(40.0)  # minimum angle between the normals of the triangles at a crease
-_MAX_AROUND = 128  # maximum number of triangles at a vertex
+_MAX_AROUND = 128  # maximum number of triangles averaged at a vertex
 
 
 def with_normals(mesh: Mesh) -> Mesh:

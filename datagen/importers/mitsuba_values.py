@@ -166,7 +166,7 @@ def rgb_of(value: Any) -> Color:
 
 
 def checkerboard(color0: Color, color1: Color) -> BakedSource:
-    """Return a tile of Mitsuba's checkerboard: ``color0`` if u and v are in equal halves, else ``color1``."""
+    """Return a tile of Mitsuba's checkerboard: ``color0`` where both or neither of u, v exceed 0.5."""
     side = CHECKER_TILE_PX
     half = np.arange(side) >= side // 2
     is_first = half[:, None] == half[None, :]

@@ -391,7 +391,7 @@ def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
 
 
 def is_pane(mesh: Mesh) -> bool:
-    """Return whether each connected piece of a mesh is at most 5% as thick as its second-largest extent."""
+    """Return whether the thickness of each connected piece is at most 5 % of its second-largest extent."""
     points, index = welded(mesh)
     faces = index[mesh.faces]
     labels = _pieces(faces, len(points))

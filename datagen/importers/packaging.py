@@ -23,9 +23,10 @@ RECORD_FILE = "import.json"
 def finish(
     asset: AnyAsset, files: Mapping[str, FileSource], folder: Path, options: ImportOptions, findings: Findings
 ) -> ImportedAsset:
-    """Write, check and record the package ``folder/<id>`` (or ``.zip``); warnings become notes.
+    """Write, check and record the package ``folder/<id>`` (or ``.zip``).
 
-    Raises :class:`InputError` if the package is invalid, or if it exists and ``options.overwrite`` is off.
+    Warnings become notes of the returned record, but not of ``import.json``. Raises :class:`InputError` if
+    the package is invalid, or if it exists and ``options.overwrite`` is off.
     """
     record: dict[str, Any] = {
         "approximations": list(findings.approximations),

@@ -33,7 +33,7 @@ def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
 def camera_of(
     node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
 ) -> AssetCamera:
-    """Pinhole camera of a sensor; ``findings`` collects the dropped aperture, crop and mirroring."""
+    """Pinhole camera of a sensor; ``findings`` collects the omission of aperture, crop and mirroring."""
     film = next(iter(node.children_of("film")), SceneNode("film", "hdrfilm"))
     width, height = int(film.get("width", 768)), int(film.get("height", 576))
     name = node.id or f"camera_{number}"

@@ -199,9 +199,9 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
     """Return the mesh with valid normals, and the number of normals that were replaced.
 
-    Missing, zero and NaN normals become those of :func:`vertex_normals`. A normal in the plane of its
-    triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, so no shading frame exists;
-    at that corner, the triangle's normal replaces it.
+    Zero and NaN normals become those of :func:`vertex_normals`, as do, uncounted, those of a mesh without
+    normals. A normal in the plane of its triangle (within ``LYING_COSINE``) may be parallel to the surface's
+    tangent, so no shading frame exists; at that corner, the triangle's normal replaces it.
     """
     if mesh.normals is None:
         mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
