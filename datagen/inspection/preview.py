@@ -47,7 +47,7 @@ class Preview:
         self.path = root / PREVIEW_FILE
         self.said: list[str] = []
         self._pictures: dict[str, str] = {}  # data URI by view, oldest first; packing removes a unit's files
-        self._known = {path for path in self._views()}
+        self._known = set(self._views())
         self._next = 0.0
 
     def say(self, sentence: str) -> None:

@@ -35,7 +35,6 @@ SHOWN_BUFFERS = tuple(name for name, _ in COLUMNS)
 """Buffers offered by the viewer, in this order."""
 _LOOKED_UP = ("surface_mask", "instance_id", "material_id")
 _THUMBNAIL_WIDTH_PX = 320
-_INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def light_intensity(light: Light) -> dict[str, Any]:
         return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}
     if light.type == "environment" and light.image is not None:
         return {"type": "environment image", "unit": "times the image's", "value": light.scale}
-    field = next(name for name in _INTENSITY_FIELDS if hasattr(light, name))
+    field = next(name for name in units if hasattr(light, name))
     value = float(luminance(np.array(getattr(light, field), dtype=np.float64)))
     return {"type": light.type, "unit": units[field], "value": value}
 
