@@ -11,7 +11,7 @@ from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS
 from datagen.foundation.errors import input_error
 
 VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2
-"""Bound of bytes per pixel of a view in progress, for 16 float32 channels before and after statistics."""
+"""Bound of bytes per pixel of a view in progress: uncompressed, 40 before statistics and 80 with them."""
 _PACKED_SHARE = 0.37
 """Size of a packed view relative to its buffers, as measured with `datagen run smoke.yaml`."""
 

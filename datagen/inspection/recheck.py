@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Renders views of a dataset again by plain path tracing: ``datagen verify --recheck N``.
 
-All accelerations are off: paths have up to 65 segments, emitters are sampled by Mitsuba with equal
-probability, and there is no sky guide, irradiance cache, clamp or denoiser. The samples form four independent
-images. The error is the mean product of a view's differences from two of these images, to which their noise
-contributes 0 in expectation (:mod:`datagen.rendering.error`). The standard errors of error and bias are
-computed from the spread of the images.
+All accelerations are off: paths have up to 65 segments, emitters are sampled with nearly equal probability,
+and there is no sky guide, irradiance cache, clamp or denoiser. The samples form four independent images. The
+error is the mean product of a view's differences from two of these images, to which their noise contributes
+0 in expectation (:mod:`datagen.rendering.error`). The standard errors of error and bias are computed from the
+spread of the images.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PARTS = 4
 CHUNK = 64
 """Maximum number of paths per pixel in one kernel launch."""
 SEED = 0x0EC4EC40
-"""Base of the launches' seeds, different from all seeds of datasets."""
+"""Base of the launches' seeds; a dataset's seeds, which are hashes, hardly ever equal them."""
 MAX_RATIO = 4.0
 """Maximum ratio of true to recorded error."""
 MAX_BIAS = 0.05

@@ -173,7 +173,7 @@ class OutsidePixels:
 
 
 def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
-    """Evenly spaced background pixels of each view, at most about ``_MAX_PIXELS``."""
+    """Evenly spaced background pixels of each view, fewer than twice ``_MAX_PIXELS``."""
     parts: list[tuple[NDArray, ...]] = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
     for number, view in enumerate(views):
         pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())

@@ -171,8 +171,9 @@ class Baker:
     def meet(self, ray: Any, active: Any, sample: MetalSample | None) -> Met:
         """Trace ``ray`` into the field, and reflect it once at metals.
 
-        Reflections also sample bright surfaces and emitters, combined by the balance heuristic; only a field
-        with metals needs ``sample``.
+        Reflections also sample bright surfaces and emitters, combined by the balance heuristic. Where the
+        reflected ray's radiance is unknown, the metal keeps that of its surfel. ``sample`` may be None in a
+        field without metals.
         """
         import drjit as dr
         import mitsuba as mi

@@ -62,7 +62,7 @@ class BrightGuide:
         return dr.gather(mi.Vector3f, self._rows, mi.UInt32(rectangle * _ROWS + row))
 
     def _shares(self, p: Any) -> list[Any]:
-        """Probabilities of the rectangles at ``p``, proportional to power x cosine / squared distance."""
+        """Probabilities of the rectangles at ``p``, proportional to power x cosine / (distance^2 + area)."""
         import drjit as dr
 
         found = []

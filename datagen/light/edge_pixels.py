@@ -12,8 +12,8 @@ whose standard error is SHARE_ERROR B / a_p, with B = b_p / (1 - a_p) the radian
 dark slat against a bright sky, it is many times x_p. Therefore x_p is shrunk towards the median of its
 surfel, and this median towards that of a block of the same smooth region, with weights from its variance and
 the variance of texture. Since an inaccurate mesh predicts its edges badly, 1 - a_p and b_p are multiplied by
-a slope: the median of (L - X) / (a_p X + b_p - X) over edge pixels of surfels whose radiance X is known from
-pixels without edges.
+a slope (:func:`edge_slope`), computed from the median of (L - X) / (a_p X + b_p - X) over edge pixels of
+surfels whose radiance X is known from pixels without edges.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ MIN_CONTRAST = 0.2
 slope."""
 _TINY = 1e-30  # avoids 0 / 0 where nothing is behind, at any exposure
 EXACT_SLOPE = 0.9
-"""Minimum slope of an exact mesh: in development rooms, the slope is 0.90 to 1.04 with exact meshes and 0.25
-to 0.84 with inaccurate ones."""
+"""Minimum median of exact meshes, by which medians are divided: in development rooms, they are 0.90 to 1.04
+with exact meshes and 0.25 to 0.84 with inaccurate ones."""
 PRIOR_PIXELS = 1000
 """Number of pixels of sufficient contrast at which the measured slope and the prior, 1, have equal weight."""
 

@@ -68,8 +68,8 @@ def photographed_emitters(
     """Emitters of the triangles in the mask ``emits`` (M,), one per smooth region of ``region_of_face`` (M,).
 
     The radiance is the median of the pixels that show nothing else. Without :data:`MIN_PIXELS` of them, as
-    behind blinds, it is that of the pixels' radiance divided by the share that the emitter covers, as if the
-    rest were black. It is 0 if the views show fewer than :data:`MIN_PIXELS` pixels of the emitter.
+    behind blinds, it is the median of radiance divided by covered share, as if the rest were black, over the
+    pixels with at least :data:`MIN_COVERED`. It is 0 if these are fewer than :data:`MIN_PIXELS`, too.
     """
     mesh = traced.mesh
     of_face = np.full(len(mesh.faces), -1, np.int32)

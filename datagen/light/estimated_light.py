@@ -6,7 +6,7 @@ radiance. Estimates of similar position and direction form K groups with one unk
 of surfel i is E_i + sum_k g_k F_ik, with E_i its known part and F_ik the estimate of group k. The albedo in a
 smooth region r is nearly constant. With residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik), ln g minimises
 
-    sum_i huber(e_i - mean of e in r(i)) + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
+    sum_i huber(e_i - mean of e in r(i)) / SURFELS_A_SAMPLE + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
 
 by Gauss-Newton steps, with one mean of ln g for groups outside the room and one for groups inside. Texture
 acts as noise: it is uncorrelated with the light.

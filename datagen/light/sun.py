@@ -4,8 +4,8 @@
 Photographs rarely show the sun, so its light is missing in the radiance field. Sunlit surfels are brighter,
 relative to their incident light, than the rest of their smooth region, and they are exactly those from which
 one direction leaves the mesh. The sun is the direction whose visibility correlates best with the logarithm of
-that ratio. Its irradiance is the median over sunlit surfels of radiance over the reflectance of the nearest
-surfels in shadow, less other light.
+that ratio. Its irradiance follows from the median, over sunlit surfels, of their radiance divided by the
+reflectance of the nearest surfels in shadow, less other light.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ class ShadowRays:
         return self.leave(directions, position_m, normal).mean(axis=0)
 
     def leave(self, directions: Floats, position_m: NDArray, normal: NDArray) -> NDArray[np.bool_]:
-        """Compute whether rays in ``directions`` (D, 3) leave the scene (D, N); False where the surface faces
-        away.
+        """Compute whether rays in ``directions`` (D, 3) leave the scene (D, N); False where their cosine to
+        the normal is at most :data:`MIN_COSINE`.
         """
         import mitsuba as mi
 
@@ -119,7 +119,7 @@ class LitSurfaces:
 
 
 def find_sun(surfaces: LitSurfaces, rays: ShadowRays) -> Sun | None:
-    """Find the sun; None if no direction explains which surfels are bright."""
+    """Find the sun; None if no direction explains which surfels are bright, or its irradiance is unknown."""
     count = np.bincount(surfaces.region)
     surfaces = surfaces.chosen(count[surfaces.region] >= MIN_SURFELS)
     if not len(surfaces):

@@ -23,7 +23,7 @@ from datagen.multiview.compiled import compiled, num_threads
 
 Floats32 = NDArray[np.float32]
 CELLS_ACROSS = 300
-"""Cells along the diagonal of the photographed volume: 2.5 cm in a room of 7 m."""
+"""Cells along the diagonal of the photographed volume: 2.5 cm for a diagonal of 7.5 m."""
 MIN_CELL_PIXELS = 1.0
 """Minimum side of a cell in pixels at the median depth; many views would have no pixel in smaller cells."""
 MAX_EDGE_SHARE = 0.5
@@ -366,7 +366,7 @@ def weighted_medians(start, values, weight):
     """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
 
     It is the value at which the cumulative weight exceeds half of the total; if it equals half, the mean of
-    that value and the next.
+    that value and the next; 0 without rows.
     """
     num = len(start) - 1
     found = np.zeros((num, 3), np.float32)

@@ -14,8 +14,9 @@ firefly occurs in only one half and makes the product negative. The noisy image 
 where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
 Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. v is scaled by the
 darker of F and N, and pooled, because two halves give a poor estimate of a pixel's variance. The gate g rises
-from 0 to 1 as the brightest source around the pixel that both halves show rises from ``FAINTEST_SOURCE`` to
-``BRIGHT_SOURCE``. Without it, samples that are low by chance would count as dark surfaces (decision 78).
+from 0 to 1 as the brightest source around the pixel that is in both halves and F rises from
+``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE``. Without it, samples that are low by chance would count as dark
+surfaces (decision 78).
 """
 
 from __future__ import annotations

@@ -88,8 +88,8 @@ class PathSums:
         return self.removed_luminance / self.counts
 
     def removed_share(self) -> float:
-        """Share, in [0, 1], of the image's luminance that the clamp removed; 0 without samples."""
-        removed = float((self.removed_luminance / self.counts).sum())
+        """Share, in [0, 1], of the image's luminance that the clamp removed; 0 without light."""
+        removed = float(self.removed_mean().sum())
         kept = float((luminance(self.radiance) / self.counts).sum())
         return removed / max(removed + kept, 1e-300)
 

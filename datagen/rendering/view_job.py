@@ -3,7 +3,7 @@
 
 Only reflected light is denoised, since the denoiser would change the radiance of a visible lamp by tens of
 per cent and spread it over its dark surroundings. Visible emission has no noise except at edges; it is traced
-with as many samples as the ground truth and added after denoising.
+with as many samples as the ground truth, more at edges, and added after denoising.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """References for the tradeoff: converged views of a configuration, rendered once and stored.
 
-For each view, a reference contains two independent images (whose noise does not affect the expectation of
+For each view, a reference contains two independent images (whose noise hardly affects the expectation of
 errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views. These are
 computed from the denoised means of both images, with traced visibility and the maximum number of best views.
 The name of a reference is a hash of everything that affects it, so it is never reused for another library,

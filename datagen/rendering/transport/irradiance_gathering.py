@@ -47,9 +47,9 @@ BOX_MARGIN = 0.05
 MIN_HITS = 64
 """Minimum number of hits on surfaces for gathering a cache."""
 BOUNCES = 3
-"""Number of bounces of a path in later rounds; paths continue where the irradiance is still unknown."""
+"""Number of bounces before a path's last recorded vertex, beyond which it continues to known irradiance."""
 WARM_UP_BOUNCES = 64
-"""Maximum number of bounces of a path in the first rounds, large since later rounds lengthen paths slowly."""
+"""Maximum number of bounces of a path, large since later rounds lengthen paths slowly."""
 MAX_SURVIVAL = 0.95
 """Maximum probability that Russian roulette continues a path beyond the recorded vertices."""
 WARM_UP, ROUNDS = 6, 12
@@ -166,7 +166,7 @@ def _walk(
     """Trace a path; return for each vertex its cell, whether the cell is valid, a sample of the irradiance,
     and the shadow ray's technique and contribution (see :func:`_attributed`).
 
-    If ``is_warm`` and the cached irradiance at the next vertex is known, it replaces the rest of the path.
+    After the warm-up (``is_warm``), known cached irradiance at the next vertex replaces the rest of the path.
     """
     walk = Walk(ray)  # current segment and previous vertex
     # One entry per recorded vertex:

@@ -165,7 +165,8 @@ class LightSampler:
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
     """Return a sampler that uses the guide with probability ``guide.share``, otherwise a uniform emitter.
 
-    Returns None for fewer than two techniques or more than :data:`MAX_TECHNIQUES`.
+    Both probabilities are rounded to slots. Returns None for fewer than two techniques or more than
+    :data:`MAX_TECHNIQUES`.
     """
     num_emitters = len(scene.emitters())
     if not 2 <= num_emitters + (guide is not None) <= MAX_TECHNIQUES:

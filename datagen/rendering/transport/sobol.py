@@ -67,7 +67,7 @@ def _scramble(reversed_bits: Array, seed: Array) -> Array:
 
 
 def _hash(x: Array) -> Array:
-    """32-bit hash (Wellons's ``triple32`` family, two rounds)."""
+    """32-bit hash of two rounds, in the form of Wellons's ``lowbias32``."""
     x = x ^ (x >> 16)
     x = x * 0x21F0AAAD
     x = x ^ (x >> 15)
