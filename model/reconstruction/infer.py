@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The pipeline from a capture to an asset: mended → traced → checked → completed → predicted → leveled →
-merged → filled → balanced → exported.
+lit → merged → filled → balanced → exported.
 
 OUT/state.json      identity of the work: a hash of checkpoint, cameras, geometry and options
 OUT/views/          predicted maps, one EXR per view, which a resumed run reads

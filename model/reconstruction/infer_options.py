@@ -60,11 +60,11 @@ class InferOptions(AssetOptions):
     materials are inferred from the network alone, from the recorded light alone, or from both, with the
     network as the prior (``light``). ``batch``: number of views predicted at a time. ``is_leveled``: whether
     the albedo scale of predictions is corrected by interreflection (``albedo_level``). ``has_punctual``:
-    whether the GLB also contains small lamps as point lights. ``is_evened``: whether exposures, vignetting
-    and response are estimated from overlapping photographs (``radiometry``). ``mends_poses``: whether small
-    errors of the cameras' poses are corrected. ``mends_mesh``: whether noise and holes of a reconstructed
-    mesh are removed (``mesh``). ``keeps_uvs``: whether valid UVs of the mesh are kept at their scales
-    (``unwrap.repacked``).
+    whether the GLB also contains small lamps and the sun as punctual lights. ``is_evened``: whether
+    exposures, vignetting and response are estimated from overlapping photographs (``radiometry``).
+    ``mends_poses``: whether small errors of the cameras' poses are corrected. ``mends_mesh``: whether noise
+    and holes of a reconstructed mesh are removed (``mesh``). ``keeps_uvs``: whether valid UVs of the mesh are
+    kept at their scales (``unwrap.repacked``).
     """
 
     visibility: Annotated[

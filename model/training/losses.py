@@ -47,8 +47,8 @@ class LossConfig(StrictModel):
     """Weight of the maps' mean squared errors. L1 alone is minimised by the median, which for specular albedo
     is that of a dielectric where metal is rare (decision 0015)."""
     metal_weight: float = Field(default=1.0, ge=0)
-    """Factor of the squared errors of metal (true S above 0.2): if a recipe shows metal more often than
-    rooms do, a weight below 1 keeps the network from seeing metal in dark surfaces."""
+    """Factor of the squared errors of metal (true S above 0.2): if metal is more frequent in a recipe than
+    in rooms, a weight below 1 prevents predictions of metal on dark surfaces."""
     perceptual_weight: float = Field(default=1.0, ge=0)
     """Weight of every perceptual term; 0 omits them."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)
@@ -93,7 +93,7 @@ class LossTerms:
 
 
 class MaterialLoss(nn.Module):
-    """Weighted sum of L1 and ``perceptual`` distances between rendered images, and of L2 between maps.
+    """Weighted sum of L1 and ``perceptual`` distances of rendered images and of maps, and of L2 of maps.
 
     ``perceptual`` is from :mod:`model.training.perceptual`; None omits it.
     """

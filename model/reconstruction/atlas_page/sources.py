@@ -38,7 +38,7 @@ class Source:
 
     @property
     def rest_m2(self) -> float:
-        """Direction-independent part (A - |V|) / 4 of the projected area, in m^2; A: area, V: area vector."""
+        """Direction-independent part (A - |V|) / 4 of the projected area, in m^2."""
         return max(self.area_m2 - float(np.linalg.norm(self.vector_m2)), 0.0) / 4
 
     def merged(self, other: Source) -> Source:

@@ -25,7 +25,7 @@ def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool 
     """Write a GLB with geometry (rotated to Y up) and textures; return the error of the conversion.
 
     Recovered lamps, panels and windows become emissive surfaces; ``has_punctual`` adds point lights for small
-    lamps. The sky is omitted, since glTF does not support it.
+    lamps and a directional light for the sun. The sky is omitted, since glTF does not support it.
     """
     made = reconstruction.metallic
     writer = _Glb()

@@ -70,8 +70,8 @@ def require_usd() -> None:
 def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
     """Write one USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels a side, and lights.
 
-    Lights are the recovered lights, else the capture's point, sphere, area, directional and
-    environment lights. Raises :class:`InputError` without ``usd-core``.
+    Lights are the recovered lights, else the capture's point, sphere, area, directional and environment
+    lights. Raises :class:`InputError` without ``usd-core``.
     """
     require_usd()
     from pxr import Sdf, UsdUtils

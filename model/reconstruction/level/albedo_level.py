@@ -57,13 +57,12 @@ class LevelReport:
     """Result and statistics of the estimation of the albedo scale.
 
     ``gain``: the room's gain of D by channel; ``coverage``: mean photographed share of the points'
-    hemispheres;
-    ``used_share``: mean weight of the points, in [0, 1]; ``spread``: half the interquartile range of ln(rho /
-    (D + S)) of points about their region's mode, in green; ``region_spread``: half the interquartile range of
-    the regions' ln gains, weighted by points; ``impossible_share``: weighted share of points that reflect
-    more than their incident light; ``trust``: the power in [0, 1] of gains above 1 that is applied;
-    ``clipped_share``: share of clipped pixels in the photographs; ``reason``: why D is not corrected, or not
-    increased, or empty.
+    hemispheres; ``used_share``: mean weight of the points, in [0, 1]; ``spread``: half the interquartile
+    range of ln(rho / (D + S)) of points about their region's mode, in green; ``region_spread``: half the
+    interquartile range of the regions' ln gains, weighted by points; ``impossible_share``: weighted share of
+    points that reflect more than their incident light; ``trust``: power in [0, 1] to which gains above 1 are
+    raised; ``clipped_share``: share of clipped pixels in the photographs; ``reason``: why D is not corrected,
+    or not increased, or empty.
     """
 
     is_applied: bool

@@ -143,7 +143,9 @@ def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:
 
 
 def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
-    """Compute the root mean square angle (N,) in radians between each surfel's normal and its neighbours'."""
+    """Compute the root mean square angle (N,), in radians, between the normals of each surfel and of its
+    neighbours on the same surface.
+    """
     nearest = np.arange(min(_BUMPY_NEIGHBOURS + 1, len(surfels))) + 1
     _, index = cKDTree(surfels.position_m).query(surfels.position_m, k=nearest, workers=-1)
     normal = surfels.normal.astype(np.float64)

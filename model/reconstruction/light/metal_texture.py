@@ -24,8 +24,8 @@ def textured_specular_albedo(
     is_metal: NDArray[np.bool_],
     shading: SpecularShading,
 ) -> NDArray[np.float32]:
-    """Compute S (N, 3) of the surfels, for metals from the medians of (radiance - ls1) / ls0 over
-    observations.
+    """Compute S (N, 3) of the surfels: of rough metals mainly the median of (radiance - ls1) / ls0 over
+    observations, of all others that of the segment.
 
     ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments;
     ``shading`` is that of all M observations, divided by the known share of its light.

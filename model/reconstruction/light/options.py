@@ -19,11 +19,11 @@ class LightOptions(GatherOptions):
     """Options of the light stage.
 
     ``solve_rays``: rays per observation of a solved surfel and roughness level; ``specular_rays``: rays per
-    observation of any surfel; ``max_points``: maximum number of solved surfels; ``num_observations``: maximum
-    number of observations of each; ``num_rounds``: number of rounds, of which the second has less noise,
-    reflections at metals and the mean outgoing radiance of dielectrics; ``unmixes_edges``: whether radiance
-    is separated in pixels that mix two surfaces; ``has_prior``: whether the network's maps are a prior;
-    ``is_corrected``: whether shading by unphotographed light is corrected smoothly.
+    observation of any surfel; ``max_points``: maximum number of solved surfels (see ``points``);
+    ``num_observations``: maximum number of observations of each; ``num_rounds``: 1, or 2 for a second round
+    with less noise, reflections at metals and the mean outgoing radiance of dielectrics; ``unmixes_edges``:
+    whether radiance is separated in pixels that mix two surfaces; ``has_prior``: whether the network's maps
+    are a prior; ``is_corrected``: whether shading by unphotographed light is corrected smoothly.
     """
 
     finds_sun: bool = True
@@ -42,7 +42,7 @@ STEPS = (
     "edges", "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction",
     "maps", "lights",
 )  # fmt: skip
-"""Steps of the stage in order; "second round" is absent if there is only one round."""
+"""Steps of the stage in order; "edges" and "second round" are optional."""
 
 
 @dataclass

@@ -22,7 +22,7 @@ SPECULAR_RAYS = 3
 MIN_DIFFUSE = 0.1
 """Minimum diffuse part, relative to the photographed radiance."""
 ROUGH = (0.5, 0.8)
-"""Range of R over which light that the photographs do not show decreases to 0, since rough dielectrics can
+"""Range of R over which increases of the photographed radiance are reduced to 0, since rough dielectrics can
 hardly be distinguished from matte surfaces, whose S is 0."""
 _SEED = 41
 

@@ -65,10 +65,11 @@ class Points:
 
 
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
-    """Choose at most ``max_points`` surfels, evenly distributed over the segments ``segment`` (N,).
+    """Choose at most ``max_points`` surfels, evenly distributed over the segments ``segment`` (N,), but from
+    each segment at least :data:`_QUOTA_STEP`, or all.
 
     ``known`` (N,) is the known share of their light. Each surfel has at most ``num_observations``, chosen at
-    equal steps of rank by luminance from the darkest to the brightest.
+    equal steps of rank from the darkest to the brightest.
     """
     num_segments = int(segment.max()) + 1
     size = np.bincount(segment, minlength=num_segments)
@@ -91,7 +92,7 @@ def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: L
 
 
 def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
-    """Compute each observation's weight (M,): pixels, at most 4, times the cosine of the view angle."""
+    """Compute each observation's weight (M,): that of its pixels, at most 4, times the cosine to the view."""
     observations = surfels.observations
     surfel = surfels.surfel_of_observation()
     direction = surfels.directions(surfel, observations.view)

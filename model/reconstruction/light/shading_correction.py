@@ -6,7 +6,7 @@ surface, regardless of texture. The correction u (N, 3) of ln rho, with the albe
 irradiance, minimises, over surfels,
 
     max(c, e) u^2 + SMOOTHNESS sum w (u_i - u_j)^2
-        + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
+        + (1 - c) (W_p (ln(D_p / rho) - u)^2 + W_r (ln(D_r / rho) - u)^2),
 
 with c the confidence in the light, e the weight of estimated light, D_p the network's albedo at the scale of
 the confident surfels, and D_r the mean albedo of the confident surfels of the same smooth region. The weight
@@ -61,8 +61,7 @@ def shading_correction(
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
     ``confidence`` (N,): confidence in the light, in [0, 1]; ``photographed`` (N,): photographed share of each
     hemisphere times the trust in its light; ``is_diffuse`` (N,): mask of lit surfels that are not metal.
-    Raises ArithmeticError if the
-    solver does not converge.
+    Raises ArithmeticError if the solver does not converge.
     """
     log_albedo, log_network = _log(albedo), _log(predicted)
     confident = confidence * is_diffuse

@@ -8,7 +8,7 @@ observation,
     D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_FITTED_ALBEDO],
 
 and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
-ln 51 at the capture's exposure, plus priors on the network's S and R. Alternative hypotheses are matte (S =
+ln 51 at the capture's exposure, plus priors from the network's S and R. Alternative hypotheses are matte (S =
 0, R = 1) and metal: D = 0 and a coloured S per point, mean(L - Ls1) / mean(Ls0), so that textured metal costs
 no more than a textured dielectric.
 """
@@ -43,9 +43,9 @@ DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 the observations. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals fit
 worse than correct dielectrics, since they reflect the errors of light and geometry."""
 NETWORK_VARIANCE = 0.1
-"""Variance of the network's R times the root of the number of views, against which variance of R over
-hypotheses lowers confidence; the latter omits errors of light and geometry that all hypotheses share, of
-which the views of a surfel are no independent samples."""
+"""Variance of the network's R; times the root of the number of views, it is compared with the variance of R
+over hypotheses, which omits the errors of light and geometry that all hypotheses share and of which the views
+of a surfel are no independent samples."""
 REGION_SHARE = 0.7
 """Weight of the mean R of a smooth region's dielectric segments in each. Segments differ in colour, but
 rarely in R."""
@@ -162,15 +162,16 @@ def decide(
 ) -> SolvedSegments:
     """Compute the expected material of each of G segments.
 
-    ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) is in (0, 1];
-    ``views`` (G,): mean number of views of a surfel; ``group`` (G,): smooth region; ``size`` (G,): number of
-    surfels; ``brightness`` (G,): typical radiance relative to white in the same light. A dielectric is the
-    mean of the matte (R = 1; S = 0 or, in an inexact capture, the network's) and glossy hypotheses, weighted
-    by likelihood. Mirrors need no evidence.
-    Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if :data:`METAL_SHARE` of it is
-    metal or its residuals as metal are below those as dielectric by :data:`MIN_LOG_RATIO`. In inexact
-    captures, segments above :data:`MAX_BRIGHTNESS` are no evidence: patches of sun, which clip and whose
-    light is underestimated, resemble metal.
+    ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) in [0, 1] divides
+    the weights of priors, as at least :data:`MIN_EVIDENCE`; ``views`` (G,): mean number of views of a surfel;
+    ``group`` (G,): smooth region; ``size`` (G,): number of surfels; ``brightness`` (G,): typical radiance
+    relative to white in the same light. A dielectric is the mean of the matte (R = 1; S = 0 or, in an inexact
+    capture, the network's) and glossy hypotheses, weighted by likelihood.
+
+    Mirrors need no evidence. Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if
+    :data:`METAL_SHARE` of it is metal or its residuals as metal are below those as dielectric by
+    :data:`MIN_LOG_RATIO`. In inexact captures, segments above :data:`MAX_BRIGHTNESS` do not count: patches of
+    sun, which clip and whose light is underestimated, resemble metal.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -246,7 +247,8 @@ def _in_metal_regions(
     """Compute the mask (G,) of segments whose region is metal as a whole, by its share of metal or by
     its mean ``ratio``, ln (residual as dielectric / residual as metal).
 
-    ``albedo`` (G,): mean S of the metal hypotheses; the others (G,) as in :func:`decide`.
+    ``size`` (G,): number of surfels, 0 for segments that do not count; ``albedo`` (G,): mean S of the metal
+    hypotheses; the others (G,) as in :func:`decide`.
     """
     share, mean_ratio, mean_evidence, mean_albedo = (
         np.bincount(group, size * values) / np.maximum(np.bincount(group, size), 1)

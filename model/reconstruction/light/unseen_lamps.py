@@ -27,7 +27,7 @@ from model.reconstruction.radiometry.sources import Sources
 MAX_POINTS = 2500
 """Maximum number of surfels from which the radiance is estimated."""
 SAME_AREA = 0.02
-"""Maximum relative difference in area between lamps of one kind."""
+"""Maximum relative difference in area between a lamp and the next larger one of its kind."""
 MIN_LIGHT = 0.01
 """Lower bound on the light from a kind of lamp, relative to all other light."""
 ALBEDO_SPREAD = 0.5

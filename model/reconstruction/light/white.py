@@ -27,7 +27,9 @@ class White(NamedTuple):
 
 
 def white_paint(albedo: NDArray, confidence: NDArray) -> White:
-    """Compute the most frequent ``albedo`` (N, 3) of bright grey surfels, weighted by ``confidence`` (N,)."""
+    """Compute the most frequent ``albedo`` (N, 3) of bright grey surfels, weighted by ``confidence`` (N,) and
+    shrunk to :data:`TYPICAL_WHITE`.
+    """
     mean = np.minimum(albedo.mean(axis=1), MAX_ALBEDO)
     is_white = (mean >= MIN_WHITE) & (np.ptp(albedo, axis=1) <= MAX_CHROMA)
     edges = np.arange(MIN_WHITE, MAX_ALBEDO + 1.5 * _STEP, _STEP)

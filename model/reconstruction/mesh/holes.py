@@ -156,7 +156,8 @@ def _turn(points: Floats, a: int, b: int, c: int) -> float:
 
 
 def filled(capture: Capture) -> tuple[Capture, int]:
-    """Fill the holes of the capture's mesh in which photographs show surface; returns their number, too.
+    """Fill holes of the capture's mesh in which photographs show surface, and small ones that they do not
+    show; also return their number.
 
     The triangles are a further part at the end, without UVs: the mesh is then to be unwrapped.
     """

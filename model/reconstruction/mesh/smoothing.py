@@ -78,7 +78,7 @@ def smoothed(mesh: Mesh, is_fixed: NDArray[np.bool_], progress: Advance = no_adv
 
 
 def _faces_around(faces: Ints, num_vertices: int) -> tuple[Ints, Ints]:
-    """Return the triangles (3M,) by vertex, and the index (V + 1,) of each vertex's first."""
+    """Return the index (V + 1,) of each vertex's first triangle, and the triangles (3M,) by vertex."""
     order = np.argsort(faces.ravel(), kind="stable")
     first = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=num_vertices))])
     return first, order // 3
@@ -111,7 +111,7 @@ def _filter_normals(
     area: Floats,
     centre: Floats,
 ) -> None:
-    """Filter the normals of the triangles [begin, end); neighbours share a vertex, and count twice if two."""
+    """Filter the normals of the triangles [begin, end); neighbours share a vertex, or two and count twice."""
     for i in range(begin, end):
         spread, count = 0.0, 0
         for k in range(3):

@@ -6,7 +6,7 @@ At a surfel i below the limit, with the known light E_i and the contribution F_i
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k).
 
 The model omits the specular reflection of L_i, which does not follow the diffuse shading: on a dark, glossy
-floor it is strongest in the shadows. A surfel counts the less, the more of L_i a dielectric reflects so.
+floor it is strongest in the shadows. Surfels weigh less, the larger this share of L_i is for a dielectric.
 
 The albedo D_g of a region is also unknown, so the contrast within a region, between surfels with and without
 light from a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded below by the

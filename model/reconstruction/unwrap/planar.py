@@ -97,9 +97,8 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _faces_across_edges(corners: Ints) -> tuple[Ints, Ints]:
-    """Return the triangles across the edges of each, by triangle, and the index (M + 1,) of each one's first.
-
-    ``corners`` (M, 3) are indices of welded vertices.
+    """Return the index (M + 1,) of each triangle's first neighbour, and the neighbours across edges by
+    triangle; ``corners`` (M, 3) are indices of welded vertices.
     """
     pairs = edge_pairs(corners)
     one, other = np.concatenate([pairs, pairs[:, ::-1]]).T

@@ -39,8 +39,8 @@ class UvReport:
     ``source``: origin of the UVs; ``rejected``: fault of the mesh's UVs, or ''; ``coverage``: share of the
     atlas with a surface; ``metres_per_side``: median length on the surface that corresponds to the atlas
     side, on the finest charts if ``is_repacked``, i.e. their scales were changed; ``stretch``: ratio of the
-    95th to the 5th percentile of texel density by area before, ideally 1;
-    ``num_charts``: number of charts; ``padding_texels``: see :func:`padding_texels`.
+    95th to the 5th percentile of texel density by area before repacking, ideally 1; ``num_charts``: number of
+    charts; ``padding_texels``: see :func:`padding_texels`.
     """
 
     source: Literal["mesh", "planar"]
