@@ -16,11 +16,10 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import input_error
 from model.evaluation.noise import Difference, difference
 from model.evaluation.results import MethodResult, SuiteResult
-from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Cell, Table
+from model.evaluation.tables import LETTERS, LIGHTS, MAP_STAGES, VIEW_SETS, Cell, Table
 
 _IMAGES = {"psnr_srgb_db": ("PSNR (dB)", True), "dssim": ("DSSIM", False), "lpips_vgg": ("LPIPS", False)}
 """Compared image metrics, by name: (title, whether a higher value is better)."""
-_STAGES = {"per_view": "per view", "merged": "merged"}
 NONE = "none"
 
 
@@ -74,7 +73,7 @@ def _cells(found: Difference, more_is_better: bool) -> tuple[Cell, ...]:
 
 def _differences(other: MethodResult, this: MethodResult) -> Iterator[tuple[str, Difference, bool]]:
     """Yield each figure's name, its difference between the runs, and whether a higher value is better."""
-    for stage, words in _STAGES.items():
+    for stage, words in MAP_STAGES.items():
         rows = [result.map_views.get(stage, {}) for result in (other, this)]
         weights = {view: row["pixels"] for view, row in rows[1].items()}
         for name in MATERIAL_MAPS:

@@ -178,13 +178,13 @@ def measures_of_others(
     squared difference of ln(1 + emission).
     """
     lit = truth.emission_mask
-    is_seen = truth.surface_mask | lit  # the background is zero in both images
+    seen = truth.surface_mask & ~lit  # all other pixels are zero in both images
     rough = np.clip(_eight_bits(truth.maps[R]), _MIN_ROUGHNESS, 1.0)
     matt = rough[..., 0] >= 1.0
     pairs: dict[str, tuple[NDArray, NDArray, NDArray]] = {
-        "kd": (maps[D], truth.maps[D], is_seen & ~lit & matt),
-        "a_prime": (_reflectance(maps), _reflectance(truth.maps), is_seen & ~lit),
-        "roughness": (np.clip(maps[R], _MIN_ROUGHNESS, 1.0), rough, is_seen & ~lit),
+        "kd": (maps[D], truth.maps[D], seen & matt),
+        "a_prime": (_reflectance(maps), _reflectance(truth.maps), seen),
+        "roughness": (np.clip(maps[R], _MIN_ROUGHNESS, 1.0), rough, seen),
     }
     found = {}
     for name, (estimate, true, mask) in pairs.items():

@@ -10,9 +10,8 @@ from model.evaluation.map_measures import QUARTERS
 from model.evaluation.noise import Figure, figure_of
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
-from model.evaluation.tables import LETTERS, LIGHTS, PAPER, VIEW_SETS, Cell, Table
+from model.evaluation.tables import LETTERS, LIGHTS, MAP_STAGES, PAPER, VIEW_SETS, Cell, Table
 
-_STAGES = {"per_view": "per view", "merged": "merged"}
 _LEVELS = {
     "diffuse_gain": "best gain of D",
     "diffuse_mse_gain": "D after best gain (MSE)",
@@ -48,7 +47,7 @@ def _judged(result: SuiteResult) -> list[tuple[SceneResult, MethodResult]]:
 def _levels(result: SuiteResult) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for scene, method in _judged(result):
-        for stage, words in _STAGES.items():
+        for stage, words in MAP_STAGES.items():
             found = method.map_figures.get(stage)
             if found is not None:
                 psnr = (found[f"{name}_psnr_db"] for name in MATERIAL_MAPS)

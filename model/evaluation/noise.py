@@ -27,7 +27,7 @@ def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> floa
     share = np.ones(len(values)) if weights is None else np.asarray(weights, np.float64)
     drawn = np.random.default_rng(_SEED).integers(0, len(values), (_RESAMPLES, len(values)))
     means = (values * share)[drawn].sum(axis=1) / np.maximum(share[drawn].sum(axis=1), 1e-30)
-    # the bootstrap underestimates the variance by this factor
+    # the variance of the bootstrap is too low by the square of this factor
     return float(means.std() * np.sqrt(len(values) / (len(values) - 1)))
 
 

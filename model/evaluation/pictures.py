@@ -15,10 +15,10 @@ from datagen.foundation.exr import decode_view
 from model.evaluation.metrics import shown
 from model.evaluation.rendering import BUFFERS, JudgedView, judged_view
 from model.evaluation.results import MethodResult, SceneResult
+from model.evaluation.tables import LETTERS
 
 TRUTH = "truth"
 MAX_WIDTH_PX = 320
-_MAPS = {"D": "diffuse_albedo", "S": "specular_albedo", "R": "roughness"}
 _GAP_PX, _LABEL_PX, _LEFT_PX = 4, 22, 110
 _INK = (40, 40, 40)
 
@@ -82,7 +82,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
     pictures: dict[str, Picture | None] = dict.fromkeys(COLUMNS)
     own = by_light.get("own", {})
     if view in own:
-        for letter, name in _MAPS.items():
+        for name, letter in LETTERS.items():
             pictures[letter] = Picture(letter, small(map_pixels(own[view], name)))
     sources = {
         "original light": ("own", view),

@@ -206,7 +206,7 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
 def _key(scene: TestScene) -> str:
     """Hash of all inputs that affect pixels, except library versions and files named in the source."""
     parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes", "judged"})
-    if not scene.is_drawn:  # imports do not affect the pixels
+    if not scene.is_drawn:  # unused without a recipe
         del parts["configuration"], parts["imports"]
     else:
         parts["imports"] = [path.name for path in scene.imports]

@@ -34,7 +34,7 @@ _CEILING_RADIANCE = (12.0, 12.0, 12.0)
 _GAP_M = 0.1  # between lamp and ceiling
 _LAMP_HEIGHT_M = 1.0  # above the camera, if there is no ceiling
 _LEVEL = 0.95  # minimum cosine between the normal of a level surface and the vertical
-_MARGIN, _GROUND = 0.03, 0.12  # margin above an object, and below its middle, in image heights
+_MARGIN, _GROUND = 0.03, 0.12  # margin above an object, and below its base, in image heights
 _PICTURED_HEIGHT = 0.35  # height of an inserted object, in image heights
 _INSERTED = "inserted"
 
@@ -185,7 +185,7 @@ class Place:
 def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float) -> Place | None:
     """Find a level position in front of a camera for an object of ``height_m``; None if there is none.
 
-    The object is entirely inside the image, near the middle of the lower half, and preferably about a third
+    The object is inside the image vertically, near the middle of the lower half, and preferably about a third
     as high as the image. ``depth_z_m`` is (H, W, 1), ``normal_world`` (H, W, 3).
     """
     from scipy.ndimage import minimum_filter

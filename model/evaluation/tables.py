@@ -19,6 +19,8 @@ PAPER = "paper: "
 LIGHTS = ("own", "modified", "recovered")
 """Lights in the order of the tables: the scene's own, the modified, and those recovered by a method."""
 VIEW_SETS = ("input", "novel")
+MAP_STAGES = {"per_view": "per view", "merged": "merged"}
+"""Title of each stage of maps."""
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
 _ALL = {
     "psnr_srgb_db": "PSNR, clipped sRGB, range 1 (dB)",

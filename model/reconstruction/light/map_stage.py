@@ -8,16 +8,16 @@ from dataclasses import asdict, replace
 from datagen.geometry.traced import smooth_regions
 from datagen.geometry.views import TracedCapture
 from model.reconstruction.light.found import found_lights, radiance_samples
-from model.reconstruction.light.options import LightReport
+from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.pictures import view_pictures
-from model.reconstruction.light.stage import LightOptions, materials_from_light
+from model.reconstruction.light.stage import materials_from_light
 from model.reconstruction.light.surfel_confidence import SurfelConfidence
 from model.reconstruction.stages import Estimate, Found, Run
 
 
 def lit(traced: TracedCapture, estimate: Estimate, run: Run, options: LightOptions | None = None) -> Estimate:
-    """Estimate D, S and R from light, blended with the given maps where evidence is weak, and the lights;
-    files on disk keep the prediction.
+    """Estimate D, S and R from light, blended with the given maps where evidence is weak, and recover the
+    lights; files on disk keep the prediction.
     """
     options = options or LightOptions(has_prior=run.options.materials == "both")
     report = LightReport()

@@ -38,7 +38,7 @@ PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
 """Number of candidate planes per face of the box, maximum depth of a plane relative to the box, and minimum
 share of an opening's rays that start on the inner side of its plane."""
 MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
-"""Maximum number of openings, found in decreasing order of size, and minimum share of leaving rays in
+"""Maximum number of bundles of rays, found in decreasing order of size, and minimum share of leaving rays in
 each."""
 MIN_SIDE = 1 / 60
 """Side of the smallest window, relative to the box's diagonal; smaller openings may be cracks of the mesh."""
@@ -102,20 +102,22 @@ def _gathered(background: Background, origin: NDArray, direction: NDArray) -> Le
 def found_openings(
     rays: LeavingRays, background: Background, median_luminance: float
 ) -> tuple[FoundPatch, ...]:
-    """Find the openings through which ``rays`` leave, without dark ones, in decreasing order of power."""
+    """Find the openings through which ``rays`` leave, in decreasing order of power, without those darker than
+    :data:`DARK` times ``median_luminance``.
+    """
     windows: list[FoundPatch] = []
     rest = rays
     for _ in range(MAX_BUNDLES):
         bundle, face = _largest_bundle(rest, background)
         if bundle.sum() < max(MIN_RAYS, MIN_BUNDLE * len(rays.face)):
             break
-        plane = _narrowest(rest.chosen(bundle), background, face)
-        is_open = _is_open(_Squares.of(rest.chosen(bundle), plane).num)
-        through = rest.chosen(plane.within(rest, is_open))
-        seen = _Squares.of(through, plane)
+        own = rest.chosen(bundle)
+        plane = _narrowest(own, background, face)
+        is_through = plane.within(rest, _is_open(_Squares.of(own, plane).num))
+        seen = _Squares.of(rest.chosen(is_through), plane)
         found = (_window(part, seen, plane) for part in _components(_is_open(seen.num)))
         windows += [window for window in found if window is not None]
-        rest = rest.chosen(~(bundle | plane.within(rest, is_open)))
+        rest = rest.chosen(~(bundle | is_through))
     floor = DARK * median_luminance
     windows = [window for window in windows if np.array(window.radiance) @ LUMINANCE_WEIGHTS > floor]
     windows.sort(key=lambda window: -window.area_m2 * float(np.array(window.radiance) @ LUMINANCE_WEIGHTS))

@@ -2,10 +2,11 @@
 """The stage between prediction and merge that recovers material maps of the views from their recorded light.
 
 Surfels and their radiance field are gathered (``lighting``) and divided into segments, whose S and R are
-solved (``points``, ``solve``), in a second round with less noise, reflections at metals and the mean outgoing
-radiance of dielectrics (``outgoing``). Then the specular part of every observation is computed, shading by
-unphotographed light is corrected (``shading_correction``), and maps (``view_maps``) are computed and blended
-with the network's by ``confidence``. See docs/light.md.
+solved (``points``, ``solve``). A second round computes the light with less noise, reflections at metals and
+the mean outgoing radiance of dielectrics (``outgoing``), and solves again if there is metal. Then the
+specular part of every observation is computed, shading by unphotographed light is corrected
+(``shading_correction``), and maps (``view_maps``) are computed and blended with the network's by
+``confidence``. See docs/light.md.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from model.reconstruction.light.shading_correction import network_scale, shading
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments, shared_roughness
 from model.reconstruction.light.sunlit_edges import without_sunlit_edges
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
-from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
+from model.reconstruction.light.view_maps import SolvedSurfels, packed_maps, view_materials
 from model.reconstruction.light.white import White, white_paint
 
 _SEED = 99  # for the specular parts; differs from the solver's seeds
@@ -103,7 +104,7 @@ def materials_from_light(
     report.photographed_share = float(lit.irradiance.photographed.mean())
     region = region_of_face[surfels.face]
     with report.step("segments"):
-        prior = surfel_means(surfels, [_packed(view_maps) for view_maps in predicted])
+        prior = surfel_means(surfels, [packed_maps(view_maps) for view_maps in predicted])
         reflectance = surfels.radiance / np.maximum(lit.diffuse, 1e-12)
         segment = segment_surfels(region, reflectance, prior[:, 3:6], prior[:, 6])
         segmentation = Segmentation(segment, region, prior)
@@ -149,12 +150,6 @@ def materials_from_light(
             found[index] = dict(view_maps)
         report.confidence = tuple(float(v) for v in solved.confidence.mean(axis=0))
     return LightMaterials(found, report, lit, solved, albedo, segment)
-
-
-def _packed(view_maps: dict[str, NDArray]) -> NDArray:
-    return np.concatenate(
-        [view_maps[name] for name in ("diffuse_albedo", "specular_albedo", "roughness")], axis=2
-    )
 
 
 def _specular_parts(

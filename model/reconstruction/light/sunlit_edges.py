@@ -17,6 +17,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS, split_channels
 from datagen.foundation.color import luminance
 from datagen.light.lighting import Lit
 from datagen.light.surfels import near_surfels, surfel_means
+from model.reconstruction.light.view_maps import packed_maps
 
 EDGE_NEIGHBOURS, EDGE_RANGE = 25, 0.1
 """Number of neighbouring surfels whose shares of visible sun differ by more than the second value at an
@@ -34,7 +35,7 @@ def without_sunlit_edges(
     """
     surfels = lit.surfels
     is_replaced = _at_edge(lit) | (is_clipped & (lit.sunlight.max(axis=1) > 0))
-    means = surfel_means(surfels, [_packed(view_maps) for view_maps in maps])
+    means = surfel_means(surfels, [packed_maps(view_maps) for view_maps in maps])
     place = np.column_stack([surfels.position_m, surfels.normal * surfels.grid.cell_m * NEIGHBOURS])
     far = 10 * float(np.ptp(place, axis=0).max()) + 1.0
     place = np.column_stack([place, far * np.unique(region, return_inverse=True)[1]])
@@ -64,13 +65,9 @@ def _at_edge(lit: Lit) -> NDArray[np.bool_]:
     return np.asarray(np.ptp(of_neighbours, axis=1) > EDGE_RANGE, bool)
 
 
-def _packed(view_maps: dict[str, NDArray]) -> NDArray:
-    return np.concatenate([view_maps[name] for name in MATERIAL_MAPS], axis=2)
-
-
 def _filled(view_maps: dict[str, NDArray], filled: NDArray, surfel: NDArray) -> dict[str, NDArray]:
     values = np.where(surfel[:, None] >= 0, filled[surfel], np.nan)
-    packed = _packed(view_maps)
+    packed = packed_maps(view_maps)
     values = values.reshape(packed.shape)
     packed = np.where(np.isnan(values), packed, values).astype(np.float16)
     return {**view_maps, **split_channels(packed, MATERIAL_MAPS)}

@@ -57,6 +57,11 @@ class SolvedSurfels:
     white: White
 
 
+def packed_maps(view_maps: dict[str, NDArray]) -> NDArray:
+    """Concatenate D, S and R of a view to (H, W, 7)."""
+    return np.concatenate([view_maps[name] for name in MATERIAL_MAPS], axis=2)
+
+
 def view_materials(
     surfels: Surfels, solved: SolvedSurfels, index: int, view: TracedView, predicted: dict[str, NDArray]
 ) -> dict[str, NDArray[np.float16]]:
@@ -70,7 +75,7 @@ def view_materials(
     row_of = np.full(len(surfels), -1, np.int64)
     row_of[surfel] = rows
     height, width = view.color.shape[:2]
-    prior = np.concatenate([predicted[name].reshape(height * width, -1) for name in MATERIAL_MAPS], axis=1)
+    prior = packed_maps(predicted).reshape(height * width, -1)
     floor = max(MIN_SHADING * float(np.median(solved.diffuse)), _DARK)
     packed = _pixels(
         np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),

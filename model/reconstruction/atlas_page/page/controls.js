@@ -48,7 +48,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
     const sign = mode === "fly" ? 1 : -1;
     const arm = mode === "fly" ? orbit.target.clone().sub(camera.position) : camera.position.clone().sub(orbit.target);
     const length = arm.length();
-    const azimuth = Math.atan2(arm.y, arm.x) + (mode === "fly" ? left : sign * left);
+    const azimuth = Math.atan2(arm.y, arm.x) + sign * left;
     const height = Math.max(-1.55, Math.min(1.55, Math.asin(Math.max(-1, Math.min(1, arm.z / length))) + sign * up));
     arm.set(Math.cos(azimuth) * Math.cos(height), Math.sin(azimuth) * Math.cos(height), Math.sin(height)).multiplyScalar(length);
     if (mode === "fly") orbit.target.copy(camera.position).add(arm);
