@@ -38,6 +38,8 @@ class GeometryError(StrictModel):
     def describe(self) -> str:
         """Describe the errors in text such as "noise 10 mm, holes 5%"; "true" without errors."""
         parts = []
+        if self.edge_m is not None:
+            parts.append(f"edges {self.edge_m * 1000:g} mm")
         if self.noise_m:
             parts.append(f"noise {self.noise_m * 1000:g} mm")
         if self.keep_share < 1:

@@ -268,6 +268,9 @@ def describe_suite(suite: Suite) -> str:
         lines.append(text)
     if suite.cameras:
         lines.append(f"  all methods but the truth with cameras: {', '.join(c.name for c in suite.cameras)}")
-    views = 2 * (suite.input_views + suite.novel_views) + 1
-    lines.append(f"  at most {views} re-rendered views per method, camera and scene, as many of the truth")
+    views = suite.input_views + suite.novel_views + 2 * suite.seed_views
+    lines.append(
+        f"  at most {3 * views + 1} re-rendered views per method, camera and scene, "
+        f"{2 * views + 1} of the truth"
+    )
     return "\n".join(lines)

@@ -193,27 +193,17 @@ def _images_table(result: SuiteResult) -> Table:
     return Table("images", "Re-rendering, all measures", caption, columns, tuple(rows), digits)
 
 
-_STAGES = (
-    "trace",
-    "statistics",
-    "predict",
-    "read maps",
-    "write maps",
-    "level",
-    "light",
-    "unwrap",
-    "merge",
-    "fill",
-    "export",
-)
 _COMPARING = "render and compare"
 
 
 def _cost_table(result: SuiteResult) -> Table:
     rows: list[tuple[Cell, ...]] = []
+    methods = [method for scene in result.scenes for method in _measured(scene)]
+    found = dict.fromkeys(stage for method in methods for stage in method.seconds if stage != _COMPARING)
+    names = tuple(found | dict.fromkeys(("statistics", "predict", "merge")))  # those of the paper
     for scene in result.scenes:
         for method in _measured(scene):
-            seconds = [method.seconds.get(stage) for stage in _STAGES]
+            seconds = [method.seconds.get(stage) for stage in names]
             total = sum(value for value in seconds if value is not None)
             spent = (method.seconds.get(_COMPARING), method.processor_s, method.peak_memory_mb)
             rows.append((scene.name, method.label, *seconds, total, *spent))
@@ -222,7 +212,7 @@ def _cost_table(result: SuiteResult) -> Table:
             cells: dict[str, Cell] = {"statistics": statistics, "predict": predict, "merge": 3 * texturing}
             total = statistics + predict + 3 * texturing
             rows.append(
-                (scene.name, f"{PAPER}Ours", *(cells.get(stage) for stage in _STAGES), total, *(None,) * 3)
+                (scene.name, f"{PAPER}Ours", *(cells.get(stage) for stage in names), total, *(None,) * 3)
             )
     caption = (
         "Wall seconds by stage from photographs to asset, and of rendering and comparing it; processor "
@@ -231,8 +221,8 @@ def _cost_table(result: SuiteResult) -> Table:
         "that uses it. The paper's times are for a Xeon 5218 and a Quadro RTX 5000, with the texturing of "
         "three maps in the column merge."
     )
-    stages = (f"{stage} (s)" for stage in _STAGES)
+    stages = (f"{stage} (s)" for stage in names)
     last = ("total (s)", f"{_COMPARING} (s)", "processor (s)", "peak memory (MB)")
-    digits = (0, 0, *(1,) * (len(_STAGES) + 3), 0)
+    digits = (0, 0, *(1,) * (len(names) + 3), 0)
     columns = ("scene", "method", *stages, *last)
     return Table("cost", "Time and memory", caption, columns, tuple(rows), digits)

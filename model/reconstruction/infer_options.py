@@ -90,7 +90,8 @@ class InferOptions(AssetOptions):
         ),
     ] = True
     has_punctual: Annotated[
-        bool, typer.Option("--punctual", help="Also write small lamps to the GLB as point lights.")
+        bool,
+        typer.Option("--punctual", help="Also write small lamps and the sun to the GLB as punctual lights."),
     ] = False
     is_evened: bool = True
     mends_poses: Annotated[

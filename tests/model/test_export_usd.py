@@ -219,6 +219,14 @@ def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None
         AreaLight(
             name="area", origin_m=(0, 0, 2), edge_u_m=(1, 0, 0), edge_v_m=(0, 1, 0), radiance=(2.0, 2.0, 2.0)
         ),
+        AreaLight(
+            name="disk",
+            origin_m=(0, 0, 2),
+            edge_u_m=(3, 0, 0),
+            edge_v_m=(0, 2, 0),
+            radiance=(2.0, 2.0, 2.0),
+            shape="disk",
+        ),
         DirectionalLight(name="sun", direction=(0, 0, -2), irradiance=(3.0, 2.0, 1.0)),
         EnvironmentLight(name="grey", radiance=(1.0, 1.0, 1.0), scale=0.5),
         EnvironmentLight(name="elsewhere", image="sky.exr", asset="other"),
@@ -230,6 +238,10 @@ def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None
     np.testing.assert_allclose(to_world(bulb)[:3, 3], [1, 2.5, -2])
     assert UsdLux.SphereLight(stage.GetPrimAtPath("/room/globe")).GetRadiusAttr().Get() == pytest.approx(0.2)
     np.testing.assert_allclose(radiance(stage.GetPrimAtPath("/room/area")), 2)
+    disk = UsdLux.DiskLight(stage.GetPrimAtPath("/room/disk"))
+    axes = disk.GetRadiusAttr().Get() * np.linalg.norm(to_world(disk.GetPrim())[:3, :2], axis=0)
+    np.testing.assert_allclose(axes, [1.5, 1.0])
+    np.testing.assert_allclose(to_world(disk.GetPrim())[:3, 3], [1.5, 2, -1])
     np.testing.assert_allclose(radiance(stage.GetPrimAtPath("/room/grey")), 0.5)
     assert not stage.GetPrimAtPath("/room/elsewhere")
     np.testing.assert_allclose(radiance(stage.GetPrimAtPath("/room/sun")), [3, 2, 1])

@@ -75,3 +75,14 @@ def test_correct_poses_are_kept() -> None:
     views = traced([view.camera for view in photographed_room().views])
     found = mended_poses(views)
     assert (found.moved_mm == 0).all() and found.residual[1] > 0.9 * found.residual[0]
+
+
+def test_views_without_surfaces_do_not_hide_errors_of_others() -> None:
+    """Views of nothing, more than half of all, have no residual."""
+    cameras = [off(view.camera, number) for number, view in enumerate(photographed_room().views)]
+    views = traced(cameras)
+    outside = replace(cameras[0], world_from_camera=cameras[0].world_from_camera.copy())
+    outside.world_from_camera[:3, 3] += 100.0
+    nothing = replace(traced([outside] * len(views))[0], name="nothing")
+    found = mended_poses([*views, *[nothing] * (len(views) + 1)])
+    assert found.residual[1] < found.residual[0] and np.median(found.moved_mm[: len(views)]) > 1

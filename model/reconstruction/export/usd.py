@@ -91,7 +91,7 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
             for patch in found.sending:
                 for number, rectangle in enumerate(patch.rectangles):
                     edges = (rectangle.origin_m, rectangle.edge_u_m, rectangle.edge_v_m)
-                    writer.rectangle(f"{patch.slot}-{number}", *edges, rectangle.radiance)
+                    writer.flat(f"{patch.slot}-{number}", *edges, rectangle.radiance)
             if found.environment is not None:
                 (folder / ENVIRONMENT_FILE).write_bytes(environment_exr(found.environment))
                 writer.dome(SKY, (1.0, 1.0, 1.0), ENVIRONMENT_FILE, np.eye(4))
@@ -244,7 +244,14 @@ class _Stage:
             radiance = np.asarray(light.radiance)
             self._sphere(light.name, light.position_m, light.radius_m, radiance, is_point=False)
         elif isinstance(light, AreaLight):
-            self.rectangle(light.name, light.origin_m, light.edge_u_m, light.edge_v_m, light.radiance)
+            self.flat(
+                light.name,
+                light.origin_m,
+                light.edge_u_m,
+                light.edge_v_m,
+                light.radiance,
+                is_disk=light.shape == "disk",
+            )
         elif isinstance(light, DirectionalLight):
             away = np.array(light.direction)
             self.distant(light.name, away, light.irradiance, light.angular_diameter_rad)
@@ -252,8 +259,17 @@ class _Stage:
             radiance = np.asarray(light.radiance) * light.scale
             self.dome(light.name, tuple(radiance), None, np.array(light.world_from_environment))
 
-    def rectangle(self, name: str, origin: Color, edge_u: Color, edge_v: Color, radiance: Color) -> None:
-        """Add a rectangle that emits along edge_u x edge_v; UsdLux's rectangles emit along -Z."""
+    def flat(
+        self,
+        name: str,
+        origin: Color,
+        edge_u: Color,
+        edge_v: Color,
+        radiance: Color,
+        *,
+        is_disk: bool = False,
+    ) -> None:
+        """Add a rectangle, or the ellipse in it, that emits along edge_u x edge_v; in UsdLux along -Z."""
         from pxr import UsdLux
 
         u, v = np.array(edge_u, np.float64), np.array(edge_v, np.float64)
@@ -263,9 +279,15 @@ class _Stage:
         placed[:3, 0], placed[:3, 2] = u / width, -normal / np.linalg.norm(normal)
         placed[:3, 1] = np.cross(placed[:3, 2], placed[:3, 0])
         placed[:3, 3] = np.array(origin) + (u + v) / 2
-        light = UsdLux.RectLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
-        light.CreateWidthAttr(float(width))
-        light.CreateHeightAttr(float(height))
+        path = f"{ROOT}/{_identifier(name)}"
+        if is_disk:
+            light = UsdLux.DiskLight.Define(self.stage, path)
+            light.CreateRadiusAttr(0.5)
+            placed[:3, :2] *= (width, height)
+        else:
+            light = UsdLux.RectLight.Define(self.stage, path)
+            light.CreateWidthAttr(float(width))
+            light.CreateHeightAttr(float(height))
         self._place(light, placed)
         _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
 

@@ -78,7 +78,8 @@ def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
     before = after = 0.0
     for number in range(ROUNDS + 1):
         steps = [_step(looks, lenses, poses, given, index) for index in range(len(views))]
-        after = float(np.median([rest for _, rest in steps]))
+        residuals = [residual for _, residual in steps if residual is not None]
+        after = float(np.median(residuals)) if residuals else 0.0
         before = before if number else after
         if number < ROUNDS:
             poses = [_transform(step) @ pose for (step, _), pose in zip(steps, poses, strict=True)]
@@ -188,16 +189,16 @@ def _step(
     poses: Sequence[NDArray],
     given: Sequence[NDArray],
     index: int,
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[NDArray[np.float64], float | None]:
     """Compute the Gauss-Newton step (6,) of a view's pose, a rotation vector and a translation, and the
-    median absolute residual.
+    median absolute residual; 0 and None with fewer than ``MIN_POINTS`` points.
     """
     look, lens = looks[index], lenses[index]
     local, x, y = _projected(lens, poses[index], look.points)
     rest = _sampled(look.image, x, y) - _expected(looks, lenses, poses, index)
     used = np.isfinite(rest) & _is_inside(lens, local, x, y)
     if used.sum() < MIN_POINTS:
-        return np.zeros(6), 0.0
+        return np.zeros(6), None
     local, x, y, rest = local[used], x[used], y[used], rest[used]
     rest -= np.median(rest)  # removes the remaining difference in exposure
     spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-3)

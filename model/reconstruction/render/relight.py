@@ -102,9 +102,11 @@ def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[
         )
         renderer = SceneRenderer(configuration, library, recipe)
         chosen = [k for k, name in enumerate(names) if not options.views or name in options.views]
-        for view in renderer.render_views(chosen):
-            yield RenderedImage(names[view.index], view.buffers["beauty"].astype(np.float32))
-        renderer.close()
+        try:
+            for view in renderer.render_views(chosen):
+                yield RenderedImage(names[view.index], view.buffers["beauty"].astype(np.float32))
+        finally:
+            renderer.close()
 
 
 def _configuration(
