@@ -105,10 +105,10 @@ def _confidence(light: dict[str, Any], pictures: Sequence[ViewPicture]) -> str:
         )
     )
     return (
-        "<h2>Confidence</h2><p>Share of a surface's materials that comes from the photographed light, not "
-        f"from the network; means over the surface: {means}. Below: photograph, diffuse albedo, confidence "
-        "of D; <code>atlas/confidence.png</code> has D, S and R by texel.</p>"
-        f'<div class="scale">0, network <img alt="" src="{_data_url(bar)}"> 1, light</div>'
+        "<h2>Confidence</h2><p>How far the photographed light, rather than the network, determines the "
+        f"materials; means over the surface: {means}. Below: photograph, diffuse albedo, confidence of D; "
+        "<code>atlas/confidence.png</code> has D, S and R by texel.</p>"
+        f'<div class="scale">0, unknown <img alt="" src="{_data_url(bar)}"> 1, determined</div>'
         f'<div class="views">{cells}</div>'
     )
 

@@ -24,8 +24,7 @@ class Atlas:
 
     ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name, 0 at unobserved texels until they are filled; ``count``
     (N, N): number of views merged in each texel; ``face`` (N, N): index of the texel's triangle, or -1;
-    ``confidence`` (N, N, 3): confidence of D, S and R from 0 (network alone) to 255 (light alone), None if
-    unknown.
+    ``confidence`` (N, N, 3): confidence of D, S and R from 0 to 255 (determined by light), None if unknown.
     """
 
     maps: dict[str, NDArray]
