@@ -8,7 +8,6 @@ one split; with ``splits.disjoint``, the library's rooms, objects and materials 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,7 +39,7 @@ from datagen.library import Library
 NUM_EYES = 384  # possible camera positions, at which the irradiance of lights is computed
 NUM_TRIES = 3  # largest number of draws of a configuration with too few objects or views
 
-__all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of", "world_of"]
+__all__ = ["assemble", "check_recipe", "configuration_id", "split_of", "world_of"]
 
 
 @dataclass
@@ -183,15 +182,6 @@ def _assemble_once(
         assets=_hashes(lit, lighting.lights, library),
         coverage=measure(scene, shell, assigned, cameras),
     )
-
-
-def assemble_all(
-    recipe: Recipe, library: Library, indices: Iterable[int] | None = None
-) -> Iterator[Configuration]:
-    """Yield the configurations of ``indices``, or all of them, in sequence, after :func:`check_recipe`."""
-    check_recipe(recipe, library)
-    for index in range(recipe.configurations) if indices is None else indices:
-        yield assemble(recipe, index, library)
 
 
 def _dress(

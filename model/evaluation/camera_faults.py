@@ -117,7 +117,6 @@ PRESETS = {
     }.items()
 }
 """Camera faults by name: each fault separately, and three combinations."""
-BUNDLES = ("raw-camera", "phone", "phone-and-mesh")
 EACH = "each"
 """Value of a suite's ``camera`` that selects all presets with a single fault."""
 

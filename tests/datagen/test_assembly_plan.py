@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from datagen.assembly import plan
-from datagen.assembly.plan import assemble, assemble_all
+from datagen.assembly.plan import assemble
 from datagen.assembly.shortfall import shortfall
 from datagen.formats.base import canonical_json, parse_model, sha256_hex
 from datagen.formats.configuration import Configuration
@@ -37,7 +37,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def configurations(root: Path) -> list[Configuration]:
-    return list(assemble_all(recipe(), Library([root])))
+    return [assemble(recipe(), index, Library([root])) for index in range(recipe().configurations)]
 
 
 def test_configurations_are_complete(configurations: list[Configuration], root: Path) -> None:

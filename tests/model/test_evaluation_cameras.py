@@ -15,7 +15,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.meshes.mesh import Mesh
-from model.evaluation.camera_faults import BUNDLES, PRESETS, CameraFaults, as_taken, photographed
+from model.evaluation.camera_faults import PRESETS, CameraFaults, as_taken, photographed
 from model.evaluation.suite import describe_suite, read_suite
 from tests.conftest import REPOSITORY
 
@@ -143,7 +143,7 @@ def test_a_suite_may_name_faults_and_bundles(tmp_path: Path) -> None:
 
     found = read_suite(suite("[each, raw-camera, phone, phone-and-mesh]"))
     names = [camera.name for camera in found.cameras]
-    assert names == list(PRESETS) and names[-3:] == list(BUNDLES)
+    assert names == list(PRESETS) and names[-3:] == ["raw-camera", "phone", "phone-and-mesh"]
     assert PRESETS["phone-and-mesh"].geometry is not None and PRESETS["phone"].geometry is None
     assert "phone-and-mesh" in describe_suite(found)
     own = read_suite(suite("[{name: dim, exposure_stops: 1}]"))

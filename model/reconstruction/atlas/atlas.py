@@ -37,11 +37,6 @@ class Atlas:
         """Number of texels along a side."""
         return int(self.count.shape[0])
 
-    @property
-    def unseen_mask(self) -> NDArray[np.bool_]:
-        """Mask (N, N) of unobserved texels on the surface."""
-        return np.asarray((self.face >= 0) & (self.count == 0))
-
     def release(self) -> None:
         """Release the memory of memory-mapped arrays; the next access reads them from disk again."""
         for array in (*self.maps.values(), self.count, self.face, self.confidence):
