@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from datagen.formats.asset import MaterialClass, SlotMaterial, Texture
 from datagen.foundation.errors import InputError, Problems
 from datagen.foundation.findings import Findings
-from datagen.foundation.images import encode_png, normalized
+from datagen.foundation.images import normalized
 from datagen.foundation.meshes.gltf import GltfFile
 from datagen.foundation.meshes.gltf_compressed import BASIS
 from datagen.foundation.naming import slug, unique
 from datagen.importers.channels import (
+    BakedSource,
     ChannelName,
     Color,
     ColorValue,
@@ -204,9 +205,9 @@ class GltfMaterialConverter:
         values = normalized(self.cache.pixels(image.file))[..., :3] * 2 - 1
         values = values * np.array([scale, scale, 1.0], dtype=np.float32)
         values /= np.maximum(np.linalg.norm(values, axis=-1, keepdims=True), 1e-6)
-        target = f"textures/{slug(name)}_normal_scaled.png"
-        self.textures.files[target] = encode_png(np.round((values * 0.5 + 0.5) * 255).astype(np.uint8))
-        return Texture(texture=target, encoding="linear")
+        return self.textures.add_baked(
+            BakedSource(values * 0.5 + 0.5, f"{slug(name)}_normal_scaled", "linear")
+        )
 
     def _emission(
         self, entry: dict[str, Any], extensions: dict[str, Any], name: str

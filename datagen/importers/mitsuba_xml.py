@@ -25,13 +25,12 @@ from datagen.foundation.axes import asset_from_source
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
-from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
 from datagen.importers import annotate
-from datagen.importers.channels import ImageCache, ImageSource, TextureFiles
+from datagen.importers.channels import BakedSource, ImageCache, ImageSource, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
 from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions, mended_note, provenance
 from datagen.importers.mitsuba_lights import LightConverter, emitter_shape_light
@@ -363,9 +362,9 @@ class _SceneImporter:
             return None
         height = self.cache.values(draft.height, is_scalar=True) * self.options.unit_m  # type: ignore[arg-type]
         normal = normal_from_height(height, uv_per_m)
-        name = f"textures/{slug(draft.name)}_normal.png"
-        self.files[name] = encode_png(np.round((normal * 0.5 + 0.5) * 255).astype(np.uint8))
-        return Texture(texture=name, encoding="linear")
+        return self.textures.add_baked(
+            BakedSource(normal * 0.5 + 0.5, f"{slug(draft.name)}_normal", "linear")
+        )
 
     def find_places(
         self,

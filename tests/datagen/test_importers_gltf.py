@@ -252,6 +252,20 @@ def test_normals_opacity_and_emission(tmp_path: Path) -> None:
     np.testing.assert_allclose(normal, expected / np.linalg.norm(expected), atol=0.005)
 
 
+def test_scaled_normals_of_similar_names_stay_apart(tmp_path: Path) -> None:
+    builder = Builder().quad()
+    for k, name in enumerate(("Wood 1", "wood-1")):
+        noise(tmp_path / "source" / f"normal_{k}.png", seed=k)
+        builder.material(name=name, normalTexture={"index": builder.image(f"normal_{k}.png"), "scale": 0.5})
+    primitive = builder.json["meshes"][0]["primitives"][0]
+    builder.json["meshes"][0]["primitives"].append({**primitive, "material": 1})
+    record, package = panel(tmp_path, builder)
+    names = [material.normal.texture for material in package.asset.materials.values()]
+    assert "textures/wood-1_normal_scaled.png" in names
+    first, second = (read_image(record.path / name) for name in names)
+    assert (first != second).any()
+
+
 def test_texture_transforms_move_the_uvs(tmp_path: Path) -> None:
     builder = Builder().quad()
     noise(tmp_path / "source" / "color.png")

@@ -346,6 +346,26 @@ def test_bump_maps_tilt_normals_in_the_right_direction() -> None:
     np.testing.assert_allclose(-normal[..., 1] / normal[..., 2], slope_v, atol=4e-4)
 
 
+def test_bump_maps_of_unnamed_bsdfs_stay_apart(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    body = ""
+    for name in ("a", "b"):
+        path = tmp_path / "scene" / f"{name}.png"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(encode_png(rng.integers(0, 255, (8, 8)).astype(np.uint8)))
+        body += (
+            f'<shape type="rectangle"><bsdf type="bumpmap"><texture type="bitmap">'
+            f'<string name="filename" value="{name}.png"/><boolean name="raw" value="true"/></texture>'
+            '<bsdf type="diffuse"/></bsdf></shape>'
+        )
+    record, asset = imported(tmp_path, body)
+    first, second = (asset.materials[part.material].normal for part in asset.parts)
+    assert first is not None and second is not None
+    assert first.texture == "textures/bumpmap_normal.png"
+    pixels = [read_image(record.path / normal.texture) for normal in (first, second)]
+    assert (pixels[0] != pixels[1]).any()
+
+
 def test_unknown_bsdfs_and_textures_are_refused_by_name(tmp_path: Path) -> None:
     scene = parse_scene(
         write_scene(
