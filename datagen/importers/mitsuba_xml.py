@@ -214,7 +214,8 @@ class _SceneImporter:
             if not kind:
                 kept.append(shape)
             elif kind == "null":
-                removed[f"{name}: null BSDF, surface left out"] = 1
+                key = f"{name}: null BSDF, surface left out"
+                removed[key] = removed.get(key, 0) + 1
             elif self.options.dielectric == "refuse" and name not in self.options.dielectric_as:
                 refused[name] = shape.node.where
             else:

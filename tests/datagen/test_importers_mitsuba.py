@@ -501,6 +501,12 @@ def test_glass_is_refused_or_replaced_by_name(tmp_path: Path) -> None:
     assert {p.material for p in asset.parts} == {"diffuse", "Pane"}
 
 
+def test_all_invisible_shapes_are_counted(tmp_path: Path) -> None:
+    body = '<bsdf type="null" id="Air"/>' + '<shape type="sphere"><ref id="Air"/></shape>' * 2
+    record, _ = imported(tmp_path, ROOM + body)
+    assert "Air: null BSDF, surface left out; 2 shapes" in record.approximations
+
+
 def test_missing_files_are_all_listed_or_replaced_by_name(tmp_path: Path) -> None:
     body = (
         '<shape type="cube"><bsdf type="diffuse"><texture name="reflectance" type="bitmap">'
