@@ -207,7 +207,7 @@ class TextureFiles:
                 pixels = self._cache.pixels(file)
                 is_float = pixels.dtype.kind == "f"
                 name = self._free_name(file.stem, ".exr" if is_float else ".png")
-                self.files[name] = encode_exr(pixels) if is_float else encode_png(pixels[..., :3])
+                self.files[name] = encode_exr(pixels) if is_float else encode_png(pixels)
             self._names[key] = name
         return self._names[key]
 

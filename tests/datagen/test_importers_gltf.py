@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.lights import PointLight
@@ -264,6 +265,20 @@ def test_scaled_normals_of_similar_names_stay_apart(tmp_path: Path) -> None:
     assert "textures/wood-1_normal_scaled.png" in names
     first, second = (read_image(record.path / name) for name in names)
     assert (first != second).any()
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".tif"])
+def test_alpha_of_converted_images_is_kept(tmp_path: Path, suffix: str) -> None:
+    pixels = np.random.default_rng(6).integers(0, 255, (16, 16, 4)).astype(np.uint8)
+    (tmp_path / "source").mkdir()
+    Image.fromarray(pixels).save(tmp_path / "source" / f"leaf{suffix}", lossless=True)
+    builder = Builder().quad()
+    texture = {"index": builder.image(f"leaf{suffix}")}
+    builder.material(alphaMode="BLEND", pbrMetallicRoughness={"baseColorTexture": texture})
+    record, package = panel(tmp_path, builder)
+    opacity = package.asset.materials["Mat0"].opacity
+    assert opacity.channel == "a"
+    np.testing.assert_array_equal(read_image(record.path / opacity.texture)[..., 3], pixels[..., 3])
 
 
 def test_texture_transforms_move_the_uvs(tmp_path: Path) -> None:
