@@ -18,7 +18,14 @@ from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
 from datagen.foundation.naming import slug
 from datagen.foundation.paths import fault_of
-from datagen.importers.channels import ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
+from datagen.importers.channels import (
+    ColorValue,
+    ImageCache,
+    ImageSource,
+    ScalarValue,
+    TextureFiles,
+    encode_exr,
+)
 from datagen.importers.classes import guess_class
 from datagen.importers.common import ImportedAsset, ImportOptions, provenance
 from datagen.importers.packaging import finish
@@ -183,9 +190,10 @@ class _MaterialImporter:
         if is_up:
             return Texture(texture=self.textures.add_file(path), encoding="linear")
         flipped = np.array(self.cache.pixels(path)[..., :3])
-        flipped[..., 1] = np.iinfo(flipped.dtype).max - flipped[..., 1]
-        name = f"textures/{slug(path.stem)}_gl.png"
-        self.textures.files[name] = encode_png(flipped)
+        is_float = flipped.dtype.kind == "f"
+        flipped[..., 1] = (1 if is_float else np.iinfo(flipped.dtype).max) - flipped[..., 1]
+        name = f"textures/{slug(path.stem)}_gl{'.exr' if is_float else '.png'}"
+        self.textures.files[name] = encode_exr(flipped) if is_float else encode_png(flipped)
         return Texture(texture=name, encoding="linear")
 
     def classes(self, color: Path, title: str) -> tuple[MaterialClass, ...]:

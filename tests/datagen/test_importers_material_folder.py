@@ -13,6 +13,7 @@ from datagen.formats.package import open_package
 from datagen.formats.textures import texture_values
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png, read_image
+from datagen.importers.channels import encode_exr
 from datagen.importers.classes import guess_category, guess_class
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import import_asset
@@ -112,6 +113,19 @@ def test_directx_normals_are_flipped(tmp_path: Path, name: str) -> None:
     assert isinstance(asset, MaterialAsset)
     assert asset.material.normal is not None
     np.testing.assert_array_equal(read_image(record.path / asset.material.normal.texture), up)
+
+
+def test_directx_normals_in_an_exr_are_flipped(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "oak")
+    (folder / "Oak_1K_NormalGL.png").unlink()
+    up = (bumps()[1] / 255).astype(np.float32)
+    (folder / "Oak_1K_NormalDX.exr").write_bytes(encode_exr(up * [1, -1, 1] + [0, 1, 0]))
+    record = import_material_folder(folder, tmp_path / "library", LICENSED)
+    asset = open_package(record.path).asset
+    assert isinstance(asset, MaterialAsset)
+    assert asset.material.normal is not None
+    found = read_image(record.path / asset.material.normal.texture)
+    np.testing.assert_allclose(found, up, atol=1e-3)
 
 
 def test_real_folders_are_imported(tmp_path: Path, shared_data: Path) -> None:
