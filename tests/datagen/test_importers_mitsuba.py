@@ -154,6 +154,23 @@ def test_obj_polygons_negative_indices_and_missing_parts(tmp_path: Path) -> None
     path.write_text("v 0 0 0\nv 1 0 0\nf 1 2 9\n")
     with pytest.raises(InputError, match="entry 9 of 2"):
         read_obj(path)
+    path.write_text("v 0 0 0\nv 1 0 0\nf 1 2 -3\n")
+    with pytest.raises(InputError, match="entry -3 of 2"):
+        read_obj(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("v 0 0\nv 1 0\nv 1 1\nf 1 2 3\n", "'v 0 0'"),
+        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0.5\nvt 1\nvt 1\nf 1/1 2/2 3/3\n", "'vt 0.5'"),
+    ],
+)
+def test_an_obj_of_short_lines_is_refused(tmp_path: Path, text: str, found: str) -> None:
+    path = tmp_path / "a.obj"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"a.obj: {found} has too few numbers"):
+        read_obj(path)
 
 
 # ---- materials against Mitsuba -------------------------------------------------------------------

@@ -66,6 +66,9 @@ def _block(lines: list[bytes], width: int, is_padded: bool) -> NDArray[np.float6
         return np.stack(columns, axis=1)
     # rows of different lengths, such as colours on some vertices
     rows = [(line.split()[1:] + [b"0"] * (width if is_padded else 0))[:width] for line in lines]
+    short = next((line for line, row in zip(lines, rows, strict=True) if len(row) < width), None)
+    if short is not None:
+        raise ValueError(f"{short.decode('ascii', 'replace').strip()[:80]!r} has too few numbers")
     return np.array([[float(word) for word in row] for row in rows])
 
 
@@ -100,9 +103,11 @@ def corner_indices(corners: list[bytes], counts: tuple[int, ...]) -> NDArray[np.
                 indices[row, column] = int(number) if number else 0
     for column, count in enumerate(counts):
         values = indices[:, column]
+        given = values.copy()
         values[values < 0] += count + 1  # negative indices count from the end
-        if (values > count).any() or (values < 0).any() or (column == 0 and (values < 1).any()):
-            raise ValueError(f"a face refers to entry {int(values.max())} of {count}")
+        bad = (values > count) | (values < (1 if column == 0 else 0))
+        if bad.any():
+            raise ValueError(f"a face refers to entry {max(given[bad].tolist(), key=abs)} of {count}")
     return indices - 1
 
 
