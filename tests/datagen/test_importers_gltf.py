@@ -328,6 +328,7 @@ def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str) -> None:
         ),
         (lambda d: d["accessors"][0].update(count=10_000), "10000 entries"),
         (lambda d: d["accessors"][0].update(bufferView=99), "an index below"),
+        (lambda d: d["accessors"][0].update(byteOffset=-4), "offset -4; expected numbers of at least 0"),
         (lambda d: d["meshes"][0]["primitives"][0].update(material=7), "an index below 1 into materials"),
         (lambda d: d["asset"].update(version="1.0"), "2.0"),
         (lambda d: d["scenes"][0].update(nodes=[]), "no triangles"),

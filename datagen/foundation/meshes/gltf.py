@@ -276,7 +276,7 @@ class GltfFile:
         stride = stride or size
         start = int(entry.get("byteOffset", 0))
         if min(count, start, stride) < 0:
-            raise self.error(user, f"count {count}, offset {start}", "numbers above 0")
+            raise self.error(user, f"count {count}, offset {start}", "numbers of at least 0")
         if count and (stride < size or start + stride * (count - 1) + size > len(data)):
             raise self.error(user, f"{len(data)} bytes", f"{start + stride * (count - 1) + size} bytes")
         if stride == size:
