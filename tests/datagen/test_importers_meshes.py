@@ -183,6 +183,15 @@ def test_readers_spend_the_budget(tmp_path: Path, suffix: str) -> None:
         import_asset(path, tmp_path / "library", ImportOptions(license="CC0-1.0", limits=Limits(pairs=1000)))
 
 
+def test_ascii_faces_with_numbers_around_the_list(tmp_path: Path) -> None:
+    head = "ply\nformat ascii 1.0\nelement vertex 4\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "element face 2\nproperty uchar flags\nproperty list uchar int vertex_indices\n"
+    body = "property float area\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n7 4 0 1 2 3 0.5\n7 3 1 2 3 0.5\n"
+    mesh = decode_ply((head + body).encode(), "a.ply")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [1, 2, 3]]
+
+
 # --- through Blender --------------------------------------------------------------------------------------
 
 _MAKE = """

@@ -202,7 +202,10 @@ def _read_ascii(
     try:
         for name, count, properties in elements:
             rows = [next(lines).split() for _ in range(count)]
-            if any(size for _, _, size in properties):
+            sizes = [size for _, _, size in properties]
+            if any(sizes):
+                start = next(k for k, size in enumerate(sizes) if size)  # single numbers before the list
+                rows = [row[start:] for row in rows]
                 num_triangles = sum(max(0, int(r[0]) - 2) for r in rows)
                 if num_triangles > budget.allowed("triangles"):
                     raise budget.exceeded("triangles", num_triangles, Path(where).name)
