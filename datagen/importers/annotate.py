@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from datagen.formats.asset import (
     AssetCamera,
@@ -48,7 +49,7 @@ class Annotations(StrictModel):
     light_slots: tuple[LightSlot, ...] | None = None
     openings: tuple[Opening, ...] | None = None
     camera_regions: tuple[Box, ...] | None = None
-    classes: dict[str, tuple[MaterialClass, ...]] = {}
+    classes: dict[str, Annotated[tuple[MaterialClass, ...], Field(min_length=1)]] = {}
     replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
 
     def over(self, places: RoomPlaces, openings: tuple[Opening, ...]) -> dict[str, Any]:

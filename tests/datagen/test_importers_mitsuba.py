@@ -489,6 +489,9 @@ def test_annotations_override_the_scene(tmp_path: Path) -> None:
     sidecar.write_text("supports: []\n")
     with pytest.raises(InputError, match="supports"):
         imported(tmp_path / "again", ROOM, options)
+    sidecar.write_text("classes: {Walls: []}\n")
+    with pytest.raises(InputError, match=r"classes.Walls.*at least 1 item"):
+        imported(tmp_path / "again", ROOM, options)
 
 
 GLASS = """
