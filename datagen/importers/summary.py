@@ -13,13 +13,15 @@ _NAMED, _LINES = 3, 6
 
 
 def summary_lines(asset: ImportedAsset) -> list[str]:
-    """Return the lines of a terminal summary of an imported asset; ``import.json`` has all details."""
+    """Return the lines of a terminal summary of an imported asset; ``import.json`` has all but warnings."""
     lines = [f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.contents}; {asset.path}"]
     for label, sentences in (("approximated", asset.approximations), ("note", asset.notes)):
         grouped = group_sentences(sentences)
         lines += [f"  {label}: {sentence}" for sentence in grouped[:_LINES]]
         if len(grouped) > _LINES:
             where = f"{asset.path}: import.json"
+            if label == "note":
+                where += f" or, if warnings, `datagen library {asset.path} --check`"
             lines.append(f"  {label}: {len(grouped) - _LINES} more kinds, all of them in {where}")
     return lines
 

@@ -7,6 +7,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -308,6 +309,22 @@ def test_a_report_is_short_and_names_the_full_one(tmp_path: Path) -> None:
     lines = summary_lines(record)
     assert lines[0].startswith("object sofa (CC0-1.0): 1.60 × 0.50 × 0.80 m; ")
     assert len(lines) == 8 and "2 more kinds, all of them in" in lines[-1]
+    assert lines[-1].endswith("import.json")
+
+
+def test_warnings_beyond_the_report_are_found_by_the_check(tmp_path: Path) -> None:
+    book = "".join(f"v {x} {y} {z}\n" for x, y, z in [(0, 0, 0), (0, 0, 1), (1, 0, 0), (0, 1, 0), (-1, 0, 0)])
+    (tmp_path / "book.obj").write_text(book + "f 1 2 3\nf 1 2 4\nf 1 2 5\n")
+    (record,) = import_asset(tmp_path / "book.obj", tmp_path / "library", OPTIONS)
+    (warning,) = (note for note in record.notes if "non-manifold" in note)
+    assert warning not in json.loads((record.path / "import.json").read_text())["notes"]
+    many = replace(record, notes=tuple(f"book: {'x' * k}" for k in range(9)))
+    (line,) = (line for line in summary_lines(many) if "more kinds" in line)
+    assert line.endswith(f"import.json or, if warnings, `datagen library {record.path} --check`")
+    result = CliRunner().invoke(app, ["library", str(record.path), "--check"])
+    assert "1 non-manifold edges" in result.output
+
+
 
 
 def test_the_command_prints_size_and_contents(tmp_path: Path) -> None:
