@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from datagen.foundation.command_line import with_options
+from datagen.foundation.command_line import declared_options, with_options
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.importers.watch import ImportWatch
 
@@ -75,10 +75,11 @@ class ImportWords:
         try:
             return TypeAdapter(ImportOptions).validate_python(values)
         except ValidationError as error:
+            options = declared_options(ImportWords)
             problems = [
                 Problem(
                     "datagen import",
-                    "--" + str(e["loc"][0] if e["loc"] else "").removesuffix("_m").replace("_", "-"),
+                    options[str(e["loc"][0])][0],
                     repr(e.get("input")),
                     e["msg"].lower().removeprefix("input should be "),
                     "correct the option",

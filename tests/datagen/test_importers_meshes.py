@@ -23,6 +23,7 @@ from datagen.foundation.budget import Limits
 from datagen.foundation.errors import InputError
 from datagen.foundation.meshes.obj import corner_indices
 from datagen.foundation.meshes.ply import decode_ply
+from datagen.importers.command import ImportWords
 from datagen.importers.common import ImportedAsset, ImportOptions
 from datagen.importers.dispatch import import_asset
 from datagen.importers.summary import group_sentences, summary_lines
@@ -325,6 +326,20 @@ def test_warnings_beyond_the_report_are_found_by_the_check(tmp_path: Path) -> No
     assert "1 non-manifold edges" in result.output
 
 
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (ImportWords(classes=("velvety",)), "--class"),
+        (ImportWords(asset_id=7), "--id"),  # type: ignore[arg-type]
+        (ImportWords(allowed=(7,)), "--allow"),  # type: ignore[arg-type]
+        (ImportWords(tile_size_m=-1), "--tile-size"),
+        (ImportWords(kind="thing"), "--kind"),
+    ],
+)
+def test_faulty_options_are_named_as_on_the_command_line(words: ImportWords, option: str) -> None:
+    with pytest.raises(InputError) as caught:
+        words.parse()
+    assert [problem.field for problem in caught.value.problems] == [option]
 
 
 def test_the_command_prints_size_and_contents(tmp_path: Path) -> None:
