@@ -13,8 +13,11 @@ import pytest
 from PIL import Image
 
 from datagen.formats.package import open_package
+from datagen.foundation.budget import Budget, Limits
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.meshes.gltf import GltfFile
+from datagen.foundation.meshes.gltf_compressed import png_of_basis
 from datagen.foundation.meshes.ply import decode_ply
 from datagen.importers.gltf import import_gltf
 from tests.datagen.test_importers_gltf import LICENSED, QUAD, QUAD_UV, Builder, panel
@@ -131,9 +134,6 @@ def test_a_basis_texture_is_decoded(tmp_path: Path, codec: str, embedded: bool) 
 
 
 def test_alpha_of_a_basis_texture_is_kept(tmp_path: Path) -> None:
-    from datagen.foundation.budget import Budget
-    from datagen.foundation.meshes.gltf_compressed import png_of_basis
-
     pixels = picture(alpha=True)
     (tmp_path / "leaf.png").write_bytes(png_of_basis(ktx2(pixels, "uastc"), Budget(tmp_path), tmp_path, "x"))
     assert np.abs(read_image(tmp_path / "leaf.png").astype(int) - pixels).mean() < 6
@@ -161,3 +161,16 @@ def test_a_basis_texture_has_to_fit_the_budget(tmp_path: Path, monkeypatch: pyte
     (tmp_path / "source" / "wall.ktx2").write_bytes(flat)
     with pytest.raises(InputError, match=r"pixels decoded"):
         panel(tmp_path, textured({"uri": "wall.ktx2"}))
+
+
+def test_basis_textures_are_charged_once_each(tmp_path: Path) -> None:
+    builder = textured({"uri": "wall.ktx2"})
+    builder.json["images"].append({"uri": "floor.ktx2"})
+    for k, name in enumerate(("wall", "floor")):
+        flat = ktx2(np.full((512, 512, 3), 90 + k, np.uint8), "etc1s")
+        (tmp_path / f"{name}.ktx2").write_bytes(flat)
+    path = builder.write(tmp_path / "panel.gltf")
+    with GltfFile(path, Budget(path, Limits(pixels=300_000))) as file:
+        assert file.image_file(0, "first") == file.image_file(0, "second")
+        with pytest.raises(InputError, match=r"images\[1\]: pixels = 524288 or more"):
+            file.image_file(1, "third")

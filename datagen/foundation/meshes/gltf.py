@@ -79,6 +79,7 @@ class GltfFile:
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._buffers: dict[int, bytes] = {}
         self._unpacked: dict[object, bytes] = {}
+        self._images: dict[object, Path] = {}
         self._lists: dict[str, list[dict[str, Any]]] = {}
         self._binary = b""
         self.json = self._load()
@@ -303,9 +304,14 @@ class GltfFile:
     def image_file(self, index: object, user: str) -> Path:
         """Return the path of image ``index``, which may be missing.
 
-        Embedded images and, converted to PNG, Basis Universal images are written to a temporary folder.
+        Embedded images and, converted to PNG, Basis Universal images are written to a temporary folder, once.
         """
         entry = self.item("images", index, user)
+        if index not in self._images:
+            self._images[index] = self._image_file(index, entry)
+        return self._images[index]
+
+    def _image_file(self, index: object, entry: dict[str, Any]) -> Path:
         if "uri" in entry:
             content = self.resource(str(entry["uri"]), f"images[{index}].uri")
             if isinstance(content, Path):
@@ -324,8 +330,7 @@ class GltfFile:
         folder = Path(self._temporary.name) / str(index)
         folder.mkdir(exist_ok=True)
         path = folder / f"{Path(name).stem or 'image'}{suffix}"
-        if not path.exists():
-            path.write_bytes(content)
+        path.write_bytes(content)
         return path
 
     # nodes

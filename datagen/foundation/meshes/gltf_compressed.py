@@ -76,9 +76,7 @@ def png_of_basis(content: bytes, budget: Budget, where: Path, field: str) -> byt
 
     try:
         texture = opengl_basisu.open(content)
-        num_pixels = texture.width * texture.height
-        if num_pixels > budget.allowed("pixels"):
-            raise budget.exceeded("pixels", num_pixels, field)
+        budget.spend("pixels", texture.width * texture.height, field)
         pixels = texture.transcode("rgba8").data
     except opengl_basisu.BasisuError as error:
         raise input_error(where, field, error, "an intact KTX 2 file of Basis Universal", _AGAIN) from None
