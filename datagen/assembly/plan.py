@@ -223,13 +223,14 @@ def _dress(
 
 
 def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
-    """Map object ids to (library, weight); empty without weights or if ``library`` has other folders."""
+    """Map object ids to (library, weight); folders after the recipe's weigh 1. Empty without weights."""
     wanted = recipe.objects.library_weights
-    if not wanted or len(recipe.library) != len(library.paths):
+    if not wanted:
         return {}
+    names = (*recipe.library, *map(str, library.paths[len(recipe.library) :]))
     found = {}
     for package in pools.objects:
-        name = recipe.library[library.paths.index(library.root_of(package))]
+        name = names[library.paths.index(library.root_of(package))]
         found[package.id] = (name, wanted.get(name, 1.0))
     return found
 

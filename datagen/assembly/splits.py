@@ -247,6 +247,13 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
             f"at least one, for objects.count {list(recipe.objects.count)}",
             "add objects to the library or set objects.count to [0, 0]",
         )
+    if recipe.objects.library_weights and len(library.paths) < len(recipe.library):
+        problems.add(
+            "objects.library_weights",
+            f"{len(library.paths)} folders",
+            f"those of the recipe's library ({', '.join(recipe.library)}), in its order",
+            "open the library with all of them",
+        )
     counts = split_counts(recipe)
     for split in SPLITS:
         share = getattr(recipe.splits, split)

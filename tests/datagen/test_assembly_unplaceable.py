@@ -15,6 +15,7 @@ from datagen.assembly.unplaceable import implausible_sizes, unplaceable
 from datagen.asset_check import check_package
 from datagen.cli import app
 from datagen.formats.recipe import Recipe
+from datagen.foundation.errors import InputError
 from datagen.library import Library
 from tests.datagen.small_library import ball, box, cylinder, write_object, write_small_library
 
@@ -86,8 +87,8 @@ def test_plan_reports_unplaceable_assets_and_unlikely_sizes(own: Path, small: Pa
 def test_libraries_are_drawn_by_weight(own: Path, small: Path) -> None:
     library = Library([small, own])
 
-    def share(**weights: float) -> float:
-        asked = recipe(library=("small", "own"), objects={"count": (3, 3), "library_weights": weights})
+    def share(names: tuple[str, ...] = ("small", "own"), **weights: float) -> float:
+        asked = recipe(library=names, objects={"count": (3, 3), "library_weights": weights})
         used: Counter[bool] = Counter()
         for index in range(8):
             used.update(t.asset in ("tin", "marble") for t in assemble(asked, index, library).objects)
@@ -96,6 +97,11 @@ def test_libraries_are_drawn_by_weight(own: Path, small: Path) -> None:
     assert share() < 0.5
     assert 0.25 < share(own=1, small=1) < 0.8
     assert share(own=1, small=0) == 1.0
+    assert share(("small",), small=0) == 1.0  # folders that are not in the recipe have weight 1
+    with pytest.raises(
+        InputError, match=r"library_weights = 2 folders; expected those of .* \(small, own, more\)"
+    ):
+        share(("small", "own", "more"), own=2)
     with pytest.raises(ValidationError, match="library_weights"):
         recipe(objects={"library_weights": {"mine": 2}})
 
