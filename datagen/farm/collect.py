@@ -68,8 +68,10 @@ def collect(
     raise_problems(problems)
     # only folder names, since paths of the machine that made the dataset are private
     library = tuple(Path(path).name for path in recipe.library)
+    weights = {Path(path).name: weight for path, weight in recipe.objects.library_weights.items()}
+    objects = recipe.objects.model_copy(update={"library_weights": weights})
     index = DatasetIndex(
-        recipe=recipe.model_copy(update={"library": library}),
+        recipe=recipe.model_copy(update={"library": library, "objects": objects}),
         versions=plan.versions,
         variant=plan.variant,
         num_configurations=len(shards),

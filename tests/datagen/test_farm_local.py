@@ -14,13 +14,16 @@ from pathlib import Path
 
 import psutil
 import pytest
+import yaml
 
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.status import array_spec, forget_failures, read_status
 from datagen.farm.worker import EXIT_INTERRUPTED
-from datagen.formats.shard import Dataset
+from datagen.formats.base import read_json
+from datagen.formats.recipe import Recipe
+from datagen.formats.shard import Dataset, DatasetIndex
 from datagen.foundation.errors import InputError
 from tests.datagen.small_plan import plan_small
 
@@ -60,6 +63,16 @@ def test_dataset_is_readable(finished: DatasetFolder) -> None:
     assert all(view.buffers["beauty"].shape == (48, 64, 3) for view in views)
     assert not (finished.root / "work" / "small-00000").exists()
     assert list((finished.root / "work").iterdir()) == []
+
+
+def test_the_index_has_names_of_library_folders(tmp_path: Path, library_root: Path) -> None:
+    folder = plan_small(tmp_path / "dataset", library_root)
+    changes = {"library": (str(library_root),), "objects": {"library_weights": {str(library_root): 2}}}
+    recipe = Recipe.model_validate({**folder.read_recipe().model_dump(), **changes})
+    folder.recipe_path.write_text(yaml.safe_dump(recipe.model_dump(mode="json")))
+    collect(folder.root)
+    found = read_json(DatasetIndex, folder.index_path).recipe
+    assert found.library == ("library",) and found.objects.library_weights == {"library": 2}
 
 
 def test_three_workers_make_the_same_bytes(
