@@ -151,6 +151,10 @@ def run(arguments: argparse.Namespace) -> int:
         show.end()
         _list(refused.problems)
         return REFUSED
+    except OSError as error:
+        show.end()
+        print(f"error: {error}; make room, or choose another --out", file=sys.stderr)
+        return REFUSED
     except KeyboardInterrupt:
         steps.close()
         print("\ncancelled: nothing was written", file=sys.stderr)

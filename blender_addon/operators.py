@@ -160,6 +160,8 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
             return self._succeed(stop.value)
         except ExportRefused as refused:
             return self._refuse(refused)
+        except OSError as error:
+            return self._fail(error)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC":
@@ -183,9 +185,7 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
             return self._refuse(refused)
         except OSError as error:
             self._clean_up(context)
-            options().status = str(error)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return self._fail(error)
         _redraw(context)
         return {"RUNNING_MODAL"}
 
@@ -200,6 +200,11 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
         options().show(result.problems, text)
         self.report({"INFO"}, text)
         return {"FINISHED"}
+
+    def _fail(self, error: OSError) -> set[str]:
+        options().status = str(error)
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
 
     def _refuse(self, refused: ExportRefused) -> set[str]:
         errors = sum(problem.severity == "error" for problem in refused.problems)

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from blender_addon.command import REFUSED
+
 pytestmark = pytest.mark.bpy
 
 
@@ -33,6 +35,12 @@ def test_file_is_unchanged_after_cancelling_anywhere(outcome: dict[str, Any]) ->
     cancelled = {name: lines for name, lines in outcome.items() if name.startswith("cancelled")}
     assert len(cancelled) >= 5
     assert not any(cancelled.values()), cancelled
+
+
+def test_a_full_disk_ends_the_command_with_a_message(outcome: dict[str, Any]) -> None:
+    code, message = outcome["full disk in a command"]
+    assert code == REFUSED
+    assert message.splitlines()[-1].startswith("error: ") and "No space left on device" in message
 
 
 def test_no_partial_package_is_left(outcome: dict[str, Any]) -> None:

@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import sys
 from pathlib import Path
@@ -22,7 +24,7 @@ CHOSEN = (
 def main(folder: Path) -> None:
     import bpy
 
-    from blender_addon import write
+    from blender_addon import command, write
     from blender_addon.export import check, export, export_steps
     from blender_addon.problems import ExportRefused
     from blender_addon.settings import ExportSettings
@@ -79,6 +81,11 @@ def main(folder: Path) -> None:
         outcome["disk full"] = ["the failure did not reach the caller"]
     except OSError:
         compare("disk full")
+    calls.clear()
+    words = [*(f"--only={name}" for name in CHOSEN), "--kind=object", "--license=CC0-1.0"]
+    arguments = command.build_parser().parse_args([*words, "--max-texture=64", f"--out={out / 'full'}"])
+    with contextlib.redirect_stderr(io.StringIO()) as messages:
+        outcome["full disk in a command"] = (command.run(arguments), messages.getvalue())
     outcome["partial files"] = [str(p) for p in out.rglob(".*") if "partial" in p.name]
     bpy.context.scene["changed"] = 1
     bpy.data.materials[0].node_tree.nodes[0].location.x += 1
