@@ -156,10 +156,13 @@ class _Nodes:
         self.tree.links.new(result, self.output.inputs["Surface"])
 
 
-def add_sample(material: bpy.types.Material, collection: bpy.types.Collection) -> None:
-    """Add a square of a material to ``collection``, as wide as its tile (by default 1 m)."""
+def add_sample(material: bpy.types.Material, collection: bpy.types.Collection, metres: float) -> None:
+    """Add a square of a material to ``collection``, as wide as its tile (by default 1 m).
+
+    ``metres``: number of metres per Blender unit.
+    """
     mesh = bpy.data.meshes.new(material.name)
-    side = float(material.get("sm_tile_size_m", 1.0))
+    side = float(material.get("sm_tile_size_m", 1.0)) / metres
     mesh.from_pydata([(0, 0, 0), (side, 0, 0), (side, side, 0), (0, side, 0)], [], [(0, 1, 2, 3)])
     layer = mesh.uv_layers.new(name="UVMap")
     layer.uv.foreach_set("vector", np.array([0, 0, 1, 0, 1, 1, 0, 1], np.float32))

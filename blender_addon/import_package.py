@@ -7,6 +7,7 @@ import json
 import shutil
 import tempfile
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,9 +18,10 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from .import_materials import add_sample, make_material, package_file
-from .import_places import Places
+from .import_places import IMAGE_SHAPE, Places
 from .version import fault_of_version
 
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # raised by zipfile
 _MAX_ZIP_BYTES = 4 << 30
 _MAX_JSON_BYTES = 256 * 1024 * 1024
 _SHEAR = 1e-5  # largest relative error of a matrix composed of location, rotation and scale
@@ -39,7 +41,7 @@ def import_package(path: Path) -> Imported:
 
     An environment light becomes the scene's world, and the first camera becomes the scene's camera if it had
     none. Images of a zip are stored in the .blend file. Raises ``ValueError`` for an invalid package or a
-    version of Blender that is too old, and ``KeyError`` for a missing field.
+    version of Blender that is too old, and ``KeyError`` for a missing field; then nothing is added.
     """
     fault = fault_of_version()
     if fault is not None:
@@ -47,11 +49,14 @@ def import_package(path: Path) -> Imported:
     if path.suffix == ".zip":
         folder = Path(tempfile.mkdtemp(prefix="scene_materials_"))
         try:
-            _unpack(path, folder)
-            return _load(folder, pack=True)
+            try:
+                _unpack(path, folder)
+            except _ZIP_ERRORS as error:
+                raise ValueError(f"{path}: not readable as a zip: {error}") from error
+            return _load_or_undo(folder, pack=True)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-    return _load(path.parent if path.name == "asset.json" else path, pack=False)
+    return _load_or_undo(path.parent if path.name == "asset.json" else path, pack=False)
 
 
 def _unpack(path: Path, folder: Path) -> None:
@@ -68,6 +73,21 @@ def _unpack(path: Path, folder: Path) -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             with archive.open(member) as packed, target.open("xb") as unpacked:
                 shutil.copyfileobj(packed, unpacked)
+
+
+def _load_or_undo(folder: Path, pack: bool) -> Imported:
+    """Load a package; if that fails, remove what it added."""
+    scene = bpy.context.scene
+    before, world, camera = set(bpy.data.user_map()), scene.world, scene.camera
+    shape = {name: getattr(scene.render, name) for name in IMAGE_SHAPE}
+    try:
+        return _load(folder, pack)
+    except BaseException:
+        bpy.data.batch_remove(set(bpy.data.user_map()) - before)
+        scene.world, scene.camera = world, camera
+        for name, value in shape.items():
+            setattr(scene.render, name, value)
+        raise
 
 
 def _load(folder: Path, pack: bool) -> Imported:
@@ -87,13 +107,13 @@ def _load(folder: Path, pack: bool) -> Imported:
     collection = bpy.data.collections.new(data["id"])
     imported = Imported(collection)
     bpy.context.scene.collection.children.link(collection)
+    metres = bpy.context.scene.unit_settings.scale_length or 1.0
     if data["kind"] == "material":
         material = make_material(data["title"], data["material"], folder, pack)
         _tag(material, data)
-        add_sample(material, collection)
+        add_sample(material, collection, metres)
         return imported
     _tag(collection, data)
-    metres = bpy.context.scene.unit_settings.scale_length or 1.0
     _add_parts(collection, data, folder, pack, metres)
     places = Places(collection, metres, imported.remarks)
     places.add_lights(data.get("lights", []))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from .gather.lights import fitted_beam_width
 from .gather.world import WORLD_FROM_ENVIRONMENT
 
+IMAGE_SHAPE = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y")
 _SENSOR_MM = 36.0
 _UNLIMITED_CLIP_M = (1e-3, 1e5)  # for cameras without clipping; Blender's limits must be finite
 _SKEW = 1e-4  # cosine between the edges of a rectangle above which it is refused
@@ -189,8 +190,9 @@ class Places:
             width, height = camera["width_px"], camera["height_px"]
             aspect = camera["fx_px"] / camera["fy_px"]  # ratio of a pixel's height to its width
             if index == 0 and scene.camera is None:
-                render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
-                render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
+                shape = (width, height, 100, max(1.0, 1 / aspect), max(1.0, aspect))
+                for name, value in zip(IMAGE_SHAPE, shape, strict=True):
+                    setattr(render, name, value)
             thing = self._camera(camera, aspect)
             if scene.camera is None:
                 scene.camera = thing

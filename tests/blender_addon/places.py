@@ -2,16 +2,20 @@
 """Exports, imports and re-exports a room and a lamp with every kind of light, marker, camera and tag.
 
 ``python -m tests.blender_addon.places OUT`` writes ``first/``, ``again/`` (imported into an empty file) and
-``in_centimetres/`` (into one whose unit is a centimetre), and prints the remarks of the imports as JSON.
+``in_centimetres/`` (into one whose unit is a centimetre), and prints JSON: the remarks of these imports,
+refusals of invalid packages with what they changed in the file, and the width of a material's sample.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
+
+from tests.blender_addon.file_state import differences, snapshot
 
 ENVIRONMENT, LAMP = "small_room", "desk_lamp"
 TURNED = (0.3, -0.2, 1.1)
@@ -128,6 +132,41 @@ def _export(bpy: Any, folder: Path) -> None:
     export(folder, ExportSettings(max_texture_px=256))
 
 
+def _invalid(bpy: Any, out: Path) -> dict[str, tuple[str, list[str]]]:
+    """Import a damaged zip and a room that lacks a field of its last entry; errors and changes by name."""
+    from blender_addon.import_package import import_package
+
+    shutil.copytree(out / "first" / ENVIRONMENT, out / "incomplete")
+    description = out / "incomplete" / "asset.json"
+    data = json.loads(description.read_text(encoding="utf-8"))
+    del data["camera_regions"][-1]["maximum_m"]
+    description.write_text(json.dumps(data), encoding="utf-8")
+    shutil.make_archive(str(out / "damaged"), "zip", out / "first" / LAMP)
+    content = bytearray((out / "damaged.zip").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (out / "damaged.zip").write_bytes(content)
+    (out / "text.zip").write_text("no zip")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.world = bpy.data.worlds.new("own")
+    before, found = snapshot(bpy), {}
+    for name in ("incomplete", "damaged.zip", "text.zip"):
+        try:
+            import_package(out / name)
+        except (ValueError, KeyError) as error:
+            found[name] = (f"{type(error).__name__}: {error}", differences(before, snapshot(bpy)))
+    return found
+
+
+def _sample_side_m(bpy: Any, out: Path) -> float:
+    """Width of the sample of the material "paint" in a scene in centimetres."""
+    from blender_addon.import_package import import_package
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.unit_settings.scale_length = 0.01
+    (thing,) = import_package(out / "first" / "paint").collection.objects
+    return 0.01 * thing.dimensions.x
+
+
 def main(out: Path) -> None:
     import bpy
 
@@ -148,7 +187,8 @@ def main(out: Path) -> None:
         for folder in sorted((out / "first").iterdir()):
             remarks[name] += import_package(folder).remarks
         _export(bpy, out / name)
-    print("\n" + json.dumps(remarks))
+    found = {"remarks": remarks, "invalid": _invalid(bpy, out), "sample_m": _sample_side_m(bpy, out)}
+    print("\n" + json.dumps(found))
 
 
 if __name__ == "__main__":

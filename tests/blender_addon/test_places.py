@@ -51,8 +51,8 @@ def _descriptions(folder: Path, which: str, name: str) -> tuple[dict[str, Any], 
 def test_package_is_the_same_after_import_and_export(
     exported: tuple[Path, Any], which: str, name: str
 ) -> None:
-    folder, remarks = exported
-    assert remarks[which] == []
+    folder, found = exported
+    assert found["remarks"][which] == []
     first, again = _descriptions(folder, which, name)
     assert _differences(first, again) == []
 
@@ -67,6 +67,26 @@ def test_the_first_export_is_complete(exported: tuple[Path, Any]) -> None:
     assert {slot.kind for slot in asset.light_slots} == {"area", "point"}
     assert len(asset.camera_regions) == len(asset.cameras) == 2
     assert asset.provenance.usage == "evaluation_only"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("incomplete", "KeyError: 'maximum_m'"),
+        ("damaged.zip", "damaged.zip: not readable as a zip"),
+        ("text.zip", "text.zip: not readable as a zip"),
+    ],
+)
+def test_an_invalid_package_is_refused_and_leaves_nothing(
+    exported: tuple[Path, Any], name: str, message: str
+) -> None:
+    error, changes = exported[1]["invalid"][name]
+    assert message in error
+    assert changes == []
+
+
+def test_sample_of_a_material_is_as_wide_as_its_tile(exported: tuple[Path, Any]) -> None:
+    assert exported[1]["sample_m"] == pytest.approx(0.5)
 
 
 def test_image_of_the_world_keeps_its_bytes(exported: tuple[Path, Any]) -> None:
