@@ -16,7 +16,7 @@ from .bake.textures import UNIT_WINDOW, BakedMaterial, MaterialBaker, Window, pa
 from .bake.unwrap import bake_layout
 from .gather.instances import Instance
 from .gather.mesh import MeshArrays, Submesh, submesh
-from .gather.tags import material_classes, replaceable_by, slug, surfaces
+from .gather.tags import material_classes, replaceable_by, slug, surfaces, tile_size_m
 from .package import box_uv, material_entry, mesh_file, uv_density
 from .reading import Contents, Reader
 from .write import PackageWriter, exr_bytes
@@ -58,7 +58,7 @@ def write_target(
 
 def _library_material(reader: Reader, material: bpy.types.Material, writer: PackageWriter) -> dict[str, Any]:
     plan = reader.plan(material.name)
-    size = float(material.get("sm_tile_size_m", 1.0))
+    size = tile_size_m(material, reader.problems) or 1.0
     layers = plan.dependencies.layer_names
     info = {"Location": (0.0,) * 3, "Color": (1.0,) * 3, "Alpha": (1.0,), "Object Index": (0.0,),
             "Material Index": (0.0,), "Random": (0.5,)}  # fmt: skip
@@ -245,8 +245,9 @@ class _Assembly:
             entry["baked_from"] = str(origin)
         for surface in surfaces(material, "sm_surface", job.problems)[:1]:
             entry["surface"] = surface
-        if material.get("sm_tile_size_m") is not None and baked.uv is None and baked.window == UNIT_WINDOW:
-            entry["tile_size_m"] = float(material["sm_tile_size_m"])
+        tile_size = tile_size_m(material, job.problems)
+        if tile_size is not None and baked.uv is None and baked.window == UNIT_WINDOW:
+            entry["tile_size_m"] = tile_size
         self.materials[slot_name] = entry
         self._baked[self._key(instance, slot, name)] = (slot_name, baked)
         return slot_name, baked

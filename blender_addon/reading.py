@@ -27,6 +27,7 @@ from .gather.tags import (
     role_of,
     slug,
     surfaces,
+    tile_size_m,
     words,
 )
 from .gather.world import gather_world
@@ -103,8 +104,10 @@ class Reader:
         fallback = {key: getattr(self.settings, key) for key in ("license", "author", "source")}
         contents.extra["provenance"] = provenance(target.tagged, fallback, self.problems)
         if target.kind == "material":
-            self.plan(target.tagged.name)
-            found = surfaces(bpy.data.materials[target.tagged.name], "sm_surfaces", self.problems)
+            material = bpy.data.materials[target.tagged.name]
+            self.plan(material.name)
+            tile_size_m(material, self.problems)
+            found = surfaces(material, "sm_surfaces", self.problems)
             if found:
                 contents.extra["surfaces"] = list(found)
             return contents
@@ -150,6 +153,7 @@ class Reader:
                 plan = self.plan(name)
                 material_classes(bpy.data.materials[name], self.problems)
                 replaceable_by(bpy.data.materials[name], self.problems)
+                tile_size_m(bpy.data.materials[name], self.problems)
                 has_textures = plan.images or plan.varying or plan.bakes_normal
                 for layer in plan.dependencies.uv_layers if has_textures else ():
                     if (layer or mesh.active_uv) not in mesh.uv_layers:
@@ -190,10 +194,11 @@ class Reader:
         for tag, key in (("sm_scale_range", "scale_range"), ("sm_yaw_range_rad", "yaw_range_rad")):
             if tagged.get(tag) is not None:
                 values = numbers(tagged[tag])
-                if len(values) != 2 or values[0] > values[1]:
-                    self.problems.add(
-                        ERROR, f"{tag} = {values} of {tagged.name!r}", "give two numbers, the smaller first"
-                    )
+                is_positive = key != "scale_range" or all(value > 0 for value in values)
+                if len(values) != 2 or values[0] > values[1] or not is_positive:
+                    found = f"{tag} = {values or tagged[tag]!r} of {tagged.name!r}"
+                    wanted = "two positive numbers" if key == "scale_range" else "two numbers"
+                    self.problems.add(ERROR, found, f"give {wanted}, the smaller first")
                 contents.extra[key] = list(values)
 
     def _prepare_environment(self, contents: Contents) -> None:

@@ -96,7 +96,7 @@ def plan_material(
     if not material.use_nodes or material.node_tree is None:
         colour = Constant(tuple(material.diffuse_color[:3]))
         channels = Channels(colour, Constant((0.0,) * 3), Constant((1.0,)), None, None)
-        return MaterialPlan(material.name, channels, constants=channels.baked())
+        return MaterialPlan(material.name, channels, channels.baked(), problems=list(problems))
     graph = Graph(material.node_tree)
     closures = ClosureWalk(material.name, problems, policy).walk(graph)
     _note_leftover_lobes(closures, material.name, problems)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..problems import ERROR, ProblemList
-from .tags import SUPPORT_KINDS, check_words, role_of
+from .tags import SUPPORT_KINDS, check_words, positive, role_of
 
 Rectangle = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 _DEFAULT_CLEARANCE_M = 0.5
@@ -113,5 +113,5 @@ def _add_rectangle(
         if normal[2] < 0.999 * np.linalg.norm(normal):
             message = "a support surface must be horizontal and face up"
             problems.add(ERROR, message, "rotate it", object=thing.name)
-        clearance = float(thing.get("sm_clearance_m", _DEFAULT_CLEARANCE_M))
+        clearance = positive(thing, "sm_clearance_m", problems, object=thing.name) or _DEFAULT_CLEARANCE_M
         found["support_surfaces"].append({**entry, "kind": kind, "clearance_m": clearance})

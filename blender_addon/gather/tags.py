@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -42,15 +43,25 @@ def words(value: Any) -> tuple[str, ...]:
 
 
 def numbers(value: Any) -> tuple[float, ...]:
-    """The numbers of a tag: an array property, a number, or a string such as ``"0.9, 1.1"``.
-
-    Other text raises ``ValueError``.
-    """
+    """The numbers of a tag: an array property, a number, or a string such as ``"0.9, 1.1"``; else ()."""
     if isinstance(value, str):
-        return tuple(float(part) for part in value.split(","))
-    if hasattr(value, "__len__"):
-        return tuple(float(part) for part in value)
-    return (float(value),)
+        value = value.split(",")
+    try:
+        found = tuple(float(part) for part in (value if hasattr(value, "__len__") else (value,)))
+    except (TypeError, ValueError):
+        return ()
+    return found if all(math.isfinite(number) for number in found) else ()
+
+
+def positive(block: bpy.types.ID, tag: str, problems: ProblemList, **place: str) -> float | None:
+    """The positive number of a tag, or None without the tag; other values are an error."""
+    if (value := block.get(tag)) is None:
+        return None
+    found = numbers(value)
+    if len(found) == 1 and found[0] > 0:
+        return found[0]
+    problems.add(ERROR, f"{tag} = {value!r}", "give a positive number", **place)
+    return None
 
 
 def slug(name: str) -> str:
@@ -81,6 +92,11 @@ def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple
     """The tag ``sm_replaceable_by`` of a material: classes that may replace it."""
     tag = "sm_replaceable_by"
     return check_words(words(material.get(tag)), MATERIAL_CLASSES, tag, problems, material=material.name)
+
+
+def tile_size_m(material: bpy.types.Material, problems: ProblemList) -> float | None:
+    """The tag ``sm_tile_size_m`` of a material."""
+    return positive(material, "sm_tile_size_m", problems, material=material.name)
 
 
 def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> tuple[str, ...]:
