@@ -63,7 +63,7 @@ def _library_material(reader: Reader, material: bpy.types.Material, writer: Pack
     info = {"Location": (0.0,) * 3, "Color": (1.0,) * 3, "Alpha": (1.0,), "Object Index": (0.0,),
             "Material Index": (0.0,), "Random": (0.5,)}  # fmt: skip
     baked = MaterialBaker(reader.session, reader.settings, reader.problems).on_plane(
-        material, plan, UNIT_WINDOW, info if plan.is_per_instance else None, size, layers
+        material, plan, UNIT_WINDOW, info if plan.is_per_instance else None, size / reader.metres, layers
     )
     classes = material_classes(material, reader.problems)
     entry = material_entry(
@@ -227,9 +227,9 @@ class _Assembly:
             repeats = plan.is_periodic or material.get("sm_tile_size_m") is not None
             if (plan.varying or plan.bakes_normal) and plan.frame is not None and not repeats:
                 window = padded_window(*self._boxes[name])
-            size = self._window_side(instance, slot, plan, window) if plan.bakes_normal else 1.0
+            side = self._window_side(instance, slot, plan, window) if plan.bakes_normal else 1.0
             layers = plan.dependencies.layer_names
-            baked = self.baker.on_plane(material, plan, window, info, size, layers)
+            baked = self.baker.on_plane(material, plan, window, info, side, layers)
         number = 1
         if plan.needs_mesh or plan.is_per_instance:
             slot_name = base = f"{name} on {instance.name}"

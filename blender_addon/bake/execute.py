@@ -164,15 +164,14 @@ class BakeSession:
     # ---- objects
 
     def plane(
-        self, material: bpy.types.Material, uv_layers: dict[str, Array], size_m: float, active: str
+        self, material: bpy.types.Material, uv_layers: dict[str, Array], side: float, active: str
     ) -> bpy.types.Object:
-        """Create a square in the XY plane from 0 to ``size_m`` with UVs (4, 2) by layer at its corners.
+        """Create a square in the XY plane from 0 to ``side`` with UVs (4, 2) by layer at its corners.
 
         ``active``: name of the layer that is read by nodes that name none.
         """
         mesh = self.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}plane"))
-        s = size_m
-        mesh.from_pydata([(0, 0, 0), (s, 0, 0), (s, s, 0), (0, s, 0)], [], [(0, 1, 2, 3)])
+        mesh.from_pydata([(0, 0, 0), (side, 0, 0), (side, side, 0), (0, side, 0)], [], [(0, 1, 2, 3)])
         for name, values in uv_layers.items():
             layer = mesh.uv_layers.new(name=name)
             layer.uv.foreach_set("vector", np.ascontiguousarray(values, np.float32).ravel())

@@ -112,10 +112,13 @@ class MaterialBaker:
         plan: MaterialPlan,
         window: Window = UNIT_WINDOW,
         object_info: dict[str, tuple[float, ...]] | None = None,
-        size_m: float = 1.0,
+        side: float = 1.0,
         layer_names: tuple[str, ...] = (),
     ) -> BakedMaterial:
-        """Bake a material on a plane with side ``size_m``; ``layer_names``: UV layers that its nodes name."""
+        """Bake a material on a plane of ``side`` (Blender units).
+
+        ``layer_names``: UV layers that its nodes name.
+        """
         result = BakedMaterial(frame=plan.frame, window=window)
         result.channels.update(plan.images)
         pending = {**plan.constants, **plan.varying}
@@ -131,7 +134,7 @@ class MaterialBaker:
         uv = frame.inverse(corners).astype(np.float32)
         names = dict.fromkeys((*layer_names, frame.layer or "UVMap"))
         thing = self.session.plane(
-            working.material, {name: uv for name in names}, size_m, frame.layer or "UVMap"
+            working.material, {name: uv for name in names}, side, frame.layer or "UVMap"
         )
         covered = None if window == UNIT_WINDOW else padded_mask
         enough = _enough_px(plan, window)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +212,10 @@ def main(out: Path) -> None:
     bpy.context.view_layer.update()
     settings = ExportSettings(kind="object", license="CC0-1.0", bake_normals=True, max_texture_px=256)
     export(out / "normals", settings)
+    bpy.context.scene.unit_settings.scale_length = 0.01
+    for name in ("normal_map", "bump"):  # the tile's side remains one unit
+        bpy.data.materials[name]["sm_role"], bpy.data.materials[name]["sm_tile_size_m"] = "material", 0.01
+    export(out / "materials", replace(settings, kind="material"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     stages = [Stage(bpy, name) for name in ("plain", "gradient")]
     stages[1].link(stages[1].uv(), stages[1].shader.inputs["Base Color"])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datagen.formats.asset import ObjectAsset, Texture
+from datagen.formats.asset import MaterialAsset, ObjectAsset, Texture
 from datagen.formats.package import open_package
 from datagen.foundation.images import read_image
 from tests.blender_addon.policies import REFUSED, normal_image
@@ -76,6 +76,17 @@ def test_bump_has_the_slope_of_its_height(outcome: tuple[Path, Any]) -> None:
     wanted = -0.05 * 2 * np.pi * np.cos(2 * np.pi * x)
     assert np.abs(slope - wanted[None, :])[:, inside].mean() < 0.02
     assert np.abs(slope - 1.3 * wanted[None, :])[:, inside].mean() > 0.02
+
+
+def test_bump_of_a_material_package_has_its_slope_in_any_unit(outcome: tuple[Path, Any]) -> None:
+    package = open_package(outcome[0] / "materials" / "bump")
+    assert isinstance(package.asset, MaterialAsset)
+    assert isinstance(package.asset.material.normal, Texture)
+    vectors = read_image(package.path / package.asset.material.normal.texture).astype(float) / 255 * 2 - 1
+    x = (np.arange(vectors.shape[1]) + 0.5) / vectors.shape[1]
+    wanted = -0.05 * 2 * np.pi * np.cos(2 * np.pi * x)
+    inside = (x > 0.02) & (x < 0.98)
+    assert np.abs(vectors[..., 0] / vectors[..., 2] - wanted)[:, inside].mean() < 0.02
 
 
 def test_report_compares_materials_lights_and_cameras(outcome: tuple[Path, Any]) -> None:
