@@ -28,7 +28,7 @@ from .stage import SAMPLES, light_stage, material_stage
 
 _MATERIAL_LIMIT, _LIGHT_LIMIT = 0.10, 0.05
 _MITSUBA_SAMPLES = 4 * SAMPLES  # Mitsuba's samples are independent, Cycles' are stratified
-_TIMEOUT_S = 3600
+TIMEOUT_S = 3600.0
 _RENDER_MODULE = "datagen.inspection.render_package"
 
 
@@ -65,7 +65,7 @@ def report_steps(
         packages = sorted(path.parent for path in folder.glob("packages/*/asset.json"))
         remark = "Nothing to render."
         if packages:
-            remark = _render_with_mitsuba(folder, packages, settings.report_python)
+            remark = render_with_mitsuba(folder, packages, settings.report_python)
         page_materials = []
         for index, (material, image) in enumerate(zip(names, material_images, strict=True)):
             mitsuba = _mitsuba_image(folder, "report_materials", index)
@@ -106,7 +106,7 @@ def _render_materials(
         blocks = [bpy.data.materials[name] for name in names]
         cameras = material_stage(stage, blocks, [materials[name] for name in names])
         _export_stage(stage, "report_materials", settings, folder)
-        # the exporter sorts cameras by name, which is the order of creation: Blender numbers them
+        # the exporter sorts cameras by name, which is the order of creation
         for index, camera in enumerate(cameras):
             yield Progress(0.5 * index / len(cameras), f"report: {names[index]} in Cycles")
             stage.scene.camera = camera
@@ -131,7 +131,7 @@ def _render_light(
         images.append((light.name, kind, render_linear(stage.scene)))
 
 
-def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
+def render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
     """Render the packages with Mitsuba; returns the page's remark: sample counts, or the failure."""
     executable = python or _own_python()
     if not executable:
@@ -144,10 +144,12 @@ def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) ->
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONHOME"}
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False, env=environment
+            command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, env=environment
         )
     except OSError as error:
         return f"Rendered by Cycles only: {executable} cannot be run ({error})."
+    except subprocess.TimeoutExpired:
+        return f"Rendered by Cycles only: {executable} took longer than {TIMEOUT_S / 60:g} minutes."
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         return f"Rendered by Cycles only: {executable} failed with {last}"
@@ -169,7 +171,8 @@ def _mitsuba_image(folder: Path, package: str, index: int) -> np.ndarray | None:
 
 def _textures(folder: Path, material: str) -> str:
     """Describe for each channel of an exported material whether it is a constant or a texture."""
-    entries = json.loads((folder / "packages" / "report_materials" / "asset.json").read_text())["materials"]
+    description = folder / "packages" / "report_materials" / "asset.json"
+    entries = json.loads(description.read_text(encoding="utf-8"))["materials"]
     names = [name for name in entries if name == material or name.startswith(f"{material} on ")]
     if not names:
         return ""

@@ -17,7 +17,7 @@ PICTURE_PX = 112
 SAMPLES = 48
 _SPACING = 40.0  # neighbours change a material's light by less than a thousandth
 _PREFIX = ".sm_report"
-_SPHERE_ROWS, _SPHERE_COLUMNS = 48, 96
+SPHERE_ROWS, SPHERE_COLUMNS = 48, 96
 
 
 def _prepare(session: BakeSession, identity: str) -> bpy.types.Scene:
@@ -34,7 +34,7 @@ def _prepare(session: BakeSession, identity: str) -> bpy.types.Scene:
 
 def sphere_mesh(session: BakeSession, radius: float) -> bpy.types.Mesh:
     """Create a smooth sphere about (0, 0, radius); u is the longitude, v the latitude, both in [0, 1]."""
-    rows, columns = _SPHERE_ROWS, _SPHERE_COLUMNS
+    rows, columns = SPHERE_ROWS, SPHERE_COLUMNS
     theta, phi = np.meshgrid(
         np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, columns + 1), indexing="ij"
     )
@@ -62,10 +62,12 @@ def plane_mesh(session: BakeSession, side: float) -> bpy.types.Mesh:
     return mesh
 
 
-def _camera(session: BakeSession, eye: np.ndarray, target: np.ndarray, lens: float) -> bpy.types.Object:
+def _camera(
+    session: BakeSession, eye: np.ndarray, target: np.ndarray, lens: float, index: int = 0
+) -> bpy.types.Object:
     camera = session.own(bpy.data.cameras, bpy.data.cameras.new(f"{_PREFIX}_camera"))
     camera.lens = lens
-    thing = session.own(bpy.data.objects, bpy.data.objects.new(f"{_PREFIX}_camera", camera))
+    thing = session.own(bpy.data.objects, bpy.data.objects.new(f"{_PREFIX}_camera_{index:06d}", camera))
     back = (eye - target) / np.linalg.norm(eye - target)
     side = np.cross([0.0, 0.0, 1.0] if abs(back[2]) < 0.99 else [0.0, 1.0, 0.0], back)
     side /= np.linalg.norm(side)
@@ -101,9 +103,8 @@ def material_stage(
                 if name not in mesh.uv_layers:
                     mesh.uv_layers.new(name=name)  # a copy of the active one
             session.object_of(mesh).location = place
-        cameras.append(
-            _camera(session, place + np.array([0.0, -3.2, 1.9]), place + np.array([0.0, 0.0, 0.36]), lens=60)
-        )
+        eye, target = place + np.array([0.0, -3.2, 1.9]), place + np.array([0.0, 0.0, 0.36])
+        cameras.append(_camera(session, eye, target, lens=60, index=index))
     return cameras
 
 

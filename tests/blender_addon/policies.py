@@ -193,7 +193,9 @@ def _bump(s: Stage) -> None:
 def main(out: Path) -> None:
     import bpy
 
+    from blender_addon.bake.execute import BakeSession
     from blender_addon.export import check, export
+    from blender_addon.report import compare, stage
     from blender_addon.settings import ExportSettings
 
     graphs.FOLDER = out / "images"
@@ -232,7 +234,16 @@ def main(out: Path) -> None:
         out / "report", ExportSettings(license="CC0-1.0", report=True, max_texture_px=64, kind="environment")
     )
     found["report"] = str(result.report)
+    slow = out / "slow_python"
+    slow.write_text("#!/bin/sh\nexec tail -f /dev/null\n")
+    slow.chmod(0o755)
+    compare.TIMEOUT_S = 0.1
+    found["slow"] = compare.render_with_mitsuba(out, [], str(slow))
     found["left"] = [scene.name for scene in bpy.data.scenes] + [block.name for block in bpy.data.meshes]
+    stage.SPHERE_ROWS, stage.SPHERE_COLUMNS = 2, 3
+    session = BakeSession().__enter__()  # not closed: removing its objects takes seconds
+    cameras = stage.material_stage(session, [bpy.data.materials["plain"]] * 1002, [()] * 1002)
+    found["camera names"] = [camera.name for camera in cameras]
     print("\n" + json.dumps(found))
 
 

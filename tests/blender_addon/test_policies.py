@@ -99,3 +99,11 @@ def test_report_compares_materials_lights_and_cameras(outcome: tuple[Path, Any])
     assert text.count("data:image/png;base64,") == 3
     assert re.search(r"eye</td><td class=\"number\">0\.0\d+ px", text)
     assert outcome[1]["left"] == ["Scene", "gradient", "plain"]
+
+
+def test_report_without_mitsuba_names_the_time_limit(outcome: tuple[Path, Any]) -> None:
+    assert "slow_python took longer than" in outcome[1]["slow"]
+
+
+def test_cameras_of_a_thousand_materials_are_sorted_by_name(outcome: tuple[Path, Any]) -> None:
+    assert outcome[1]["camera names"] == sorted(outcome[1]["camera names"])
