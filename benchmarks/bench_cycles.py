@@ -231,7 +231,7 @@ class Comparison:
         chosen = rest[:: max(1, len(rest) // max(1, count - len(self.error_views)))]
         views = sorted([*self.error_views, *chosen[: max(0, count - len(self.error_views))]])
         used = samples or max(curve)
-        name = f"cycles_{kind}_timed_{used}_{len(views)}"
+        name = f"cycles_{kind}_timed_{used}_{len(views)}_{len(self.error_views)}"
         cycles = self.cycles(name, views, used, *options)
         return {
             **cycles,
@@ -249,7 +249,7 @@ class Comparison:
         curve: dict[int, float] = {}
         samples = FIRST_SAMPLES
         while samples <= self.arguments.max_cycles_samples:
-            name = f"cycles_{kind}_{samples}"
+            name = f"cycles_{kind}_{samples}_{len(self.error_views)}"
             self.cycles(name, self.error_views, samples, *options)
             curve[samples] = self.cycles_error(name, pairs)
             print(f"cycles, {kind}, {samples} samples: relMSE {curve[samples]:.5f}", file=sys.stderr)

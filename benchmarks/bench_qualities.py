@@ -35,7 +35,7 @@ SLACK, TIME_SLACK = 1.25, 1.5
 
 def planned_folder(out: Path, configurations: int) -> Path:
     """Plan ``configurations`` of the bundled library unless ``out`` contains them; returns their folder."""
-    folder = out / "plan"
+    folder = out / f"plan-{configurations}"
     if not (folder / "plan.json").is_file():
         out.mkdir(parents=True, exist_ok=True)
         count = ObjectRecipe(count=(10, 24))

@@ -28,10 +28,11 @@ from numpy.typing import NDArray
 from benchmarks.bench_view import RESULTS, configuration_of, converted
 from benchmarks.timing import write_report
 from datagen.assembly.plan import assemble
-from datagen.formats.base import parse_model
+from datagen.formats.base import canonical_json, parse_model, sha256_hex
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import EnvironmentRecipe, Recipe, RenderRecipe
 from datagen.foundation.color import luminance
+from datagen.foundation.versions import pixel_versions
 from datagen.inspection.recheck import DEPTH, PARTS, ROULETTE_DEPTH
 from datagen.library import Library, resolve_library_paths
 from datagen.rendering.error import relative_mse_of_parts
@@ -80,12 +81,21 @@ def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tup
     return assemble(recipe, 0, library), library
 
 
+def reference_paths(
+    configuration: Configuration, room: str, view: int, samples: int, cache: Path
+) -> list[Path]:
+    """Paths of a view's references, named after room, view, part, and a hash of what determines them."""
+    determined = [configuration.model_dump(mode="json"), samples, pixel_versions()]
+    key = sha256_hex(canonical_json(determined))[:12]
+    return [cache / f"{room}-{key}-{view}-{part}.npy" for part in range(PARTS)]
+
+
 def references(
     renderer: SceneRenderer, room: str, view: int, samples: int, cache: Path
 ) -> list[NDArray[np.float32]]:
     """Independent images (H, W, 3) of reflected light, rendered unless they are in ``cache``."""
     camera = renderer.configuration.cameras[view].camera()
-    paths = [cache / f"{room}-{camera.width_px}-{samples}-{view}-{part}.npy" for part in range(PARTS)]
+    paths = reference_paths(renderer.configuration, room, view, samples, cache)
     for part, path in enumerate(paths):
         if not path.is_file():
             tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)

@@ -19,7 +19,8 @@
    surface (depth within 5 %). Baselines are each map's mean, which is the best possible constant, and the
    photographs as diffuse albedo.
 
-Plan, renderings, meshes and captures are stored in --out and reused.
+Plan, renderings, meshes and captures are stored in a folder of --out, and reused by the same options and
+versions.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.studies.cycles_scene import export
-from datagen.formats.base import canonical_json, read_json
+from datagen.formats.base import canonical_json, read_json, sha256_hex
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
@@ -51,6 +52,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from model.evaluation.camera_faults import PRESETS, photographed
@@ -124,7 +126,7 @@ def run(*command: str, log: Path, is_module: bool = True) -> None:
 
 @dataclass
 class EndToEnd:
-    """The steps of the pipeline, in order; each stores its result in ``out``."""
+    """The steps of the pipeline, in order; each stores its result in ``out``, a folder for its options."""
 
     out: Path
     views: int
@@ -137,6 +139,8 @@ class EndToEnd:
     mesh: str = "retopology"
 
     def __post_init__(self) -> None:
+        key = {"cameras": [self.views, *self.size], "samples": self.samples, "triangles": self.triangles}
+        self.out /= sha256_hex(canonical_json({**key, "versions": pixel_versions()}))[:12]
         self.out.mkdir(parents=True, exist_ok=True)
         taken = "" if self.faults is None else f"-{self.faults}"
         meshed = "" if self.mesh == "retopology" else f"-{self.mesh}"

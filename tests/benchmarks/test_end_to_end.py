@@ -91,22 +91,20 @@ def test_colmap_finds_the_cameras_of_jpegs(tmp_path: Path) -> None:
     assert [camera.name for camera in configuration.cameras] == [c.name for c in walk(24, (480, 320))]
     recipe = RenderRecipe(path_samples=4, auxiliary_samples=16, denoise=True)
     renderer = SceneRenderer(configuration, Library([bundled_library()]), recipe)
-    (tmp_path / "images").mkdir()
+    steps.images.mkdir()
     exposure = 0.0
     for view in renderer.render_views(range(24)):
         color = view.buffers["beauty"].astype(np.float32)
         exposure = exposure or exposure_for(color)
         camera: Camera = configuration.cameras[view.index].camera()
         name = configuration.cameras[view.index].name
-        (tmp_path / "images" / f"{name}.jpg").write_bytes(
-            jpeg(developed(color, exposure, view.index), camera)
-        )
+        (steps.images / f"{name}.jpg").write_bytes(jpeg(developed(color, exposure, view.index), camera))
     renderer.close()
     steps.calibrate()
-    (tmp_path / "retopology.ply").write_bytes(
+    (steps.out / "retopology.ply").write_bytes(
         encode_ply(Mesh(np.eye(3, dtype=np.float32) * 3, np.array([[0, 1, 2]], np.int32)))
     )
-    capture = read_capture(steps.capture, CaptureOptions(mesh=tmp_path / "retopology.ply"))
+    capture = read_capture(steps.capture, CaptureOptions(mesh=steps.out / "retopology.ply"))
     assert any("up: z" in note for note in capture.notes)
     found = steps.pose_errors()
     print(found)
