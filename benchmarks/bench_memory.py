@@ -158,10 +158,12 @@ def main() -> None:
     parser.add_argument("--warm-up", type=int, default=3)
     parser.add_argument("--out", type=Path, default=RESULTS / "bench_memory.json")
     arguments = parser.parse_args()
+    if not 0 < arguments.warm_up < arguments.configurations:
+        parser.error(f"--warm-up: expected 1 to {arguments.configurations - 1}, fewer than --configurations")
     watch = Stopwatch()
     with watch.stage("all"):
         memory = measure(arguments.configurations, arguments.views, tuple(arguments.size))
-    growth = memory[-1] - memory[min(arguments.warm_up, len(memory)) - 1]
+    growth = memory[-1] - memory[arguments.warm_up - 1]
     result = {
         "views": arguments.configurations * arguments.views,
         "configurations": arguments.configurations,
