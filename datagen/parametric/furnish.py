@@ -122,9 +122,10 @@ def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
 def decorate(
     room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 5, is_home: bool = True
 ) -> None:
-    """Place pictures (2 to ``most`` in a home, else 1 to 3), a shelf, plants and a rug on the free floor.
+    """Place pictures, a shelf, plants and a rug on the free floor.
 
-    ``rug`` is the probability of a rug, ``round_rug`` the probability that it is round.
+    A home has 2 to ``most`` pictures (1 if that is ``most``), another room 1 to 3. ``rug`` is the probability
+    of a rug, ``round_rug`` the probability that it is round.
     """
     draws, style = room.draws, room.style
     if draws.chance(0.55):
@@ -132,7 +133,7 @@ def decorate(
             storage.wall_shelf(style, draws, draws.uniform(0.6, 1.1), draws.integer(1, 2)),
             draws.uniform(1.25, 1.5),
         )
-    pictures(room, draws.integer(2, most) if is_home else draws.integer(1, 3))
+    pictures(room, draws.integer(min(2, most), most) if is_home else draws.integer(1, 3))
     for _ in range(draws.integer(0, 2)):
         plant_somewhere(room)
     if draws.chance(rug):
