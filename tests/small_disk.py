@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small real file system for tests that can be filled or mounted read-only, also for root."""
+"""A small real file system for tests that can be filled or mounted read-only, even for root."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+"""Any position has a cell of the table."""
+
 from __future__ import annotations
 
 import numpy as np

@@ -159,7 +159,7 @@ def floor(camera: Camera, color: NDArray, points: NDArray) -> NDArray:
     ],
     ids=["floor", "one view", "daylight", "night"],
 )
-def test_photographs_decide(
+def test_a_hole_is_filled_if_photographs_show_its_floor(
     paint: Callable[[Camera, NDArray, NDArray], NDArray],
     num_views: int,
     num: int,
