@@ -55,7 +55,7 @@ class Engine(Protocol):
 
 
 def job_name(root: Path) -> str:
-    """Name shared by all jobs of a dataset folder and by no others."""
+    """Name of the jobs of a dataset folder and of no others."""
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 

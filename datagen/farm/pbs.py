@@ -2,7 +2,8 @@
 """Runs a plan on PBS (OpenPBS, PBS Professional) in array jobs.
 
 PBS arrays have at least two members with consecutive numbers, so the script lists the unit of each member.
-PBS sends no signal before a time limit, so the script does. Unfinished units then submit themselves again.
+PBS sends no signal before a time limit, so the script does. Unfinished units then submit themselves again as
+new jobs, so the collecting job submits itself again while units are left; its own name tells it from theirs.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class PbsEngine:
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
         select = _select(options.collect_cpus, options.collect_memory, 0)
         queue = options.collect_partition or options.partition
-        head = _directives(root, options, select, options.collect_time, queue)
+        head = _directives(_collecting_name(root), options, select, options.collect_time, queue)
         return Script(
             "collect.pbs",
             f"""#!/bin/bash
@@ -54,6 +55,11 @@ class PbsEngine:
 {head}
 {with_setup(options, root)}
 exec >> "$folder/logs/pbs-collect.log" 2>&1
+# Units that were interrupted have new jobs; qsub refuses to wait for one that has just ended.
+while left=$(qselect -N {job_name(root)} | paste -sd: -) && [ -n "$left" ]; do
+    qsub -W "depend=afterany:$left" "$folder/jobs/collect.pbs" && exit 0
+    sleep 60
+done
 {collect_commands(options)}""",
         )
 
@@ -62,10 +68,15 @@ exec >> "$folder/logs/pbs-collect.log" 2>&1
         return ask(script, "an accepted job", "qsub", *wait, str(script.resolve())).strip()
 
     def jobs(self, root: Path) -> list[str]:
-        return sorted(set(ask(root, "a list of jobs", "qselect", "-N", job_name(root)).split()))
+        names = (job_name(root), _collecting_name(root))
+        return sorted({job for n in names for job in ask(root, "a list of jobs", "qselect", "-N", n).split()})
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
         ask(root, "cancelled jobs", "qdel", *ids)
+
+
+def _collecting_name(root: Path) -> str:
+    return f"collect-{job_name(root)}"
 
 
 def _select(cpus: int, memory: str, gpus: int) -> str:
@@ -73,10 +84,10 @@ def _select(cpus: int, memory: str, gpus: int) -> str:
     return f"select=1:ncpus={cpus}:mem={unit}" + (f":ngpus={gpus}" if gpus else "")
 
 
-def _directives(root: Path, options: SlurmOptions, select: str, time_limit: str, queue: str) -> str:
+def _directives(name: str, options: SlurmOptions, select: str, time_limit: str, queue: str) -> str:
     minutes, seconds = divmod(seconds_of(time_limit), 60)
     lines = [
-        f"-N {job_name(root)}",
+        f"-N {name}",
         f"-l {select}",
         f"-l walltime={minutes // 60:02d}:{minutes % 60:02d}:{seconds:02d}",
         *([f"-q {queue}"] if queue else []),
@@ -92,7 +103,7 @@ def _directives(root: Path, options: SlurmOptions, select: str, time_limit: str,
 
 def _unit_script(root: Path, options: SlurmOptions, indices: Sequence[int], number: int) -> str:
     select = _select(options.cpus, options.memory, options.gpus)
-    head = _directives(root, options, select, options.time_limit, options.partition)
+    head = _directives(job_name(root), options, select, options.time_limit, options.partition)
     if len(indices) > 1:
         throttle = f"%{options.throttle}" if options.throttle else ""
         head += f"\n#PBS -J 0-{len(indices) - 1}{throttle}"

@@ -23,16 +23,22 @@ from tests.datagen.small_plan import plan_small
 from tests.datagen.test_farm_submit import HOSTILE
 
 _QSUB = r"""#!/bin/bash
-# Runs each member of the script's array, or of one from standard input, with PBS's variables.
+# Runs each member of the script's array, or of one from standard input, with PBS's variables. If LATE is set,
+# a script from standard input runs as job 8 when another job that depends on it is submitted.
 printf '%s\n' "qsub $*" >> "$NOTES"
 while [ $# -gt 0 ]; do
     case "$1" in
         -v) export "$2"; shift 2 ;;
-        -W) shift 2 ;;
+        -W) [[ "$2" = *:8.server ]] && mv "$NOTES.late" "$NOTES.now" && bash "$NOTES.now"; shift 2 ;;
         *) break ;;
     esac
 done
 if [ $# -gt 0 ]; then script=$(cat "$1"); else script=$(cat); fi
+if [ $# = 0 ] && [ -n "${LATE:-}" ]; then
+    printf '%s\n' "export DATAGEN_UNIT=$DATAGEN_UNIT" "$script" > "$NOTES.late"
+    echo "8.server"
+    exit
+fi
 last=$(sed -n 's/^#PBS -J 0-\([0-9]*\).*/\1/p' <<< "$script")
 for member in $(seq 0 "${last:-0}"); do
     if [ -n "$last" ]; then export PBS_ARRAY_INDEX=$member; else unset PBS_ARRAY_INDEX; fi
@@ -47,7 +53,12 @@ touch "$NOTES.slow"
 trap 'exit 75' USR1
 for k in $(seq 100); do sleep 0.1; done
 """
-_OTHERS = '#!/bin/bash\nprintf \'%s\\n\' "${0##*/} $*" >> "$NOTES"\necho $ANSWER\n'
+_QSELECT = r"""#!/bin/bash
+printf '%s\n' "qselect $*" >> "$NOTES"
+[[ "$2" = datagen-* && -e "$NOTES.late" ]] && echo "8.server"
+[ -z "$ANSWER" ] || echo $ANSWER
+"""
+_QDEL = '#!/bin/bash\nprintf \'%s\\n\' "qdel $*" >> "$NOTES"\n'
 
 
 @dataclass
@@ -67,7 +78,7 @@ class Desk:
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Desk:
     programs = tmp_path / "programs"
     programs.mkdir()
-    texts = {"qsub": _QSUB, "datagen": _DATAGEN, "qselect": _OTHERS, "qdel": _OTHERS}
+    texts = {"qsub": _QSUB, "datagen": _DATAGEN, "qselect": _QSELECT, "qdel": _QDEL}
     for name, text in texts.items():
         path = programs / name
         path.write_text(text)
@@ -123,6 +134,17 @@ def test_interrupted_jobs_resubmit_themselves(desk: Desk, monkeypatch: pytest.Mo
     assert called.count(f"datagen run {root} --unit 1 --attempts 3") == 2
     assert called.count(f"datagen run {root} --unit 0 --attempts 3") == 1
     assert "qsub -v DATAGEN_UNIT=1" in called
+
+
+def test_units_that_resubmit_themselves_are_collected(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The array ends before the new job of its interrupted unit starts."""
+    monkeypatch.setenv("SLOW_UNIT", "1")
+    monkeypatch.setenv("LATE", "1")
+    root = desk.folder.root
+    submit(root, SlurmOptions(time_limit="0:04", notice_s=2), "pbs")
+    called = [line for line in desk.lines() if line.startswith("datagen run")]
+    unit, index = f"datagen run {root} --unit 1 --attempts 3", f"datagen run {root} --only index --deep"
+    assert called[1:] == [unit, f"datagen run {root} --unit 2 --attempts 3", unit, index]
 
 
 def test_directives_match_the_options(desk: Desk) -> None:
@@ -194,7 +216,12 @@ def test_hostile_folder_names_execute_nothing(name: str, desk: Desk, tmp_path: P
 def test_cancelling_finds_jobs_by_name(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ANSWER", "7[].server 9.server")
     assert cancel(desk.folder.root, "pbs") == ["7[].server", "9.server"]
-    assert desk.lines() == [f"qselect -N {job_name(desk.folder.root)}", "qdel 7[].server 9.server"]
+    name = job_name(desk.folder.root)
+    assert desk.lines() == [
+        f"qselect -N {name}",
+        f"qselect -N collect-{name}",
+        "qdel 7[].server 9.server",
+    ]
     with pytest.raises(InputError, match=r"jobs = 2 in the queue; expected none of this folder"):
         submit(desk.folder.root, SlurmOptions(), "pbs")
 
