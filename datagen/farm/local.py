@@ -162,7 +162,7 @@ class _LocalRun:
                     self._handle(worker)
             self.summary.interrupted = bool(signals)
             if self.summary.interrupted or self.summary.disk_full:
-                _stop_all(self.workers)
+                self._stop()
         finally:
             for worker in self.workers:
                 worker.kill()
@@ -178,8 +178,20 @@ class _LocalRun:
                 self.attempts[unit.id] += 1
                 worker.assign(unit, self.folder.logs_path / f"{unit.id}.{self.attempts[unit.id]}.log")
 
-    def _handle(self, worker: _Worker) -> None:
-        """Handle a worker's message, or the end of its process."""
+    def _stop(self) -> None:
+        """Signal every worker to stop after its view, and handle their outcomes for up to ``GRACE_S``."""
+        for worker in self.workers:
+            if worker.process.is_alive():
+                worker.process.terminate()
+        deadline = time.monotonic() + GRACE_S
+        while busy := [worker for worker in self.workers if worker.unit is not None]:
+            if time.monotonic() >= deadline:
+                break
+            for worker in _ready(busy):
+                self._handle(worker, is_stopping=True)
+
+    def _handle(self, worker: _Worker, is_stopping: bool = False) -> None:
+        """Handle a worker's message, or the end of its process, which is no failure if it is told to stop."""
         unit = worker.unit
         try:
             message = worker.connection.recv() if worker.connection.poll() else None
@@ -191,7 +203,7 @@ class _LocalRun:
                 return
             self.workers.remove(worker)
             worker.kill()
-            if unit is not None:
+            if unit is not None and not is_stopping:
                 self._fail(unit, f"the worker process {_end_of(worker.process.exitcode)}", worker.log)
             return
         assert unit is not None
@@ -258,19 +270,3 @@ def _end_of(exit_code: int) -> str:
     except ValueError:
         name = f"signal {-exit_code}"
     return f"was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
-
-
-def _stop_all(workers: list[_Worker]) -> None:
-    """Signal every worker to stop after its view, and wait for their outcomes for up to ``GRACE_S``."""
-    for worker in workers:
-        if worker.process.is_alive():
-            worker.process.terminate()
-    deadline = time.monotonic() + GRACE_S
-    for worker in workers:
-        while worker.unit is not None and worker.process.is_alive() and time.monotonic() < deadline:
-            if worker.connection.poll(0.2):
-                try:
-                    if worker.connection.recv()[0] == "outcome":
-                        worker.unit = None
-                except (EOFError, OSError):
-                    break

@@ -40,6 +40,17 @@ def run_unit(run, stages):
         os.kill(os.getpid(), signal.SIGKILL)  # as the kernel does when memory runs out
     elif run.unit.index == 1 and fault == "exhaust":
         raise MemoryError("std::bad_alloc")
+    elif fault == "stop":  # all three are signalled; one is done, one fails and one is killed
+        while (folder / "attempts.txt").read_text().count("\\n") < 3:
+            os.sched_yield()
+        if run.unit.index == 0:
+            os.kill(os.getppid(), signal.SIGINT)
+        while not run.should_stop():
+            os.sched_yield()
+        if run.unit.index == 1:
+            raise ValueError("no camera")
+        if run.unit.index == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
     return real(run, stages)
 
 work_unit.run_unit = run_unit
@@ -117,3 +128,12 @@ def test_a_worker_that_dies_loses_its_unit_only(
         "nothing kills it here"
     )
     assert run_local(folder.root, LocalOptions()).already_done == 3
+
+
+def test_outcomes_during_a_stop_count(tmp_path: Path, library_root: Path) -> None:
+    """A unit finished in the grace period is done, a failed one recorded, a dead worker neither."""
+    folder = plan_small(tmp_path / "set", library_root, num_views=1)
+    summary, _ = _run(folder, "stop", workers=3, attempts=1, stages=[])
+    assert summary["done"] == ["small-00000"]
+    assert [(f["id"], f["reason"]) for f in summary["failures"]] == [("small-00001", "ValueError: no camera")]
+    assert folder.read_failure("small-00001").model_dump() == summary["failures"][0]
