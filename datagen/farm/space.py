@@ -7,12 +7,11 @@ import shutil
 from dataclasses import dataclass
 
 from datagen.farm.folder import DatasetFolder
+from datagen.formats.recipe import Recipe
 from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS
 from datagen.foundation.errors import input_error
 
-VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2
-"""Bound of bytes per pixel of a view in progress: uncompressed, 40 before statistics and 80 with them."""
-_PACKED_SHARE = 0.37
+_PACKED_SHARE = 0.4
 """Size of a packed view relative to its buffers, as measured with `datagen run smoke.yaml`."""
 
 
@@ -29,13 +28,25 @@ class SpaceNeed:
         return self.shard_bytes + self.working_bytes
 
 
+def view_bytes(recipe: Recipe) -> int:
+    """Bytes of a complete view without compression."""
+    left_out = () if recipe.statistics.light else LIGHT_BUFFERS
+    left_out += () if recipe.render.keep_noisy else ("beauty_noisy",)
+    stored = sum(b.num_channels * b.dtype.itemsize for b in BUFFERS.values() if b.name not in left_out)
+    return recipe.resolution[0] * recipe.resolution[1] * stored
+
+
+def working_bytes(recipe: Recipe) -> int:
+    """Bound of the bytes of a view in progress, which is stored without and with statistics."""
+    return 2 * view_bytes(recipe)
+
+
 def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
     """Estimate the space for the unfinished units, ``workers`` of which run at a time.
 
     The size of shards is estimated from finished ones or, if there are none, from the resolution.
     """
     plan, recipe = folder.read_plan(), folder.read_recipe()
-    pixels = recipe.resolution[0] * recipe.resolution[1]
     done = [
         m for unit in plan.units if folder.is_done(unit) and (m := folder.read_manifest(unit)) is not None
     ]
@@ -43,12 +54,10 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
     if done:
         bytes_per_view = sum(m.num_bytes for m in done) / sum(m.num_views for m in done)
     else:
-        left_out = () if recipe.statistics.light else LIGHT_BUFFERS
-        stored = sum(b.num_channels * b.dtype.itemsize for b in BUFFERS.values() if b.name not in left_out)
         share = 1.0 if recipe.output.compression == "none" else _PACKED_SHARE
-        bytes_per_view = pixels * stored * share
+        bytes_per_view = view_bytes(recipe) * share
     views = sorted((unit.num_views for unit in todo), reverse=True)
-    in_progress = sum(views[:workers]) * pixels * VIEW_BYTES_WHILE_WORKING
+    in_progress = sum(views[:workers]) * working_bytes(recipe)
     return SpaceNeed(len(todo), sum(views) * bytes_per_view, float(in_progress))
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from datagen.farm.folder import DatasetFolder, UnitManifest
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.planning import create_plan
-from datagen.farm.space import VIEW_BYTES_WHILE_WORKING
+from datagen.farm.space import working_bytes
 from datagen.formats.recipe import Recipe, SplitRecipe
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Advance, no_advance
@@ -100,7 +100,6 @@ def estimate(recipe: Recipe, library: Library, report: Advance = no_advance) -> 
     planning_s = _line(a.num_views, a.plan_s, b.num_views, b.plan_s, views) * recipe.configurations
     unit_s = once_s + b.view_s * views + statistics_s + pack_s
     bytes_per_view = b.manifest.num_bytes / b.num_views
-    pixels = recipe.resolution[0] * recipe.resolution[1]
     return Estimate(
         num_configurations=recipe.configurations,
         num_views=recipe.configurations * views,
@@ -110,7 +109,7 @@ def estimate(recipe: Recipe, library: Library, report: Advance = no_advance) -> 
         total_seconds=planning_s + unit_s * recipe.configurations,
         bytes_per_view=bytes_per_view,
         total_bytes=bytes_per_view * views * recipe.configurations,
-        working_bytes=float(pixels * views * VIEW_BYTES_WHILE_WORKING),
+        working_bytes=float(views * working_bytes(recipe)),
         peak_memory_mb=_line(
             a.num_views, a.manifest.peak_memory_mb, b.num_views, b.manifest.peak_memory_mb, views
         ),

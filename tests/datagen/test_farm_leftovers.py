@@ -10,7 +10,9 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 import datagen.farm.work_unit as work_unit
@@ -24,7 +26,10 @@ from datagen.farm.space import check_space, needed_space
 from datagen.farm.submission import submit
 from datagen.farm.work_unit import UnitRun, run_unit
 from datagen.formats.configuration import Configuration
+from datagen.formats.recipe import OutputRecipe
+from datagen.foundation.buffers import LIGHT_BUFFERS, RENDERED_BUFFERS, VIEW_BUFFERS, get_buffer
 from datagen.foundation.errors import InputError
+from datagen.foundation.exr import encode_view
 from datagen.inspection.verify import verify_dataset
 from datagen.library import Library
 from tests.datagen.small_plan import plan_small
@@ -190,7 +195,7 @@ def test_a_disk_too_small_for_the_estimate_is_reported_before_work(
     manifest = folder.read_manifest(folder.read_plan().units[0])
     assert manifest is not None
     assert need.num_units == 1 and need.shard_bytes == manifest.num_bytes, "from the shard that is there"
-    assert need.working_bytes == 3 * 64 * 48 * 128
+    assert need.working_bytes == 3 * 64 * 48 * 120
     usage = shutil.disk_usage(folder.root)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(need.total_bytes) + 1))
     check_space(folder, workers=2)
@@ -217,6 +222,27 @@ def test_jobs_are_not_submitted_to_a_disk_too_small(
     assert isinstance(result.exception, InputError)
     result = CliRunner().invoke(farm, ["submit", str(root), "--engine", "shell", "--no-space-check"])
     assert result.exit_code == 0, result.output
+
+
+@pytest.mark.parametrize("keep_noisy", [False, True])
+@pytest.mark.parametrize("light", [False, True])
+def test_views_in_progress_need_no_more_than_estimated(
+    keep_noisy: bool, light: bool, tmp_path: Path, library_root: Path
+) -> None:
+    """A view is rendered without compression, then stored again with statistics."""
+    folder = plan_small(tmp_path / "set", library_root, num_units=1, light=light)
+    recipe = folder.read_recipe()
+    render = recipe.render.model_copy(update={"keep_noisy": keep_noisy})
+    recipe = recipe.model_copy(update={"render": render, "output": OutputRecipe(compression="none")})
+    folder.recipe_path.write_text(yaml.safe_dump(recipe.model_dump(mode="json")))
+    noisy, lit = ("beauty_noisy",) * keep_noisy, LIGHT_BUFFERS * light
+    rendered, complete = (
+        len(encode_view({name: np.zeros((48, 64, get_buffer(name).num_channels)) for name in names}, "none"))
+        for names in ((*RENDERED_BUFFERS, *noisy), (*VIEW_BUFFERS, *noisy, *lit))
+    )
+    need = needed_space(folder, workers=1)
+    assert need.shard_bytes == pytest.approx(3 * complete, rel=0.02)
+    assert 3 * (rendered + complete) <= need.working_bytes < 4.5 * (rendered + complete)
 
 
 def test_the_estimate_without_shards_is_close(tmp_path: Path, library_root: Path) -> None:
