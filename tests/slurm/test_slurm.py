@@ -159,6 +159,8 @@ def test_a_requeued_task_is_done_once(
     assert running and running[0].startswith(submission.job_ids[0])
     cluster.run("scontrol", "requeue", running[0])
     cluster.wait_until_idle()
+    log = (folder.logs_path / "slurm-collect.log").read_text()
+    assert "4 shards" in log, "the collecting job waits for the requeued task"
     assert _hashes(folder) == expected
     assert len(list(folder.shards_path.iterdir())) == 4
 
