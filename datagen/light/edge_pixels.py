@@ -72,7 +72,7 @@ def unmixed(
     emitters = photographed_emitters(views, traced, emits, region_of_face)
     grid = surfels.grid
     background = photographed_background(views, grid.low, grid.high)
-    field = RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
+    field = RadianceField(traced.scene, unmixed_cells(surfels), emitters, background)
     edges = [_edge_pixels(surfels, index, view) for index, view in enumerate(views)]
     parts = [_parts(field, view, at, region_of_face) for view, at in zip(views, edges, strict=True)]
     colors = [view.color.reshape(-1, 3)[at] for view, at in zip(views, edges, strict=True)]

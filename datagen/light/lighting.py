@@ -17,7 +17,7 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
 from datagen.light.bake import Baker, Irradiance
-from datagen.light.cells import unmixed_cells
+from datagen.light.cells import surfel_cells, unmixed_cells
 from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
 from datagen.light.radiance_field import RadianceField
@@ -115,9 +115,9 @@ def light_surfels(
             size_m = surfels.grid.cell_m * CELLS_ACROSS
             own = surfels
             if options.bounds_mixed:
-                unmixed = RadianceField(traced.scene, own, emitters, background, unmixed_cells(own))
+                unmixed = RadianceField(traced.scene, unmixed_cells(own), emitters, background)
                 own = bounded(own, Baker(unmixed, size_m))
-            scene_field = RadianceField(traced.scene, own, emitters, background)
+            scene_field = RadianceField(traced.scene, surfel_cells(own), emitters, background)
 
             def sun_in(baker: Baker) -> Sun | None:
                 is_clipped = clipped_surfels(views, own)
@@ -222,7 +222,7 @@ def _estimated(
     gains = fitted_gains(baker, diffuse, regions.of_face[surfels.face], sunlight)
     of_unseen = gains.of_group[surface_groups(unseen.position_m, unseen.normal, surfels), None]
     unseen = replace(unseen, radiance=(unseen.radiance * of_unseen).astype(np.float32))
-    fitted = seen.with_background(surfels, with_gains(seen.background, gains.of_group))
+    fitted = seen.with_background(with_gains(seen.background, gains.of_group))
     return _Estimates(unseen.added_to(fitted, surfels), gains.hidden, sun, sunlight)
 
 

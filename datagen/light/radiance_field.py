@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.light.background import Background
-from datagen.light.cells import Cells, cell_keys, outer_cells, pyramid, surfel_cells
+from datagen.light.cells import Cells, cell_keys, outer_cells, pyramid
 from datagen.light.emitters import Emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
 from datagen.multiview.visibility import aligned
@@ -89,26 +89,25 @@ class End(NamedTuple):
 
 
 class RadianceField:
-    """Radiance along rays in ``scene``, from ``surfels``, ``emitters`` and ``background``.
+    """Radiance along rays in ``scene``, from ``cells`` of surfaces, ``emitters`` and ``background``.
 
-    ``cells`` (default: those of the surfels) may include estimates; ``outer`` are larger cells outside their
-    grid. ``metals`` reflect rays once.
+    ``cells`` may include estimates; ``outer`` are larger cells outside their grid. ``metals`` reflect rays
+    once.
     """
 
     def __init__(
         self,
         scene: mi.Scene,
-        surfels: Surfels,
+        cells: Cells,
         emitters: Emitters,
         background: Background,
-        cells: Cells | None = None,
         metals: Metals | None = None,
         outer: Cells | None = None,
     ):
         self.scene = scene
         self.emitters = emitters
         self.background = background
-        self.cells = cells or surfel_cells(surfels)
+        self.cells = cells
         self.outer = outer
         levels = pyramid(self.cells) + ([] if outer is None else [outer])
         self._levels = [self._upload(level) for level in levels]
@@ -252,16 +251,16 @@ class RadianceField:
             radiance=np.concatenate([self.cells.radiance, radiance[chosen[free]]]).astype(np.float32),
             is_photographed=np.concatenate([self.cells.is_photographed, np.zeros(int(free.sum()), bool)]),
         )
-        return self._changed(surfels, cells=cells, outer=outer)
+        return self._changed(cells=cells, outer=outer)
 
     def with_radiance(self, surfels: Surfels, radiance: NDArray) -> RadianceField:
         """Return a field in which ``surfels`` have ``radiance`` (N, 3) instead of their photographed one."""
         rows = np.concatenate([radiance, self.cells.radiance[len(surfels) :]]).astype(np.float32)
-        return self._changed(surfels, cells=replace(self.cells, radiance=rows))
+        return self._changed(cells=replace(self.cells, radiance=rows))
 
-    def with_background(self, surfels: Surfels, background: Background) -> RadianceField:
+    def with_background(self, background: Background) -> RadianceField:
         """Return a field with another ``background``."""
-        return self._changed(surfels, background=background)
+        return self._changed(background=background)
 
     def with_metals(
         self,
@@ -280,11 +279,11 @@ class RadianceField:
             np.pad(roughness, (0, rest), constant_values=1.0).astype(np.float32),
             np.pad(is_metal, (0, rest)),
         )
-        return self._changed(surfels, metals=metals)
+        return self._changed(metals=metals)
 
-    def _changed(self, surfels: Surfels, **parts: Any) -> RadianceField:
-        names = ("emitters", "background", "cells", "metals", "outer")
-        return RadianceField(self.scene, surfels, **{name: getattr(self, name) for name in names} | parts)
+    def _changed(self, **parts: Any) -> RadianceField:
+        names = ("cells", "emitters", "background", "metals", "outer")
+        return RadianceField(self.scene, **{name: getattr(self, name) for name in names} | parts)
 
 
 def schlick_weight(cosine: Any) -> Any:

@@ -16,6 +16,7 @@ from datagen.light.background import NEAR, Background
 from datagen.light.bake import Baker
 from datagen.light.bright_cells import bright_rectangles
 from datagen.light.bright_guide import BrightGuide, BrightRectangle
+from datagen.light.cells import surfel_cells
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import NUM_SIDES, CellGrid, Observations, Surfels
@@ -72,7 +73,7 @@ def room(radiance: NDArray, *, sky: float = 0.0) -> tuple[RadianceField, Surfels
     every = np.ones(NEAR.size, dtype=bool)
     outside = np.full((NEAR.size, 3), sky, np.float32)
     background = Background(np.full(3, -5.0), np.full(3, 5.0), outside, every, every)
-    return RadianceField(mesh_scene(mesh), surfels, emitters, background), surfels
+    return RadianceField(mesh_scene(mesh), surfel_cells(surfels), emitters, background), surfels
 
 
 @lru_cache(maxsize=1)

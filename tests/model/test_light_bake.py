@@ -16,6 +16,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import mesh_scene
 from datagen.light.background import NEAR, Background
 from datagen.light.bake import Baker
+from datagen.light.cells import surfel_cells
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CellGrid, Observations, Surfels, weighted_medians
@@ -76,7 +77,7 @@ def panel() -> tuple[Mesh, Emitters]:
 def baker(*, has_sky: bool) -> Baker:
     mesh, emitters = panel()
     sky = background(0.5 * RADIANCE if has_sky else np.zeros(3))
-    return Baker(RadianceField(mesh_scene(mesh), dark_surfel(), emitters, sky), 1e-2)
+    return Baker(RadianceField(mesh_scene(mesh), surfel_cells(dark_surfel()), emitters, sky), 1e-2)
 
 
 def hemisphere(num: int = 1200) -> tuple[NDArray, NDArray]:
@@ -164,7 +165,7 @@ def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
         none.reshape(0, 3, 3),
         none,
     )
-    field = RadianceField(mesh_scene(floor), surfels, dark, background(RADIANCE))
+    field = RadianceField(mesh_scene(floor), surfel_cells(surfels), dark, background(RADIANCE))
     point, down = np.array([[0.0, 0.0, 0.2]]), np.array([[0.0, 0.0, -1.0]])
     seen = Baker(field, 1e-2).irradiance(point, down, 4096)
     np.testing.assert_allclose(seen.diffuse, 7.0, rtol=0.01)
@@ -200,7 +201,7 @@ def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
         mesh.positions[faces[2:]],
         np.full(2, 2.5, np.float32),  # area times luminance
     )
-    field = RadianceField(mesh_scene(mesh), surfels, emitters, background(np.zeros(3)))
+    field = RadianceField(mesh_scene(mesh), surfel_cells(surfels), emitters, background(np.zeros(3)))
     albedo = 0.7
     s, r, is_metal = np.full((1, 3), albedo), np.full(1, roughness), np.ones(1, dtype=bool)
     baker = Baker(field.with_metals(surfels, s, r, is_metal), 1e-2)

@@ -14,6 +14,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import mesh_scene
 from datagen.light.background import NEAR, Background
 from datagen.light.bake import Baker
+from datagen.light.cells import surfel_cells
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CellGrid, Observations, Surfels
@@ -48,7 +49,7 @@ def lit() -> Lit:
     dark = Emitters(np.full(1, -1, np.int32), row, np.ones(1, np.float32), none, row.reshape(0, 3, 3), none)
     every, radiance = np.ones(NEAR.size, dtype=bool), np.ones((NEAR.size, 3), np.float32)
     sky = Background(np.full(3, -5.0), np.full(3, 5.0), radiance, every, every)
-    return Lit(surfels, Baker(RadianceField(mesh_scene(far), surfels, dark, sky), 1e-2))
+    return Lit(surfels, Baker(RadianceField(mesh_scene(far), surfel_cells(surfels), dark, sky), 1e-2))
 
 
 def specular_part(cosine: NDArray, num_rays: int) -> NDArray[np.float64]:
@@ -112,7 +113,7 @@ def test_field_with_other_radiance_and_background() -> None:
     np.testing.assert_array_equal(changed.cells.radiance[NUM:], 7.0)
     assert changed.background is field.background
     black = replace(field.background, radiance=np.zeros_like(field.background.radiance))
-    dark = Baker(changed.with_background(surfels, black), 1e-2)
+    dark = Baker(changed.with_background(black), 1e-2)
     assert dark.field.cells is changed.cells
     up = np.array([[0.0, 0.0, 1.0]])
     assert dark.irradiance(0 * up, up, 64).diffuse.max() == 0

@@ -27,6 +27,7 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import Background, photographed_background
 from datagen.light.bake import Baker, Irradiance
+from datagen.light.cells import surfel_cells
 from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, surfel_means
@@ -124,7 +125,7 @@ def find_level(
     position, normal = surfels.position_m[chosen], surfels.normal[chosen]
 
     def lit_by(surfels: Surfels, background: Background) -> Irradiance:
-        field = RadianceField(traced.scene, surfels, emitters, background)
+        field = RadianceField(traced.scene, surfel_cells(surfels), emitters, background)
         return Baker(field, CELLS_ACROSS * grid.cell_m).irradiance(position, normal, NUM_RAYS)
 
     lit = lit_by(surfels, background)

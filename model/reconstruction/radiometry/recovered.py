@@ -131,7 +131,7 @@ class SourceField:
         background = replace(self._background, radiance=colored.background)
         photographed = np.ones(len(self.surfels), dtype=bool)
         cells = Cells(grid.surfel, grid.low, grid.cell_m, grid.shape, colored.surfels, photographed)
-        field = RadianceField(self._scene, self.surfels, shining, background, cells)
+        field = RadianceField(self._scene, cells, shining, background)
         return Baker(field, grid.cell_m * CELLS_ACROSS)
 
     def forms(self, sources: Sources, position_m: NDArray, normal: NDArray) -> NDArray[np.float64]:
