@@ -75,12 +75,11 @@ def unseen_surfaces(baker: Baker, surfels: Surfels, regions: Regions, num_rays: 
     if not len(position):
         return unseen
     reflectance = typical_reflectance(baker, surfels, regions, num_rays)[regions.of_face[face]]
-    lit = baker
-    for _ in range(ESTIMATE_ROUNDS):
+    for number in range(ESTIMATE_ROUNDS):
+        lit = Baker(unseen.added_to(baker.field, surfels), baker.size_m) if number else baker
         light = lit.irradiance(position, facing, num_rays)
         arriving = light.diffuse / np.maximum(light.known, _MIN_KNOWN)[:, None]
         unseen = replace(unseen, radiance=(reflectance * arriving).astype(np.float32))
-        lit = Baker(unseen.added_to(baker.field, surfels), baker.size_m)
     return unseen
 
 
