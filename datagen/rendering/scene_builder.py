@@ -70,11 +70,6 @@ class BuiltScene:
     shape_materials: dict[str, int]
     hidden_shapes: set[str]
 
-    @property
-    def num_triangles(self) -> int:
-        """Number of triangles of all assets, without lights."""
-        return sum(len(faces) for faces in self.face_instances.values())
-
 
 def sensor_for(camera: Camera) -> Any:
     """Create a ``pinhole_pixels`` sensor with a box filter for ``camera``."""
