@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Progress of commands, on standard error."""
+"""Progress of commands, on standard error, and durations as text."""
 
 from __future__ import annotations
 
@@ -21,6 +21,13 @@ SILENCE_S = 30.0
 
 def no_advance(done: int, total: int) -> None:
     """An :data:`Advance` that shows nothing."""
+
+
+def duration(seconds: float) -> str:
+    """Text of a duration, such as "90 s", "45 min" or "2.5 h"."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 class Bars:

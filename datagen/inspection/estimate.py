@@ -20,7 +20,7 @@ from datagen.farm.planning import create_plan
 from datagen.farm.space import working_bytes
 from datagen.formats.recipe import Recipe, SplitRecipe
 from datagen.foundation.errors import input_error
-from datagen.foundation.progress import Advance, no_advance
+from datagen.foundation.progress import Advance, duration, no_advance
 from datagen.library import Library
 
 
@@ -128,8 +128,8 @@ def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: b
     hours = result.total_seconds / 3600
     print(f"{result.num_configurations} configurations, {result.num_views} views")
     print(
-        f"time    {_duration(result.total_seconds)} on this machine, {result.seconds_per_view:.2f} s a view, "
-        f"{_duration(result.seconds_per_configuration)} a configuration ({hours:.1f} machine hours, which a "
+        f"time    {duration(result.total_seconds)} on this machine, {result.seconds_per_view:.2f} s a view, "
+        f"{duration(result.seconds_per_configuration)} a configuration ({hours:.1f} machine hours, which a "
         "farm divides)"
     )
     print(
@@ -138,15 +138,7 @@ def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: b
         f"{free_bytes / 1e9:.1f} GB are free"
     )
     print(f"memory  {result.peak_memory_mb / 1024:.2f} GB a worker, {workers} workers")
-    print(f"(from samples that took {_duration(result.sample_seconds)})")
+    print(f"(from samples that took {duration(result.sample_seconds)})")
     if needed > free_bytes:
         print("the disk is too small: free space, or lower configurations, views or resolution")
     return needed <= free_bytes
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    if seconds < 7200:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"

@@ -20,6 +20,7 @@ from datagen.formats.view import ViewRecord
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view
+from datagen.foundation.progress import duration
 
 PREVIEW_FILE = "preview.html"
 _SECONDS, _SHOWN, _WIDTH_PX = 3.0, 24, 480
@@ -90,7 +91,7 @@ class Preview:
     def _page(self, done: int, seconds: float, is_over: bool) -> str:
         made = done - self.before
         rate = made / seconds * 3600 if made > 0 and seconds > 0 else 0.0
-        left = f"{_duration((self.total - done) / rate * 3600)} left" if rate and not is_over else ""
+        left = f"{duration((self.total - done) / rate * 3600)} left" if rate and not is_over else ""
         facts = [f"{done} of {self.total} views", f"{rate:,.0f} an hour" if rate else "", left]
         facts += ["the run has ended" if is_over else f"as of {time.strftime('%H:%M:%S')}"]
         state = "".join(f'<p class="bad">{html.escape(line)}</p>' for line in self.said[-20:])
@@ -120,9 +121,3 @@ def _picture(beauty: np.ndarray, exposure: float) -> str:
     stream = io.BytesIO()
     picture.save(stream, "JPEG", quality=85)
     return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from datagen.foundation import progress
-from datagen.foundation.progress import Bars
+from datagen.foundation.progress import Bars, duration
 
 
 @pytest.fixture
@@ -68,3 +68,11 @@ def test_a_terminal_shows_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
         capsys.readouterr()
         raise ValueError
     assert "merge" not in capsys.readouterr().err.rsplit("\x1b[2K", 1)[-1]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.4, "0 s"), (119.0, "119 s"), (120.0, "2 min"), (7199.0, "120 min"), (7200.0, "2.0 h")],
+)
+def test_durations_as_text(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
