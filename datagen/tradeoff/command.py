@@ -9,14 +9,13 @@ from typing import Annotated
 
 import typer
 
+from datagen.farm.worker import EXIT_INTERRUPTED
 from datagen.foundation.command_line import with_options
 from datagen.foundation.errors import InputError
 from datagen.foundation.progress import Bars
 from datagen.tradeoff.selection import Point, front_of, points_of, recommend
 from datagen.tradeoff.sweep import Sweep, SweepOptions
 from datagen.tradeoff.writing import Results, write_results
-
-EXIT_INTERRUPTED = 75
 
 
 @dataclass(frozen=True)
