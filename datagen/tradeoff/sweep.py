@@ -30,7 +30,7 @@ from datagen.formats.recipe import QUALITIES
 from datagen.foundation.errors import Problem, Problems, input_error, raise_problems
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
-from datagen.tradeoff.reference import Reference, make_reference, reference_key, sized
+from datagen.tradeoff.reference import MAX_SAMPLES, Reference, make_reference, reference_key, sized
 from datagen.tradeoff.settings import SWEEPS, Setting, base_setting, planned_settings
 from datagen.tradeoff.trial import Trial, measure
 from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, VARIANTS, has_cuda, resolve_variant
@@ -174,7 +174,7 @@ class Sweep:
 
 
 def _check(out: Path, options: SweepOptions) -> None:
-    """Raise :class:`InputError` with all faults of the output folder, the resolution and the variant."""
+    """Raise :class:`InputError` with all faults of the output folder and the options."""
     problems = []
     if out.exists() and not out.is_dir():
         problems.append(Problem(out, "--out", "a file", "a folder", "choose another --out"))
@@ -184,6 +184,9 @@ def _check(out: Path, options: SweepOptions) -> None:
     if min(options.size) < MIN_SIDE_PX or max(options.size) > MAX_SIDE_PX:
         got, expected = "{} x {}".format(*options.size), f"sides of {MIN_SIDE_PX} ... {MAX_SIDE_PX}"
         problems.append(Problem("--size", "", got, expected, "correct it"))
+    if options.reference_samples > MAX_SAMPLES:
+        got, expected = str(options.reference_samples), f"at most {MAX_SAMPLES}"
+        problems.append(Problem("--reference-samples", "", got, expected, "correct it"))
     if options.variant is not None and options.variant not in VARIANTS:
         expected = f"one of {', '.join(VARIANTS)}"
         problems.append(Problem("--variant", "", repr(options.variant), expected, "correct it"))

@@ -121,7 +121,7 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     axes = figure.subplots()
     for point in comparable(points, results.base):
-        _draw_point(axes, point)
+        _draw_point(axes, point, results.base)
     front = front_of(points, results.base)
     axes.plot([p.cpu_s for p in front], [p.rel_mse for p in front], "-", color="#333333", lw=1, zorder=1)
     if (best := results.recommended) is not None:
@@ -142,7 +142,7 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
     return figure
 
 
-def _draw_point(axes: Axes, point: Point) -> None:
+def _draw_point(axes: Axes, point: Point, base: Setting) -> None:
     setting, at = point.setting, (point.cpu_s, point.rel_mse)
     color = _COLORS.get(setting.denoiser, "#cc79a7")
     if setting.quality:
@@ -150,8 +150,7 @@ def _draw_point(axes: Axes, point: Point) -> None:
         axes.annotate(setting.quality, at, (8, 4), textcoords="offset points", fontsize=9)
         return
     marker = {16: "s", 64: "o"}.get(setting.auxiliary_samples, "D")
-    is_plain = setting.max_depth == 8 and setting.russian_roulette_depth == 5 and not setting.firefly_clamp
-    if not is_plain:
+    if {"max_depth", "russian_roulette_depth", "firefly_clamp"} & set(setting.differences(base)):
         axes.plot(*at, "x", ms=5, color="#777777")
         return
     edge = "black" if setting.irradiance_cache else color

@@ -29,7 +29,7 @@ from datagen.tradeoff.selection import (
 )
 from datagen.tradeoff.settings import FACTORIAL, SWEEPS, Setting, planned_settings
 from datagen.tradeoff.sweep import Sweep, SweepOptions
-from datagen.tradeoff.writing import csv_columns
+from datagen.tradeoff.writing import Results, csv_columns, front_figure
 from mitsuba_plugins.variant import has_cuda
 from tests.datagen.small_plan import plan_small
 
@@ -153,6 +153,16 @@ def test_averaged_textures_keep_their_mean() -> None:
     np.testing.assert_allclose(box_filtered(values[:3, :3, 0], 8)[0, 0], values[:3, :3, 0].mean(), rtol=1e-6)
 
 
+# ---- figures
+
+
+def test_the_front_marks_settings_unlike_the_base() -> None:
+    base = replace(BASE, max_depth=12, firefly_clamp=10.0)
+    points = [replace(point(1.0, 0.1), setting=replace(base, **c)) for c in ({}, {"max_depth": 8})]
+    (axes,) = front_figure(points, Results([], base, [], {})).axes
+    assert [line.get_marker() for line in axes.lines[:2]] == ["o", "x"]
+
+
 # ---- a sweep
 
 
@@ -231,6 +241,14 @@ def test_dry_run_writes_nothing(swept: tuple[Path, Path], tmp_path: Path) -> Non
     assert "0 of" in done.output and "2 views of references" in done.output
     assert ("not available on this machine" in done.output) != has_cuda()
     assert not (tmp_path / "new").exists()
+
+
+def test_references_with_more_samples_than_seeds_are_refused(
+    swept: tuple[Path, Path], tmp_path: Path
+) -> None:
+    Sweep(swept[0], tmp_path / "new", replace(OPTIONS, reference_samples=65536))
+    with pytest.raises(InputError, match=r"--reference-samples.*65537; expected at most 65536"):
+        Sweep(swept[0], tmp_path / "new", replace(OPTIONS, reference_samples=65537))
 
 
 def test_changed_options_invalidate_trials(swept: tuple[Path, Path]) -> None:
