@@ -113,6 +113,9 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
     assert object_package("bundled:mug", tmp_path).is_dir()
     assert object_package("mug", tmp_path) == tmp_path / "mug"
     own = tmp_path / "smoke"
+    own.mkdir()
+    assert resolve_bundled(Path("smoke"), "recipes").is_file(), "`datagen run smoke --out smoke` continues"
+    own.rmdir()
     own.touch()
     assert resolve_bundled(Path("smoke"), "recipes") == Path("smoke"), "a file of the user goes first"
     with pytest.raises(

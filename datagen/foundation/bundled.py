@@ -47,15 +47,18 @@ def bundled_names(kind: BundledKind) -> list[str]:
 
 
 def resolve_bundled(path: Path, kind: BundledKind) -> Path:
-    """Return ``path`` if it exists, else the bundled recipe or suite of that name.
+    """Return ``path`` if it is a file, else the bundled recipe or suite of that name.
 
-    Raises :class:`InputError`, which lists the bundled names, if neither exists.
+    A folder of that name, such as the dataset of ``datagen run smoke --out smoke``, does not count. Raises
+    :class:`InputError`, which lists the bundled names, if ``path`` neither is one nor exists.
     """
-    if path.exists():
+    if path.exists() and not path.is_dir():
         return path
     names = bundled_names(kind)
     if str(path) in names:
         return bundled_folder() / kind / f"{path}.yaml"
+    if path.exists():
+        return path
     remedy = f"did you mean the bundled `{path.stem}`?" if path.stem in names else "check the path"
     expected = f"a file, or the name of a bundled file: {', '.join(names)}"
     raise input_error(path, "", "no such file", expected, remedy)
