@@ -182,7 +182,7 @@ def read_yaml(model: type[ModelT], path: Path) -> ModelT:
         raise InputError(Problem(path, "", f"{len(text)} characters", "a YAML file of at most 512 kB"))
     try:
         data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
+    except (yaml.YAMLError, RecursionError, ValueError) as error:  # ValueError: a date such as 2026-11-31
         where, got = syntax_error(path, error) if isinstance(error, yaml.YAMLError) else (path, str(error))
         raise InputError(Problem(where, "", got, "valid YAML", "correct the file")) from None
     try:

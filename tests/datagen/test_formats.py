@@ -195,6 +195,9 @@ def test_unreadable_files_are_reported_by_name(tmp_path: Path) -> None:
     broken.write_text("a: [1")
     with pytest.raises(InputError, match="valid YAML"):
         read_yaml(Recipe, broken)
+    broken.write_text("name: 2026-11-31\nconfigurations: 1\nviews: 1\n")
+    with pytest.raises(InputError, match="day is out of range for month; expected valid YAML"):
+        read_yaml(Recipe, broken)
     binary = tmp_path / "binary.json"
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="UTF-8"):
