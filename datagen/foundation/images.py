@@ -131,7 +131,9 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
     from datagen.foundation.exr import decode_channels
 
     channels = decode_channels(path.read_bytes(), path)
-    names = [name for name in ("R", "G", "B", "A") if name in channels] or sorted(channels)[:1]
-    if not names:
-        raise input_error(path, got="no channels", expected="R, G and B or Y")
+    known = "RGBA" if channels.keys() & {"R", "G", "B"} else "YA" if "Y" in channels else ""
+    names = [name for name in known if name in channels] or list(channels)
+    if not known and len(names) != 1:
+        remedy = "save the image without layers"
+        raise input_error(path, "channels", ", ".join(sorted(names)) or "none", "R, G and B or Y", remedy)
     return np.stack([channels[name].astype(np.float32) for name in names], axis=-1)

@@ -29,6 +29,7 @@ from datagen.foundation.buffers import (
 )
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view, to_storage
+from datagen.foundation.images import read_image
 from tests.conftest import REPOSITORY
 from tests.datagen.small_dataset import make_buffers, make_configuration, make_view_files
 
@@ -59,6 +60,20 @@ def test_exr_layers_are_named_for_any_viewer(tmp_path: Path) -> None:
     with OpenEXR.File(str(path), separate_channels=True) as file:
         names = set(file.channels())
     assert {"R", "G", "B", "diffuse_albedo.R", "normal_world.X", "depth_z_m.Z", "instance_id.I"} <= names
+
+
+def test_exr_images_are_never_read_as_their_alpha(tmp_path: Path) -> None:
+    import OpenEXR
+
+    def read(*names: str) -> list[float]:
+        planes = {name: np.full((2, 3), float(name[-1] == "A"), np.float32) for name in names}
+        with OpenEXR.File({"type": OpenEXR.scanlineimage}, planes) as file:
+            file.write(str(tmp_path / "image.exr"))
+        return read_image(tmp_path / "image.exr")[0, 0].tolist()
+
+    assert read("Y", "A") == [0, 1] and read(*"RGBA") == [0, 0, 0, 1] and read("V") == [0]
+    with pytest.raises(InputError, match=r"channels = Layer\.A, Layer\.R; expected R, G and B or Y"):
+        read("Layer.R", "Layer.A")
 
 
 @settings(max_examples=60, deadline=None)
