@@ -181,7 +181,7 @@ class Room:
         self.rays = geometry.rays
         corners = self.rays.corners
         self._face_bounds = corners.min(axis=1), corners.max(axis=1)
-        self._near_surface: dict[str, Ints] = {}
+        self._near_surface: dict[SupportSurface, Ints] = {}
 
     @cached_property
     def has_consistent_winding(self) -> bool:
@@ -191,13 +191,13 @@ class Room:
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
         """Indices of triangles near or above a surface whose bounds intersect the box ``bounds_m`` (2, 3)."""
         low, high = self._face_bounds
-        if surface.name not in self._near_surface:
+        if surface not in self._near_surface:  # names may recur
             u, v, o = (np.array(x) for x in (surface.edge_u_m, surface.edge_v_m, surface.origin_m))
             rim = np.array([o, o + u, o + v, o + u + v])
             bottom, top = rim.min(axis=0) - 0.1, rim.max(axis=0) + 0.1
             top[2] += surface.clearance_m
-            self._near_surface[surface.name] = np.flatnonzero(((low <= top) & (high >= bottom)).all(axis=1))
-        near = self._near_surface[surface.name]
+            self._near_surface[surface] = np.flatnonzero(((low <= top) & (high >= bottom)).all(axis=1))
+        near = self._near_surface[surface]
         return near[((low[near] <= bounds_m[1]) & (high[near] >= bounds_m[0])).all(axis=1)]
 
     def cuts(self, body: Any, bounds_m: Floats, surface: SupportSurface) -> bool:

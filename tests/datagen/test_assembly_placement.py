@@ -263,6 +263,15 @@ def test_a_surface_one_centimetre_off_is_corrected(tmp_path: Path) -> None:
     assert placed.position_m[2] == pytest.approx(0.75, abs=1e-6)
 
 
+def test_surfaces_of_equal_names_have_their_own_triangles(room: Room) -> None:
+    everywhere = np.array([[-np.inf] * 3, [np.inf] * 3])
+    surfaces = [s.model_copy(update={"name": "support"}) for s in room.asset.support_surfaces]
+    shared, separate = Room(room.geometry), [Room(room.geometry) for _ in surfaces]
+    for surface, alone in zip(surfaces, separate, strict=True):
+        expected = alone.triangles_in(everywhere, surface)
+        np.testing.assert_array_equal(shared.triangles_in(everywhere, surface), expected)
+
+
 def test_a_surface_inside_a_wall_supports_nothing(tmp_path: Path, library: Library) -> None:
     surface = SupportSurface(
         name="in-wall",
