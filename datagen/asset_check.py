@@ -166,7 +166,8 @@ class _Checker:
             mesh = meshes[part.mesh]
             if mesh is None:
                 return
-            points = mesh.transformed(np.asarray(part.asset_from_part)).positions
+            bare = Mesh(mesh.positions, mesh.faces)  # normals cannot be transformed by a singular matrix
+            points = bare.transformed(np.asarray(part.asset_from_part)).positions
             lower, upper = np.minimum(lower, points.min(axis=0)), np.maximum(upper, points.max(axis=0))
         tolerance = BOUNDS_TOLERANCE_M + 1e-3 * float((upper - lower).max())
         bounds = (("minimum_m", asset.minimum_m, lower), ("maximum_m", asset.maximum_m, upper))

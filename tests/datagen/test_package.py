@@ -347,6 +347,13 @@ def test_zero_area_light_is_refused(tmp_path: Path) -> None:
     assert "area above zero" in faults(package)
 
 
+def test_flattened_part_is_refused(tmp_path: Path) -> None:
+    flat = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 0, 0), (0, 0, 0, 1))
+    part = Part(name="body", mesh="meshes/cube.ply", material="body", asset_from_part=flat)
+    package = write_package(tmp_path / "cube", cube_asset(parts=(part,)), cube_files())
+    assert "parts[0] (body).asset_from_part = a singular matrix" in faults(package)
+
+
 def test_object_off_the_ground_is_refused(tmp_path: Path) -> None:
     mesh = cube_mesh()
     raised = Mesh(mesh.positions + np.float32([0, 0, 0.2]), mesh.faces, mesh.normals, mesh.uv)
