@@ -23,7 +23,8 @@ from datagen.formats.asset import (
     Texture,
 )
 from datagen.formats.category_sizes import size_fault
-from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
+from datagen.formats.flat_shapes import flat_problems, has_area
+from datagen.formats.lights import DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
 from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX, read_image
@@ -186,8 +187,6 @@ class _Checker:
 
     def check_light(self, index: int, light: Light) -> None:
         field = f"lights[{index}] ({light.name})"
-        if isinstance(light, AreaLight):
-            self.check_rectangle(field, light.edge_u_m, light.edge_v_m)
         if isinstance(light, SpotLight | DirectionalLight):
             self.check_unit(f"{field}.direction", light.direction)
         if isinstance(light, SpotLight) and light.beam_width_rad > light.cutoff_rad:
@@ -200,31 +199,15 @@ class _Checker:
                 self.error(f"{field}.image", f"{light.image!r}: {fault}", "a finite EXR", "replace the image")
 
     def check_unit(self, field: str, direction: tuple[float, float, float]) -> None:
-        if abs(math.sqrt(sum(x * x for x in direction)) - 1) > 1e-3:
+        if any(direction) and abs(math.sqrt(sum(x * x for x in direction)) - 1) > 1e-3:
             self.error(field, direction, "a unit vector")
 
-    def check_rectangle(self, field: str, edge_u: tuple[float, ...], edge_v: tuple[float, ...]) -> float:
-        """Report a rectangle without area or with nearly parallel edges, and return its area in m²."""
-        cross = np.cross(edge_u, edge_v)
-        area = float(np.linalg.norm(cross))
-        lengths = float(np.linalg.norm(edge_u) * np.linalg.norm(edge_v))
-        if not area > 1e-10 or area < 1e-6 * lengths:
-            expected = "a rectangle with an area above zero"
-            self.error(field, f"edges {tuple(edge_u)} and {tuple(edge_v)}", expected)
-        return area
-
-    def check_regions(self, asset: EnvironmentAsset) -> None:
+    def check_supports(self, asset: EnvironmentAsset) -> None:
         for k, surface in enumerate(asset.support_surfaces):
-            field = f"support_surfaces[{k}] ({surface.name})"
-            if self.check_rectangle(field, surface.edge_u_m, surface.edge_v_m) > 0:
-                normal = np.cross(surface.edge_u_m, surface.edge_v_m)
-                if normal[2] < 0.999 * np.linalg.norm(normal):
-                    self.error(field, "a rectangle that does not face up", "edge_u x edge_v along +Z")
-        for k, slot in enumerate(asset.light_slots):
-            if slot.kind == "area":
-                self.check_rectangle(f"light_slots[{k}] ({slot.name})", slot.edge_u_m, slot.edge_v_m)
-        for k, opening in enumerate(asset.openings):
-            self.check_rectangle(f"openings[{k}] ({opening.name})", opening.edge_u_m, opening.edge_v_m)
+            normal = np.cross(surface.edge_u_m, surface.edge_v_m)
+            if has_area(surface.edge_u_m, surface.edge_v_m) and normal[2] < 0.999 * np.linalg.norm(normal):
+                field = f"support_surfaces[{k}] ({surface.name})"
+                self.error(field, "a rectangle that does not face up", "edge_u x edge_v along +Z")
 
     def run(self) -> CheckReport:
         asset = self.asset
@@ -240,10 +223,11 @@ class _Checker:
                 self.check_part(k, part, meshes[part.mesh], asset.materials[part.material])
             for k, light in enumerate(asset.lights):
                 self.check_light(k, light)
+            self.errors += flat_problems(asset, self.where)
             if isinstance(asset, ObjectAsset):
                 self.check_bounds(asset, meshes)
             else:
-                self.check_regions(asset)
+                self.check_supports(asset)
         return CheckReport(tuple(self.errors), tuple(self.warnings))
 
 

@@ -21,6 +21,7 @@ from datagen.assembly.panoramas import panoramas_of
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
+from datagen.formats.flat_shapes import flat_problems
 from datagen.formats.package import Package
 from datagen.formats.recipe import AssetFilter, Recipe
 from datagen.foundation.errors import Problem, Problems, raise_problems
@@ -229,7 +230,7 @@ def _materials(package: Package) -> dict[str, Material]:
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
-    """List all contradictions between a recipe and a library."""
+    """List all contradictions between a recipe and a library, and faults of assets that cannot be planned."""
     where = f"recipe {recipe.name}"
     problems = _name_problems(recipe, library, where)
     pools = _everything(recipe, library)
@@ -254,6 +255,9 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
             f"those of the recipe's library ({', '.join(recipe.library)}), in its order",
             "open the library with all of them",
         )
+    for package in (*pools.environments, *pools.objects):
+        assert isinstance(package.asset, ObjectAsset | EnvironmentAsset)
+        problems += flat_problems(package.asset, f"{package.path}/asset.json")
     counts = split_counts(recipe)
     for split in SPLITS:
         share = getattr(recipe.splits, split)

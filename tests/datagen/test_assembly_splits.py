@@ -12,7 +12,8 @@ import pytest
 
 from datagen.assembly.plan import assemble, check_recipe
 from datagen.assembly.splits import SPLITS, pools_of_split, split_counts, split_of
-from datagen.formats.asset import Provenance, Texture
+from datagen.formats.asset import LightSlot, Opening, Provenance, SupportSurface, Texture
+from datagen.formats.lights import AreaLight, SkyLight
 from datagen.formats.package import open_package, write_package
 from datagen.formats.recipe import Recipe
 from datagen.foundation.errors import InputError
@@ -140,6 +141,26 @@ def test_impossible_recipes_are_explained(library: Library, fields: dict[str, An
         fields = {"objects": {"exclude": [p.id for p in library.select("object")]}}
     with pytest.raises(InputError, match=message):
         check_recipe(recipe(**fields), library)
+
+
+def test_lights_and_surfaces_without_area_or_direction_are_reported(tmp_path: Path) -> None:
+    root, corner, edge = write_small_library(tmp_path), (2.0, 2.0, 2.0), (1.0, 0.0, 0.0)
+    flat: dict[str, Any] = {"name": "flat", "origin_m": corner, "edge_u_m": edge, "edge_v_m": edge}
+    write_room(
+        root,
+        "flat-room",
+        light_slots=(LightSlot(name="flat", kind="area", origin_m=corner),),
+        openings=(Opening(**flat),),
+        support_surfaces=(SupportSurface(kind="table", clearance_m=1.0, **flat),),
+        lights=(AreaLight(radiance=edge, **flat), SkyLight(name="sky", sun_direction=(0, 0, 0))),
+    )
+    with pytest.raises(InputError) as caught:
+        check_recipe(recipe(), Library([root]))
+    assert [p.field for p in caught.value.problems] == [
+        "lights[0] (flat)", "support_surfaces[0] (flat)", "light_slots[0] (flat)", "openings[0] (flat)",
+        "lights[1] (sky).sun_direction",
+    ]  # fmt: skip
+    check_recipe(recipe(environments={"exclude": ["flat-room"]}), Library([root]))
 
 
 def test_all_faults_of_a_recipe_are_reported_at_once(library: Library) -> None:
