@@ -309,19 +309,17 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> Problems:
             )
             problems.add(field, repr(name), what, remedy)
 
+    def check_usage(field: str, name: str) -> None:
+        if name in library and library.package(name).asset.provenance.usage == "evaluation_only":
+            remedy = "it is marked evaluation_only: leave it out"
+            problems.add(field, repr(name), "an asset that may be used for training", remedy)
+
     for field, kind in (("environments", "environment"), ("objects", "object"), ("materials", "material")):
         wanted: AssetFilter = getattr(recipe, field)
         known = [p.id for p in library.select(kind, for_training=False)]  # type: ignore[arg-type]
-        usable = {p.id for p in library.select(kind)}  # type: ignore[arg-type]
         for name in wanted.include or ():
             check(f"{field}.include", name, known, f"one of the library's {kind}s")
-            if name in known and name not in usable:
-                problems.add(
-                    f"{field}.include",
-                    repr(name),
-                    "an asset that may be used for training",
-                    "it is marked evaluation_only: leave it out",
-                )
+            check_usage(f"{field}.include", name)
         for name in wanted.exclude:
             check(f"{field}.exclude", name, known, f"one of the library's {kind}s")
     categories = library.categories(for_training=False)
@@ -329,6 +327,7 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> Problems:
         check("objects.category_weights", name, categories, "a category of the library")
     for name in recipe.lights.environment_images:
         check("lights.environment_images", name, [p.id for p in library], "an asset of the library")
+        check_usage("lights.environment_images", name)
     for time in recipe.lights.panoramas.wanted() if recipe.lights.panoramas is not None else ():
         if not panoramas_of(library, time):
             got, remedy = "no such panorama", "add `bundled` to the recipe's library, or leave it out"

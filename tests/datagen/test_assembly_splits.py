@@ -110,6 +110,8 @@ def test_reserved_assets_are_never_used(tmp_path: Path) -> None:
         assert not {"reserved-room", "reserved-cube"} & used_assets(assemble(wanted, index, library))
     with pytest.raises(InputError, match=r"environments.include = 'reserved-room'.*evaluation_only"):
         check_recipe(recipe(environments={"include": ["reserved-room"]}), library)
+    with pytest.raises(InputError, match=r"lights.environment_images = 'reserved-room'.*evaluation_only"):
+        check_recipe(recipe(lights={"environment_images": ["reserved-room"]}), library)
 
 
 @pytest.mark.parametrize(
