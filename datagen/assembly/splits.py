@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from weakref import WeakKeyDictionary
 
+from datagen.assembly.daylight import environment_image
 from datagen.assembly.materials import is_plain
 from datagen.assembly.panoramas import panoramas_of
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
@@ -24,7 +25,7 @@ from datagen.formats.configuration import Split
 from datagen.formats.flat_shapes import flat_problems
 from datagen.formats.package import Package
 from datagen.formats.recipe import AssetFilter, Recipe
-from datagen.foundation.errors import Problem, Problems, raise_problems
+from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 from datagen.foundation.random import digest
 from datagen.library import Library
 
@@ -328,6 +329,11 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> Problems:
     for name in recipe.lights.environment_images:
         check("lights.environment_images", name, [p.id for p in library], "an asset of the library")
         check_usage("lights.environment_images", name)
+        if name in library:
+            try:
+                environment_image(library, name)
+            except InputError as error:
+                problems += error.problems
     for time in recipe.lights.panoramas.wanted() if recipe.lights.panoramas is not None else ():
         if not panoramas_of(library, time):
             got, remedy = "no such panorama", "add `bundled` to the recipe's library, or leave it out"

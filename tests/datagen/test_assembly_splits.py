@@ -124,6 +124,7 @@ def test_reserved_assets_are_never_used(tmp_path: Path) -> None:
             r"category_weights = 'chairs'.*did you mean chair",
         ),
         ({"lights": {"environment_images": ["sky"]}}, r"lights.environment_images = 'sky'"),
+        ({"lights": {"environment_images": ["oak"]}}, r"oak: lights = no environment light with an image"),
         ({"objects": {"exclude": "ALL"}}, r"objects = no usable object"),
         (
             {"configurations": 3, "splits": {"train": 0.9, "test": 0.1}},
