@@ -64,8 +64,8 @@ class BopFiles:
             parts = []
             for part in package.asset.parts:
                 mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
-                bare = Mesh(mesh.positions, mesh.faces, None, None)
-                parts.append(bare.transformed(np.asarray(part.asset_from_part, dtype=np.float64)))
+                bare = Mesh(mesh.positions, mesh.faces)
+                parts.append(bare.placed(np.asarray(part.asset_from_part, dtype=np.float64)))
             self.meshes[asset_id] = joined(parts)
         return self.meshes[asset_id].transformed(np.diag([*scale, 1.0]))
 

@@ -23,7 +23,6 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, joined, without_degenerate
 from datagen.foundation.meshes.ply import decode_ply
 from datagen.library import Library
-from datagen.rendering.geometry import placed_mesh
 from datagen.rendering.lights import area_light_mesh
 
 _LIGHTS = "lights/"
@@ -110,7 +109,7 @@ def _parts_of(package: Package, placed: PlacedAsset, library: Library | None) ->
         if faults.is_unusable:
             remedy = "re-export the asset"
             raise input_error(package.path, part.mesh, faults, "a surface of finite triangles", remedy)
-        mesh = without_degenerate(placed_mesh(mesh, matrix))
+        mesh = without_degenerate(mesh.placed(matrix))
         material = _material(placed, asset, part.material, library)
         emission = placed.emission.get(part.material, material.emission)
         is_lamp = emission is not None and any(c > 0 for c in emission)

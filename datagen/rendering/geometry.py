@@ -87,20 +87,12 @@ class MeshGroup:
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """Transform a part by :func:`placed_mesh`, multiply its UVs by ``uv_scale``, and reverse v."""
-    world = placed_mesh(mesh, world_from_part)
+    """Transform a part by :meth:`Mesh.placed`, multiply its UVs by ``uv_scale``, and reverse v."""
+    world = mesh.placed(world_from_part)
     if mesh.uv is None:
         return world
     scaled = mesh.uv.astype(np.float64) * uv_scale
     return replace(world, uv=np.stack([scaled[:, 0], 1.0 - scaled[:, 1]], axis=1).astype(np.float32))
-
-
-def placed_mesh(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
-    """Transform a mesh by a matrix (4, 4); if it mirrors, reverse the winding to preserve front faces."""
-    world = mesh.transformed(world_from_part)
-    if np.linalg.det(world_from_part[:3, :3]) < 0:
-        return replace(world, faces=np.ascontiguousarray(world.faces[:, [0, 2, 1]]))
-    return world
 
 
 def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:

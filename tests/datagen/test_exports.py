@@ -19,10 +19,14 @@ from datagen.cli import app
 from datagen.exports.flow import decode_flo, flow_between
 from datagen.farm.collect import collect
 from datagen.farm.local import LocalOptions, run_local
+from datagen.formats.asset import Part
 from datagen.formats.configuration import PlacedAsset
+from datagen.formats.package import write_package
 from datagen.formats.shard import ShardReader, View
 from datagen.foundation.errors import InputError
+from datagen.library import Library
 from tests.datagen.small_plan import plan_small
+from tests.datagen.test_package import cube_asset, cube_files
 
 TURN, SCALE = 0.5, 1.5
 
@@ -310,6 +314,20 @@ def test_hypersim_folders_follow_the_convention(dataset: Path, views: list[View]
         np.testing.assert_array_equal(color, view.buffers["beauty"])
         ids = read(geometry.with_name(geometry.name + ".semantic_instance.hdf5"))
         np.testing.assert_array_equal(np.where(ids < 0, 0, ids), view.buffers["instance_id"][..., 0])
+
+
+def test_models_of_mirrored_parts_face_outwards(tmp_path: Path) -> None:
+    import trimesh
+
+    from datagen.exports.bop import BopFiles
+    from datagen.exports.rooms import Export
+
+    mirror = ((-1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+    part = Part(name="body", mesh="meshes/cube.ply", material="body", asset_from_part=mirror)
+    write_package(tmp_path / "cube", cube_asset(parts=(part,)), cube_files())
+    with Library([tmp_path]) as library:
+        model = BopFiles(Export([], tmp_path, library)).mesh(("cube", (1.0, 1.0, 1.0)))
+    assert trimesh.Trimesh(model.positions, model.faces).volume == pytest.approx(1.0)
 
 
 def test_existing_folders_are_not_overwritten(dataset: Path, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ N is the number of vertices, M of triangles. Texture coordinate v points up (see
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,13 @@ class Mesh:
             length = np.linalg.norm(rotated, axis=1, keepdims=True)
             normals = (rotated / np.maximum(length, 1e-30)).astype(np.float32)  # a zero normal stays zero
         return Mesh(positions.astype(np.float32), self.faces, normals, self.uv)
+
+    def placed(self, target_from_source: NDArray[np.float64]) -> Mesh:
+        """Return the mesh under :meth:`transformed`, with the winding reversed if it mirrors: fronts stay."""
+        mesh = self.transformed(target_from_source)
+        if np.linalg.det(target_from_source[:3, :3]) < 0:
+            return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, [0, 2, 1]]))
+        return mesh
 
     def triangles(self) -> NDArray[np.float64]:
         """Return the positions of the triangles' corners, (M, 3 corners, 3)."""
