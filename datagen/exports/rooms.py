@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.base import parse_model, write_bytes_atomically
+from datagen.formats.base import write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, Split
-from datagen.formats.shard import Dataset, ShardReader
+from datagen.formats.shard import Dataset, ShardReader, parse_member
 from datagen.formats.view import ViewRecord
 from datagen.formats.view_places import ViewPlace, index_shard, read_member
 from datagen.foundation.cameras import Camera
@@ -44,7 +44,8 @@ class RoomView:
 
     def read(self, *names: str) -> dict[str, NDArray]:
         """Return buffers (H, W, C) as stored, by name."""
-        return decode_view(read_member(self.place, self.place.exr), names, num_threads=1)
+        data, where = read_member(self.place, self.place.exr), f"{self.place.shard}:{self.place.name}"
+        return decode_view(data, names, num_threads=1, where=where)
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class Room:
     def views(self) -> tuple[RoomView, ...]:
         found = []
         for place in index_shard(self.shard):
-            data = json.loads(read_member(place, place.record))
-            found.append(RoomView(place, parse_model(ViewRecord, data, f"{place.shard}:{place.name}")))
+            data = read_member(place, place.record)
+            found.append(RoomView(place, parse_member(ViewRecord, data, f"{place.shard}:{place.name}")))
         return tuple(found)
 
     @cached_property

@@ -140,14 +140,14 @@ class ShardReader:
         """The shard's configuration. Raises :class:`InputError` if it is missing or damaged."""
         for name, data in self.members():
             if name in CONFIGURATION_MEMBERS:
-                return _parsed(Configuration, data, f"{self.path}:{name}")
+                return parse_member(Configuration, data, f"{self.path}:{name}")
         raise InputError(Problem(self.path, CONFIGURATION_MEMBER, "missing", "this member", _REMEDY))
 
     def records(self) -> Iterator[ViewRecord]:
         """Yield the views' records, without decoding pixels."""
         for name, data in self.members():
             if name.endswith(".json") and name not in CONFIGURATION_MEMBERS:
-                yield _parsed(ViewRecord, data, f"{self.path}:{name}")
+                yield parse_member(ViewRecord, data, f"{self.path}:{name}")
 
     def __iter__(self) -> Iterator[View]:
         images: dict[str, bytes] = {}
@@ -157,17 +157,14 @@ class ShardReader:
                 images[stem] = data
             elif suffix == "json" and name not in CONFIGURATION_MEMBERS:
                 where = f"{self.path}:{stem}"
-                record = _parsed(ViewRecord, data, where)
+                record = parse_member(ViewRecord, data, where)
                 if stem not in images:
                     raise InputError(Problem(where, "", "no EXR before this JSON", "one", _REMEDY))
-                try:
-                    yield View(record, decode_view(images.pop(stem), self.names))
-                except InputError as error:
-                    problems = (Problem(where, p.field, p.got, p.expected, p.remedy) for p in error.problems)
-                    raise InputError(*problems) from None
+                yield View(record, decode_view(images.pop(stem), self.names, where=where))
 
 
-def _parsed(model: type[ModelT], data: bytes, where: str) -> ModelT:
+def parse_member(model: type[ModelT], data: bytes, where: str) -> ModelT:
+    """Parse a shard's member as a ``model``. Raises :class:`InputError` with every problem in ``where``."""
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:

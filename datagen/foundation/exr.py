@@ -106,14 +106,17 @@ def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dic
 
 
 def decode_view(
-    source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
+    source: bytes | Path,
+    names: Iterable[str] | None = None,
+    num_threads: int = 0,
+    where: Path | str = "EXR data",
 ) -> dict[str, NDArray[Any]]:
     """Decode buffers (H, W, C) of an EXR file by name, as stored (half: float16); ``names`` None: all.
 
-    Raises :class:`InputError` if the file is damaged, too large, or lacks a requested buffer, ``KeyError``
-    for an unknown name.
+    ``where`` names a ``source`` of bytes in errors. Raises :class:`InputError` if the file is damaged, too
+    large, or lacks a requested buffer, ``KeyError`` for an unknown name.
     """
-    where = source if isinstance(source, Path) else "EXR data"
+    where = source if isinstance(source, Path) else where
     try:
         data = source if isinstance(source, bytes) else source.read_bytes()
     except OSError as error:

@@ -20,11 +20,13 @@ from datagen.exports.flow import decode_flo, flow_between
 from datagen.farm.collect import collect
 from datagen.farm.local import LocalOptions, run_local
 from datagen.formats.asset import Part
+from datagen.formats.base import canonical_json
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import write_package
-from datagen.formats.shard import ShardReader, View
+from datagen.formats.shard import ShardReader, View, write_shard
 from datagen.foundation.errors import InputError
 from datagen.library import Library
+from tests.datagen.small_dataset import make_configuration, make_view_files
 from tests.datagen.small_plan import plan_small
 from tests.datagen.test_package import cube_asset, cube_files
 
@@ -314,6 +316,22 @@ def test_hypersim_folders_follow_the_convention(dataset: Path, views: list[View]
         np.testing.assert_array_equal(color, view.buffers["beauty"])
         ids = read(geometry.with_name(geometry.name + ".semantic_instance.hdf5"))
         np.testing.assert_array_equal(np.where(ids < 0, 0, ids), view.buffers["instance_id"][..., 0])
+
+
+def test_damaged_members_are_reported_by_name(tmp_path: Path) -> None:
+    from datagen.exports.rooms import Room
+
+    configuration, path = make_configuration(1), tmp_path / "rooms.tar"
+    members = make_view_files(tmp_path, configuration)
+    with path.open("wb") as stream:
+        write_shard(stream, canonical_json(configuration), members)
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(members[0][1].read_bytes()[:4], b"junk"))
+    with pytest.raises(InputError, match=r"rooms\.tar:small-00000/view-000: "):
+        Room(path, "train").views[0].read("beauty")
+    path.write_bytes(whole.replace(b'"exposure"', b'"exposure '))
+    with pytest.raises(InputError, match=r"rooms\.tar:small-00000/view-000: .*expected valid JSON"):
+        _ = Room(path, "train").views
 
 
 def test_models_of_mirrored_parts_face_outwards(tmp_path: Path) -> None:
