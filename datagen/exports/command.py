@@ -62,7 +62,8 @@ def export(
         writer: Any = getattr(import_module(f"datagen.exports.{layout}"), _WRITERS[layout])
         files = writer(job) if isinstance(writer, type) else None
         add = partial(writer, job) if files is None else files.add
-        claim_folder(out, layout, folder, {"split": split or "all"})
+        selection = {"split": split or "all", "configurations": sorted(configuration or ()) or "all"}
+        claim_folder(out, layout, folder, selection)
         with Bars("configurations") as bars:
             for number, room in enumerate(rooms):
                 bars.tell(layout, number, len(rooms))

@@ -149,21 +149,22 @@ def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[
 
 
 def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
-    """Create ``out`` and mark it as an export; an earlier export to the same format may be overwritten.
+    """Create ``out`` and mark it as an export; an earlier one of the same selection may be overwritten.
 
-    ``command``: options recorded in the marker. Raises :class:`InputError` for a folder with other contents.
+    ``command``: options recorded in the marker. Raises :class:`InputError` for a folder with other contents,
+    such as another split: each export numbers its categories and models anew.
     """
-    marker = out / MARKER
-    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_export(marker, format_name)):
-        expected = f"a new or empty folder, or an earlier export to {format_name}"
+    marker, name = out / MARKER, dataset.resolve().name
+    note = {"format": "scene-materials/export", "layout": format_name, "dataset": name, **command}
+    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_marked(marker, note)):
+        expected = f"a new or empty folder, or an earlier export to {format_name} of the same rooms"
         raise input_error(out, "--out", "other contents", expected, "choose another --out")
     out.mkdir(parents=True, exist_ok=True)
-    note = {"format": "scene-materials/export", "layout": format_name, "dataset": dataset.name, **command}
     write_bytes_atomically(marker, (json.dumps(note, indent=2) + "\n").encode())
 
 
-def _is_export(marker: Path, format_name: str) -> bool:
+def _is_marked(marker: Path, note: dict[str, Any]) -> bool:
     try:
-        return json.loads(marker.read_text(encoding="utf-8")).get("layout") == format_name
-    except (OSError, ValueError, AttributeError):
+        return bool(json.loads(marker.read_text(encoding="utf-8")) == note)
+    except (OSError, ValueError):
         return False

@@ -318,6 +318,16 @@ def test_hypersim_folders_follow_the_convention(dataset: Path, views: list[View]
         np.testing.assert_array_equal(np.where(ids < 0, 0, ids), view.buffers["instance_id"][..., 0])
 
 
+def test_an_export_of_other_rooms_is_kept(tmp_path: Path) -> None:
+    """Its models and categories would get other numbers."""
+    from datagen.exports.rooms import claim_folder
+
+    for _ in range(2):
+        claim_folder(tmp_path, "bop", tmp_path / "rooms", {"split": "train"})
+    with pytest.raises(InputError, match=r"an earlier export to bop of the same rooms; choose another --out"):
+        claim_folder(tmp_path, "bop", tmp_path / "rooms", {"split": "test"})
+
+
 def test_damaged_members_are_reported_by_name(tmp_path: Path) -> None:
     from datagen.exports.rooms import Room
 
