@@ -42,15 +42,14 @@ def _check_slug(value: str) -> str:
 
 
 def _check_relative_path(value: str) -> str:
-    parts = value.replace("\\", "/").split("/")
+    path = value.replace("\\", "/")  # files written on Windows
     if (
-        not value.isprintable()  # the operating system ends a name at a NUL, Python does not
-        or value.startswith(("/", "\\"))
-        or ":" in value
-        or any(p in ("", ".", "..") for p in parts)
+        not path.isprintable()  # the operating system ends a name at a NUL, Python does not
+        or ":" in path
+        or any(p in ("", ".", "..") for p in path.split("/"))
     ):
         raise ValueError("expected a relative path inside the folder, without '..'")
-    return value
+    return path
 
 
 def _check_affine(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
@@ -62,7 +61,7 @@ def _check_affine(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...
 Slug = Annotated[str, AfterValidator(_check_slug)]
 """Identifier that is a valid file name on any system."""
 RelativePath = Annotated[str, AfterValidator(_check_relative_path)]
-"""Path inside a package, '/'-separated; never leaves the package."""
+"""Path inside a package, '/'-separated (backslashes are converted); never leaves the package."""
 Unit = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]

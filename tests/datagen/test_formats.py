@@ -157,6 +157,10 @@ def test_every_problem_of_a_file_is_reported_at_once() -> None:
         assert f"kitchen/asset.json: {field}" in text
 
 
+def test_paths_with_backslashes_are_those_of_any_system() -> None:
+    assert parse_model(Texture, {"texture": "maps\\d.png", "encoding": "srgb"}, "").texture == "maps/d.png"
+
+
 @pytest.mark.parametrize(
     "path", ["/etc/passwd", "../up.png", "a/../../b.png", "C:/x.png", "a\\..\\..\\b", ""]
 )
