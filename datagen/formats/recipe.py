@@ -21,11 +21,18 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
+_MAX_NAME = 147  # a folder in a tar file, name and index of a configuration, has at most 155 characters
 _Side = Annotated[int, Field(ge=8, le=16384)]
 PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
 CountRange = Annotated[
     tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], AfterValidator(_ordered)
 ]
+
+
+def _check_name(value: str) -> str:
+    if len(value) > _MAX_NAME:
+        raise ValueError(f"expected at most {_MAX_NAME} characters")
+    return value
 
 
 class AssetFilter(StrictModel):
@@ -336,7 +343,7 @@ class Recipe(StrictModel):
 
     format: Literal["scene-materials/recipe"] = "scene-materials/recipe"
     version: Literal[1] = 1
-    name: Slug
+    name: Annotated[Slug, AfterValidator(_check_name)]
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     configurations: Annotated[int, Field(ge=1, le=10_000_000)]
     views: Annotated[int, Field(ge=1, le=4096)]

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from datagen.assembly.plan import configuration_id
 from datagen.formats.asset import Box, SlotMaterial, Texture
 from datagen.formats.base import canonical_json, parse_model, read_json, read_yaml, write_bytes_atomically
 from datagen.formats.recipe import Recipe
@@ -159,6 +160,15 @@ def test_every_problem_of_a_file_is_reported_at_once() -> None:
 
 def test_paths_with_backslashes_are_those_of_any_system() -> None:
     assert parse_model(Texture, {"texture": "maps\\d.png", "encoding": "srgb"}, "").texture == "maps/d.png"
+
+
+def test_shards_can_contain_configurations_with_the_longest_name(tmp_path: Path) -> None:
+    recipe = Recipe(name="n" * 147, configurations=10_000_000, views=1)
+    member = f"{configuration_id(recipe, recipe.configurations - 1)}/view-0000.exr"
+    (tmp_path / "view.exr").touch()
+    write_shard(io.BytesIO(), b"{}", [(member, tmp_path / "view.exr")])
+    with pytest.raises(ValueError, match="at most 147 characters"):
+        Recipe(name="n" * 148, configurations=1, views=1)
 
 
 @pytest.mark.parametrize(
