@@ -127,11 +127,12 @@ class FreeSpace:
                 for k, v in sorted(rejections.items())
                 if k.startswith("probe.")
             )
+            field = "camera_regions" if self._regions else "cameras"
             raise input_error(
                 f"environment {self.environment.id}",
-                "camera_regions" if self._regions else "cameras",
+                field,
                 f"no free position for a camera ({counts})",
                 "free space inside the room",
-                "correct camera_regions, which are inside geometry or outside the room",
+                f"correct {field}, which are inside geometry or outside the room",
             )
         return np.array(found).reshape(-1, 3)

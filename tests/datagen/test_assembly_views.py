@@ -228,6 +228,13 @@ def test_a_camera_region_inside_a_wall_is_reported(tmp_path: Path) -> None:
     outside = with_room(tmp_path / "outside", camera_regions=(thick,))
     with pytest.raises(InputError, match=r"environment room: .*(outside|inside_solid) \d+"):
         plan.assemble(recipe(views=2), 0, outside)
+    pose = ((1, 0, 0, 99), (0, 0, 1, 2), (0, -1, 0, 1.5), (0, 0, 0, 1))
+    far = AssetCamera(
+        name="far", width_px=64, height_px=48, fx_px=50, fy_px=50, cx_px=32, cy_px=24, asset_from_camera=pose
+    )
+    lost = with_room(tmp_path / "lost", camera_regions=(), cameras=(far,))
+    with pytest.raises(InputError, match=r"cameras = no free.*no_floor \d+.*correct cameras, which"):
+        plan.assemble(recipe(views=2), 0, lost)
 
 
 @pytest.mark.parametrize(
