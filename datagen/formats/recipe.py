@@ -23,6 +23,7 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
 
 _MAX_NAME = 147  # a folder in a tar file, name and index of a configuration, has at most 155 characters
 _Side = Annotated[int, Field(ge=8, le=16384)]
+_Angle = Annotated[float, Field(gt=0.0, lt=180.0)]
 PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
 CountRange = Annotated[
     tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], AfterValidator(_ordered)
@@ -178,7 +179,7 @@ class CameraRecipe(StrictModel):
 
     subject: Literal["things", "room"] = "things"
     height_m: PositiveRange = (0.8, 1.9)
-    fov_x_deg: PositiveRange = (50.0, 75.0)
+    fov_x_deg: Annotated[tuple[_Angle, _Angle], AfterValidator(_ordered)] = (50.0, 75.0)
     min_distance_m: Positive = 0.3
     max_near_share: Unit = 0.35
     min_content: Annotated[int, Field(ge=1)] = 3

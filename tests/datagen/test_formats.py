@@ -207,6 +207,7 @@ def test_bundled_recipes_are_valid(name: str) -> None:
         ({"objects": {"count": [9, 2]}}, "low <= high"),
         ({"splits": {"train": 0.5}}, "train \\+ validation \\+ test = 1"),
         ({"resolution": [640]}, "resolution"),
+        ({"cameras": {"fov_x_deg": [50, 200]}}, r"cameras.fov_x_deg\[1\] = 200; expected less than 180"),
     ],
 )
 def test_bad_recipes_name_field_and_remedy(change: dict, message: str, tmp_path: Path) -> None:
