@@ -159,6 +159,12 @@ def test_obj_polygons_negative_indices_and_missing_parts(tmp_path: Path) -> None
         read_obj(path)
 
 
+def test_obj_lines_may_be_indented_and_continue_on_windows(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.obj"
+    path.write_bytes(b" v 0 0 0\r\n v 1 0 0\r\n\tv 0 1 0\r\nv 1 1 0\r\n  f 1 2 \\\r\n 4 3\r\n")
+    assert len(read_obj(path).faces) == 2
+
+
 @pytest.mark.parametrize(
     ("text", "found"),
     [

@@ -27,7 +27,8 @@ def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
     uvs: list[bytes] = []
     normals: list[bytes] = []
     faces: list[list[bytes]] = []
-    for line in data.replace(b"\\\n", b" ").splitlines():
+    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+        line = line.lstrip()
         head = line[:2]
         if head == b"v " or head == b"v\t":
             positions.append(line)
