@@ -246,9 +246,10 @@ class _GeometryAsset(_AssetBase):
 class ObjectAsset(_GeometryAsset):
     """An object that can be placed in a room.
 
-    ``minimum_m`` and ``maximum_m`` bound the meshes (z from 0); the footprint is their x-y rectangle unless
-    ``footprint_m`` gives a convex polygon. Scale and yaw are drawn from their ranges. ``supports``: kinds of
-    surfaces on which it may stand; empty for hanging or built-in objects, which are never placed.
+    ``minimum_m`` and ``maximum_m`` bound the meshes (z from 0); the footprint is the convex hull of their
+    x-y projection; the polygon ``footprint_m`` is ignored. Scale and yaw are drawn from their ranges.
+    ``supports``: kinds of surfaces on which it may stand; empty for hanging or built-in objects, which are
+    never placed.
     """
 
     kind: Literal["object"] = "object"
