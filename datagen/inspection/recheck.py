@@ -76,6 +76,16 @@ class Rechecked:
             yield Fault("recheck", self.where, got, expected, "warning")
 
 
+def check_recheck(folder: Path, samples: int) -> None:
+    """Raise :class:`InputError` if ``folder`` is a single shard, or if ``samples`` is no multiple of 4."""
+    if samples < PARTS or samples % PARTS:
+        expected = f"a multiple of {PARTS}, the number of images that are compared"
+        raise input_error("datagen verify", "--recheck-samples", samples, expected, "choose another number")
+    if not folder.is_dir():
+        remedy = "name the shard's dataset folder"
+        raise input_error(folder, "--recheck", "a single shard", "a dataset folder", remedy)
+
+
 def recheck(
     folder: Path,
     library: Library,
@@ -87,15 +97,9 @@ def recheck(
     """Render ``count`` random views again with ``samples`` paths per pixel, and compare them.
 
     The recipe's seed selects the views. Faults and notes are added to ``report``; a configuration whose
-    assets have changed is skipped with a note. ``progress(done, total)`` counts views. Raises
-    :class:`InputError` if ``folder`` is not a dataset, or if ``samples`` is not a multiple of 4.
+    assets have changed is skipped with a note. ``progress(done, total)`` counts views. The arguments must
+    pass :func:`check_recheck`.
     """
-    if samples < PARTS or samples % PARTS:
-        expected = f"a multiple of {PARTS}, the number of images that are compared"
-        raise input_error("datagen verify", "--recheck-samples", samples, expected, "choose another number")
-    if not folder.is_dir():
-        remedy = "name the shard's dataset folder"
-        raise input_error(folder, "--recheck", "a single shard", "a dataset folder", remedy)
     dataset = Dataset(folder)
     places = [(k, view) for k, shard in enumerate(dataset.index.shards) for view in range(shard.num_views)]
     chosen = np.random.default_rng([dataset.index.recipe.seed, count]).permutation(len(places))[:count]

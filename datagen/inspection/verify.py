@@ -31,7 +31,7 @@ from datagen.foundation.images import read_image
 from datagen.foundation.paths import inside
 from datagen.foundation.progress import Bars
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
-from datagen.inspection.recheck import Rechecked, print_rechecked
+from datagen.inspection.recheck import Rechecked, check_recheck, print_rechecked
 from datagen.inspection.recheck import recheck as recheck_views
 from datagen.inspection.shard_check import ShardJob, verify_shard
 from datagen.library import Library
@@ -217,9 +217,11 @@ def verify_command(
 
     Without ``library_paths``, the dataset's libraries are used if they still exist. ``recheck`` views are
     rendered again by plain path tracing, with ``recheck_samples`` paths per pixel. Raises :class:`InputError`
-    if ``path`` is not a dataset, or if ``recheck`` is given without a library.
+    if ``path`` is not a dataset, or if ``recheck`` is given without a library or fails :func:`check_recheck`.
     """
     library_paths = library_of(path) if library_paths is None else [*library_paths, *rooms_of(path)]
+    if recheck:
+        check_recheck(path, recheck_samples)
     if recheck and not library_paths:
         remedy = "name it with --library"
         raise input_error(path, "--recheck", "no library", "the assets of the views to render", remedy)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from datagen.formats.shard import Dataset, View
 from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import InputError
+from datagen.inspection import verify
 from datagen.inspection.findings import Report
 from datagen.inspection.recheck import Rechecked, compared, recheck
 from datagen.inspection.verify import verify_command
@@ -98,15 +100,18 @@ def test_views_of_a_dataset_agree_with_plain_paths(dataset: Path, capsys: pytest
     assert "against 8 plain paths a pixel" in table and "true relMSE" in table
 
 
-def test_unsupported_rechecks_are_reported(dataset: Path, tmp_path: Path) -> None:
-    library = Library([dataset.parent / "library"])
+def test_unsupported_rechecks_are_reported_before_the_dataset_is_verified(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify, "verify_dataset", lambda *_: pytest.fail("it has been verified"))
     with pytest.raises(InputError, match="recheck-samples = 6; expected a multiple of 4"):
-        recheck(dataset, library, 1, 6, Report(""))
+        verify_command(dataset, recheck=1, recheck_samples=6)
     shard = Dataset(dataset).shard_paths()[0]
     with pytest.raises(InputError, match="expected a dataset folder"):
-        recheck(shard, library, 1, 4, Report(""))
-    with pytest.raises(InputError, match="name it with --library"):
         verify_command(shard, recheck=1)
+    shutil.copytree(dataset, tmp_path / "copy", ignore=shutil.ignore_patterns("dataset.json"))
+    with pytest.raises(InputError, match="name it with --library"):
+        verify_command(tmp_path / "copy", recheck=1)
     nothing = Report("")
     (tmp_path / "empty").mkdir()
     assert recheck(dataset, Library([tmp_path / "empty"]), 2, 4, nothing) == []
