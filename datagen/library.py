@@ -118,30 +118,14 @@ class Library:
         """The element of :attr:`paths` in which a package was found."""
         return next(root for root in self.paths if package.path.is_relative_to(root))
 
-    def select(
-        self,
-        kind: AssetKind,
-        *,
-        category: str | None = None,
-        material_class: str | None = None,
-        for_training: bool = True,
-    ) -> list[Package]:
-        """Packages of a kind in the order of their ids.
-
-        ``category`` filters objects, ``material_class`` any asset by :func:`asset_classes`. Assets marked
-        ``evaluation_only`` are excluded unless ``for_training`` is False.
-        """
-        chosen = []
-        for package in self:
-            asset = package.asset
-            if asset.kind != kind or (for_training and asset.provenance.usage == "evaluation_only"):
-                continue
-            if category is not None and getattr(asset, "category", None) != category:
-                continue
-            if material_class is not None and material_class not in asset_classes(asset):
-                continue
-            chosen.append(package)
-        return chosen
+    def select(self, kind: AssetKind, *, for_training: bool = True) -> list[Package]:
+        """Packages of a kind by id, without those marked ``evaluation_only`` if ``for_training``."""
+        return [
+            package
+            for package in self
+            if package.asset.kind == kind
+            and not (for_training and package.asset.provenance.usage == "evaluation_only")
+        ]
 
     def categories(self, *, for_training: bool = True) -> list[str]:
         """Sorted categories of the objects, without ``evaluation_only`` ones if ``for_training``."""

@@ -39,11 +39,10 @@ def library_folder(tmp_path: Path) -> Path:
 def test_index_and_selection(library_folder: Path) -> None:
     with Library([library_folder]) as library:
         assert [p.id for p in library] == ["cube", "lacquer", "oak", "secret"]
-        assert [p.id for p in library.select("material", material_class="wood")] == ["lacquer", "oak"]
-        everything = library.select("material", material_class="wood", for_training=False)
+        assert [p.id for p in library.select("material")] == ["lacquer", "oak"]
+        everything = library.select("material", for_training=False)
         assert [p.id for p in everything] == ["lacquer", "oak", "secret"]
         assert library.categories() == ["box"]
-        assert library.select("object", category="chair") == []
         with pytest.raises(InputError, match="did you mean lacquer"):
             library.package("laquer")
 
