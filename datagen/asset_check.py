@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Thorough checks of an asset package, beyond the schema: meshes, textures, lights and regions.
 
-Errors make a package unusable. Warnings (non-manifold edges, flipped triangles) are errors only in strict
-mode, since most published scenes have some.
+Errors make a package unusable. Non-manifold edges and flipped triangles are warnings, since most published
+scenes have some.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class CheckReport:
     def is_usable(self) -> bool:
         return not self.errors
 
-    def raise_errors(self, *, strict: bool = False) -> None:
-        """Raise :class:`InputError` with all errors (and warnings, if ``strict``)."""
-        raise_problems(self.errors + (self.warnings if strict else ()))
+    def raise_errors(self) -> None:
+        """Raise :class:`InputError` with all errors."""
+        raise_problems(self.errors)
 
 
 class _Checker:
