@@ -13,16 +13,16 @@ Functions marked *traced* take and return Dr.Jit arrays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MIN_COVERAGE, STATISTICS_BUFFERS
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import Problem, Problems, raise_problems
+from datagen.foundation.errors import Problem, Problems, input_error, raise_problems
 from datagen.multiview.view_selection import OwnView, Selection, select_views
 from datagen.multiview.visibility import (
     PackedViews,
@@ -84,24 +84,17 @@ class StatisticsOptions:
     """Options of the statistics. Raises :class:`InputError` for invalid values.
 
     ``best_views``: maximum number k of views used for a pixel, in [4, 24]. ``include_self``: whether the
-    pixel's own view is a candidate. ``color_fetch``: whether the colour at a projection is that of the
-    nearest pixel, or interpolated from those of the four nearest pixels whose depths match.
+    pixel's own view is a candidate.
     """
 
     best_views: int = 12
     include_self: bool = True
-    color_fetch: Literal["nearest", "bilinear"] = "bilinear"
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
 
     def __post_init__(self) -> None:
-        problems = Problems("statistics")
         if not MIN_BEST_VIEWS <= self.best_views <= MAX_BEST_VIEWS:
             expected = f"a whole number in [{MIN_BEST_VIEWS}, {MAX_BEST_VIEWS}]"
-            problems.add("best_views", repr(self.best_views), expected, "correct it")
-        if self.color_fetch not in ("nearest", "bilinear"):
-            expected = "'nearest' or 'bilinear'"
-            problems.add("color_fetch", repr(self.color_fetch), expected, "correct it")
-        raise_problems(problems)
+            raise input_error("statistics", "best_views", repr(self.best_views), expected, "correct it")
 
 
 def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
@@ -113,15 +106,14 @@ def compute_statistics(
     views: Sequence[StatisticsView],
     options: StatisticsOptions | None = None,
     scene: mi.Scene | None = None,
-    progress: Callable[[int, int], Any] | None = None,
     only: Sequence[int] | None = None,
 ) -> Iterator[dict[str, NDArray[np.float32]]]:
     """Iterate over the statistics of all views, or of those with indices ``only``, as arrays by buffer name.
 
     ``color_min``, ``color_median``, ``color_max`` (H, W, 3) are scene-linear; ``observation_count`` is
     (H, W, 1). ``scene`` is needed only for visibility by ``trace``: a ``mi.Scene``, or any object whose
-    ``ray_test(ray, active=mask)`` returns whether a ray is occluded. ``progress(done, total)`` is called
-    after each view. Input is checked before iteration; all faults are raised in one :class:`InputError`.
+    ``ray_test(ray, active=mask)`` returns whether a ray is occluded. Input is checked before iteration; all
+    faults are raised in one :class:`InputError`.
     """
     options = options or StatisticsOptions()
     problems = [problem for view in views for problem in view.problems()]
@@ -133,7 +125,7 @@ def compute_statistics(
     select_variant()
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     wanted = range(len(views)) if only is None else only
-    return _statistics_of_all(views, packed, options, scene, progress, wanted)
+    return _statistics_of_all(views, packed, options, scene, wanted)
 
 
 def _statistics_of_all(
@@ -141,7 +133,6 @@ def _statistics_of_all(
     packed: PackedViews,
     options: StatisticsOptions,
     scene: mi.Scene | None,
-    progress: Callable[[int, int], Any] | None,
     wanted: Sequence[int],
 ) -> Iterator[dict[str, NDArray[np.float32]]]:
     import drjit as dr
@@ -161,8 +152,6 @@ def _statistics_of_all(
         arrays = [np.stack([channel.numpy() for channel in color], axis=-1) for color in result[:3]]
         arrays.append(result[3].numpy()[:, None])
         yield {name: array.reshape(shape) for name, array in zip(STATISTICS_BUFFERS, arrays, strict=True)}
-        if progress is not None:
-            progress(done, len(wanted))
 
 
 def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Float:
@@ -264,10 +253,7 @@ def _fetch_colors(
         view = selection.views[j]
         at = project(packed, view, points)
         is_own = view == own
-        if options.color_fetch == "nearest":
-            fetched = dr.gather(mi.Vector4f, colors, _pixel_at(at), ~is_own)
-        else:
-            fetched = _fetch_bilinear(packed, at, colors, options.visibility, ~is_own)
+        fetched = _fetch_bilinear(packed, at, colors, options.visibility, ~is_own)
         color = dr.select(is_own, own_color, fetched)  # exact, without a projection
         red[j], green[j], blue[j] = color[0], color[1], color[2]
         return j + 1, red, green, blue

@@ -27,19 +27,16 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 # Decisions closer than this to their limit may differ in float32: projections err by about 1e-5 px.
 DECISION_MARGIN = 2e-4
 # Bilinear weights err like projections, and white noise has gradients of up to 1 per pixel.
-COLOR_TOLERANCE = {"nearest": 1e-7, "bilinear": 1e-4}
+COLOR_TOLERANCE = 1e-4
 
 COLORS = [name for name in STATISTICS_BUFFERS if BUFFERS[name].num_channels == 3]
 CASES = {
     "default": StatisticsOptions(),
-    "nearest": StatisticsOptions(color_fetch="nearest"),
     "best_4": StatisticsOptions(best_views=4),
     "best_5_without_self": StatisticsOptions(best_views=5, include_self=False),
-    "best_24": StatisticsOptions(best_views=24, color_fetch="nearest"),
+    "best_24": StatisticsOptions(best_views=24),
     "trace": StatisticsOptions(visibility=VisibilityOptions("trace")),
-    "trace_best_4": StatisticsOptions(
-        best_views=4, color_fetch="nearest", visibility=VisibilityOptions("trace")
-    ),
+    "trace_best_4": StatisticsOptions(best_views=4, visibility=VisibilityOptions("trace")),
 }
 
 
@@ -47,7 +44,6 @@ def oracle_options(options: StatisticsOptions) -> OracleOptions:
     return OracleOptions(
         best_views=options.best_views,
         include_self=options.include_self,
-        is_bilinear=options.color_fetch == "bilinear",
         depth_tolerance=options.visibility.depth_tolerance,
         slope_tolerance_px=options.visibility.slope_tolerance_px,
         slope_limit=options.visibility.slope_limit,
@@ -67,7 +63,7 @@ def disagreement(result, expected, options) -> tuple[int, float]:
     is_sure = margin > DECISION_MARGIN
     is_wrong = result["observation_count"][..., 0] != count
     for name, color in zip(COLORS, colors, strict=True):
-        is_wrong |= (np.abs(result[name] - color) > COLOR_TOLERANCE[options.color_fetch]).any(axis=-1)
+        is_wrong |= (np.abs(result[name] - color) > COLOR_TOLERANCE).any(axis=-1)
     return int((is_wrong & is_sure).sum()), float(is_sure.mean())
 
 
@@ -227,13 +223,6 @@ def test_half_precision_input_is_accepted():
         np.testing.assert_allclose(full["color_median"], half["color_median"], atol=1e-3)
 
 
-def test_progress_is_reported():
-    calls = []
-    views = make_views(num_views=3)
-    list(compute_statistics(views, progress=lambda done, total: calls.append((done, total))))
-    assert calls == [(1, 3), (2, 3), (3, 3)]
-
-
 def test_bad_input_is_refused_with_every_fault_named():
     views = make_views(num_views=3)
     color = views[1].color.copy()
@@ -251,7 +240,7 @@ def test_bad_input_is_refused_with_every_fault_named():
         compute_statistics(views, StatisticsOptions(visibility=VisibilityOptions("trace")))
 
 
-@pytest.mark.parametrize("arguments", [{"best_views": 3}, {"best_views": 25}, {"color_fetch": "cubic"}])
+@pytest.mark.parametrize("arguments", [{"best_views": 3}, {"best_views": 25}])
 def test_bad_options_are_refused(arguments):
     with pytest.raises(InputError, match=next(iter(arguments))):
         StatisticsOptions(**arguments)
