@@ -27,7 +27,7 @@ from datagen.formats.flat_shapes import flat_problems, has_area
 from datagen.formats.lights import DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
 from datagen.foundation.errors import InputError, Problem, raise_problems
-from datagen.foundation.images import MAX_IMAGE_SIDE_PX, read_image
+from datagen.foundation.images import MAX_IMAGE_SIDE_PX, read_image, read_radiance
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, lying_normals
 from datagen.foundation.meshes.ply import decode_ply
 
@@ -109,14 +109,12 @@ class _Checker:
         if normal is not None and (normal.encoding, normal.channel) != ("linear", "rgb"):
             self.error(f"{field}.normal", normal.encoding, "a linear texture with channel 'rgb'")
 
-    def check_panorama(self, image: str) -> None:
-        _, fault = self.check_image(image)
-        if not fault and not image.lower().endswith(".exr"):
-            fault = "not an EXR file"
-        if not fault and (read_image(self.package.local_file(image)) < 0).any():
-            fault = "negative values"
-        if fault:
-            self.error("image", f"{image!r}: {fault}", "an EXR file of finite radiance", "replace the image")
+    def check_radiance(self, field: str, image: str) -> None:
+        try:
+            read_radiance(self.package.local_file(image))
+        except InputError as error:
+            got, expected = f"{image!r}: {error.problems[0].got}", "an EXR file of finite radiance"
+            self.error(field, got, expected, "replace the image")
 
     # geometry
 
@@ -194,9 +192,7 @@ class _Checker:
         if isinstance(light, SkyLight):
             self.check_unit(f"{field}.sun_direction", light.sun_direction)
         if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
-            _, fault = self.check_image(light.image)
-            if fault:
-                self.error(f"{field}.image", f"{light.image!r}: {fault}", "a finite EXR", "replace the image")
+            self.check_radiance(f"{field}.image", light.image)
 
     def check_unit(self, field: str, direction: tuple[float, float, float]) -> None:
         if any(direction) and abs(math.sqrt(sum(x * x for x in direction)) - 1) > 1e-3:
@@ -214,7 +210,7 @@ class _Checker:
         if isinstance(asset, MaterialAsset):
             self.check_material("material", asset.material)
         elif isinstance(asset, PanoramaAsset):
-            self.check_panorama(asset.image)
+            self.check_radiance("image", asset.image)
         else:
             for name, material in asset.materials.items():
                 self.check_material(f"materials.{name}", material)

@@ -14,7 +14,7 @@ from datagen.assembly.light_probe import EnvironmentMap
 from datagen.formats.asset import Opening
 from datagen.formats.lights import DirectionalLight, EnvironmentLight, SkyLight
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import read_image
+from datagen.foundation.images import read_radiance
 from datagen.foundation.random import Draws
 from datagen.library import Library
 from mitsuba_plugins.variant import select_variant
@@ -68,8 +68,7 @@ def environment_radiance(light: EnvironmentLight, library: Library) -> Environme
 
 
 def _image_table(library: Library, asset: str, image: str) -> Floats:
-    pixels = read_image(library.package(asset).local_file(image)).astype(np.float64)
-    pixels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    pixels = read_radiance(library.package(asset).local_file(image)).astype(np.float64)
     rows, columns = min(_TABLE_ROWS, pixels.shape[0]), min(_TABLE_COLUMNS, pixels.shape[1])
     by_row = np.add.reduceat(pixels, np.arange(rows) * pixels.shape[0] // rows, axis=0)
     by_cell = np.add.reduceat(by_row, np.arange(columns) * pixels.shape[1] // columns, axis=1)

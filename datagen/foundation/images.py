@@ -38,6 +38,20 @@ def read_image(path: Path) -> NDArray[Any]:
     return _read_exr(path) if suffix == ".exr" else read_ldr(path)
 
 
+def read_radiance(path: Path) -> NDArray[np.float32]:
+    """Read an EXR image of radiance (H, W, 3); a grey one is repeated.
+
+    Raises :class:`InputError` as :func:`read_image` does, for other formats, and for NaN, Inf and negative
+    values.
+    """
+    if path.suffix.lower() != ".exr":
+        raise input_error(path, got="no EXR file", expected="a linear EXR image", remedy="convert it")
+    pixels = read_image(path)
+    if not np.isfinite(pixels).all() or (pixels < 0).any():
+        raise input_error(path, got="NaN, Inf or negative values", expected="radiance", remedy="repair it")
+    return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+
+
 def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
     """Return (width, height) in the header of an EXR file or of one in Pillow's ``formats``.
 

@@ -25,8 +25,8 @@ from datagen.formats.lights import (
     SphereLight,
     SpotLight,
 )
-from datagen.foundation.errors import Problem
-from datagen.foundation.images import read_image
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.images import read_radiance
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.rendering.geometry import make_shape
 
@@ -176,15 +176,11 @@ def _environment(light: EnvironmentLight, where: str, library: Library, problems
         expected = "the id of the package that contains the image"
         problems.append(Problem(where, "asset", "null", expected, "name it"))
         return None
-    path = library.package(light.asset).local_file(light.image)
-    pixels = read_image(path)
-    if pixels.dtype.kind != "f":
-        problems.append(Problem(path, "", "an image of 8 or 16 bits", "a linear EXR image", "convert it"))
+    try:
+        pixels = read_radiance(library.package(light.asset).local_file(light.image))
+    except InputError as error:
+        problems.extend(error.problems)
         return None
-    if not np.isfinite(pixels).all() or (pixels < 0).any():
-        problems.append(Problem(path, "", "NaN, Inf or negative values", "radiance", "repair the image"))
-        return None
-    pixels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
     world_from_mitsuba = np.asarray(light.world_from_environment, np.float64) @ _ENVIRONMENT_FROM_MITSUBA
     return {
         "type": "envmap",

@@ -192,9 +192,9 @@ def test_panoramas_are_listed_and_checked(library: Library, tmp_path: Path) -> N
     lines = {line.id: line for line in describe_library(library.paths)}
     assert lines["night-view"].kind == "panorama" and lines["night-view"].detail == "night"
     assert check_package(library.package("day-view")).is_usable
-    for value, fault in ((float("nan"), "NaN or infinite"), (-1.0, "negative values")):
+    for value in (float("nan"), -1.0):
         root = tmp_path / f"value {value}"
         write_panorama(root / "library", "broken", "day", value)
         with Library([root / "library"]) as broken:
             (problem,) = check_package(broken.package("broken")).errors
-        assert fault in problem.got
+        assert "NaN, Inf or negative values" in problem.got

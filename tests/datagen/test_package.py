@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datagen.assembly.daylight import environment_radiance
 from datagen.asset_check import check_package
 from datagen.formats.asset import (
     EnvironmentAsset,
@@ -24,7 +25,7 @@ from datagen.formats.asset import (
     SlotMaterial,
     Texture,
 )
-from datagen.formats.lights import AreaLight
+from datagen.formats.lights import AreaLight, EnvironmentLight
 from datagen.formats.package import Package, is_package, open_package, write_package
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
@@ -37,6 +38,7 @@ from datagen.foundation.meshes.mesh import (
     with_sound_normals,
 )
 from datagen.foundation.meshes.ply import decode_ply, encode_ply
+from datagen.library import Library
 
 CC0 = Provenance(license="CC0-1.0")
 
@@ -343,6 +345,14 @@ def test_zero_area_light_is_refused(tmp_path: Path) -> None:
     package = write_package(tmp_path / "room", asset, {"cube.ply": encode_ply(cube_mesh())})
     assert "lights[0] (lamp)" in faults(package)
     assert "area above zero" in faults(package)
+
+
+def test_environment_light_of_8_bits_is_refused(tmp_path: Path) -> None:
+    light = EnvironmentLight(name="sky", image="textures/c.png")
+    package = write_package(tmp_path / "cube", cube_asset(lights=(light,)), cube_files())
+    assert "lights[0] (sky).image = 'textures/c.png': no EXR file" in faults(package)
+    with Library([tmp_path]) as library, pytest.raises(InputError, match="expected a linear EXR image"):
+        environment_radiance(light.model_copy(update={"asset": "cube"}), library)
 
 
 def test_flattened_part_is_refused(tmp_path: Path) -> None:
