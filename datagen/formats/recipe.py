@@ -146,6 +146,9 @@ class PanoramaWeights(StrictModel):
 class LightRecipe(StrictModel):
     """Lights of configurations. Probabilities are per kind; at least one light is always on.
 
+    Of a drawn kind at least one light is placed, if possible: a drawn ``count_area`` or ``count_point`` of 0
+    counts as 1.
+
     With ``panoramas`` every room with openings and without a sky has a panorama outside, regardless
     of ``daylight_probability``; generated rooms then have no modelled surroundings.
     ``color_temperature_k`` and ``mean_irradiance`` (W/m^2, at possible camera positions) are drawn
