@@ -29,9 +29,7 @@ _MAX_SLUG = 200  # leaves room for a suffix in a file name
 class StrictModel(BaseModel):
     """Base of every file model: unknown keys are errors, instances are immutable, NaN and Inf are refused."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=False, allow_inf_nan=False, populate_by_name=True
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
 
 
 def _check_slug(value: str) -> str:
@@ -216,7 +214,7 @@ def canonical_json(data: BaseModel | dict[str, Any] | list[Any]) -> bytes:
 
     Floats are written by ``repr``, which round-trips; NaN and Inf raise ``ValueError``.
     """
-    value = data.model_dump(mode="json", by_alias=True) if isinstance(data, BaseModel) else data
+    value = data.model_dump(mode="json") if isinstance(data, BaseModel) else data
     text = json.dumps(value, sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False)
     return (text + "\n").encode()
 
