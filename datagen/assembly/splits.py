@@ -249,6 +249,9 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
             f"at least one, for objects.count {list(recipe.objects.count)}",
             "add objects to the library or set objects.count to [0, 0]",
         )
+    if not pools.materials and recipe.environments.parametric is not None:
+        expected, remedy = "materials for generated rooms", "add `bundled` to the recipe's library"
+        problems.add("materials", "no usable material", expected, remedy)
     if recipe.objects.library_weights and len(library.paths) < len(recipe.library):
         problems.add(
             "objects.library_weights",

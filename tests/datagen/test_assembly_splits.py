@@ -127,6 +127,10 @@ def test_reserved_assets_are_never_used(tmp_path: Path) -> None:
         ({"lights": {"environment_images": ["oak"]}}, r"oak: lights = no environment light with an image"),
         ({"objects": {"exclude": "ALL"}}, r"objects = no usable object"),
         (
+            {"environments": {"parametric": {}}, "materials": {"include": ()}},
+            r"materials = no usable material; expected materials for generated rooms; add `bundled`",
+        ),
+        (
             {"configurations": 3, "splits": {"train": 0.9, "test": 0.1}},
             r"splits.test = 0.1, none of 3 configurations",
         ),
