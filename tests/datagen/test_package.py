@@ -384,6 +384,10 @@ def test_ply_round_trip_and_foreign_layouts() -> None:
     quad = decode_ply(ascii_ply.encode(), "quad.ply")
     assert quad.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
     assert quad.uv is not None
+    spaced = ascii_ply.replace("\n4 0", "\n\n4 0").replace(
+        "element vertex", "comment end_header\nelement vertex"
+    )
+    assert decode_ply(spaced.encode(), "spaced.ply").faces.tolist() == quad.faces.tolist()
     with pytest.raises(InputError, match="ends early"):
         decode_ply(encode_ply(mesh)[:-5], "cut.ply")
     with pytest.raises(InputError, match="no PLY header"):

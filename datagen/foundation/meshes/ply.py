@@ -63,8 +63,8 @@ def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> 
     if budget is None:
         budget = Budget(where)
         budget.hold(len(data))
-    end = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
-    newline = data.find(b"\n", end)
+    end = data.find(b"\nend_header", 0, _MAX_HEADER_BYTES)  # a comment may contain the word
+    newline = data.find(b"\n", end + 1)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise input_error(where, got="no PLY header", expected="a PLY file", remedy=_PLY_REMEDY)
     form, elements = _parse_header(data[:end].decode("ascii", "replace"), where)
@@ -197,7 +197,7 @@ def _read_polygons(
 def _read_ascii(
     body: bytes, elements: list[_Element], where: str | Path, budget: Budget
 ) -> dict[str, dict[str, NDArray[Any]]]:
-    lines = iter(body.decode("ascii", "replace").splitlines())
+    lines = filter(str.strip, body.decode("ascii", "replace").splitlines())
     tables: dict[str, dict[str, NDArray[Any]]] = {}
     try:
         for name, count, properties in elements:
