@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import signal
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -435,11 +436,16 @@ def make_loader(
         num_workers=workers,
         pin_memory=pin_memory,
         prefetch_factor=4 if workers else None,
-        worker_init_fn=_one_thread,
+        worker_init_fn=_start_worker,
         generator=torch.Generator(),  # otherwise the loader draws its seed from the global generator
-        multiprocessing_context="forkserver" if workers else None,
+        multiprocessing_context="spawn" if workers else None,
     )
 
 
-def _one_thread(_: int) -> None:
+def _start_worker(_: int) -> None:
+    """Limit a loader process to one thread, and let it outlast a Ctrl-C or SIGTERM sent to all processes of
+    the run, since the training process needs its batches to finish the step. The loader's own SIGTERMs end
+    it: at least two are sent if it does not stop."""
     torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: signal.signal(signal.SIGTERM, signal.SIG_DFL))

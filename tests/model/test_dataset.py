@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -253,6 +256,19 @@ def test_loader_yields_the_plan_for_any_number_of_workers(shard, workers):
     assert [b["sample_id"].tolist() for b in batches] == list(plan)
     assert batches[0]["beauty"].shape == (4, 3, 32, 32)
     torch.testing.assert_close(batches[2]["beauty"][1], dataset[list(plan)[2][1]]["beauty"])
+
+
+def test_loader_processes_outlast_signals_to_the_whole_run(shard):
+    """After a Ctrl-C, which all processes of a terminal get, the training process still needs batches."""
+    dataset = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
+    plan = BatchPlan(CropOrder(4, 3, 4, seed=0), 4, stop=12)
+    batches = iter(make_loader(dataset, plan, workers=1))
+    seen = [next(batches)["sample_id"].tolist()]
+    for process in multiprocessing.active_children():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            os.kill(process.pid, number)
+    seen += [batch["sample_id"].tolist() for batch in batches]
+    assert seen == list(plan)
 
 
 def test_views_in_memory_are_decoded_once_for_all_workers(shard, monkeypatch):
