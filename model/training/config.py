@@ -8,7 +8,7 @@ folder before work starts.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
@@ -20,6 +20,7 @@ from model.bilateral_solver import SolverConfig
 from model.networks import NetworkConfig, TrackName
 from model.training.losses import LossConfig
 
+_Decay = Annotated[float, Field(ge=0, lt=1)]
 PRESETS = ("paper", "small", "light", "smoke")
 PhaseName = Literal["diffuse", "specular", "joint", "confidence"]
 PHASE_TRACKS: dict[PhaseName, tuple[TrackName, ...]] = {
@@ -120,12 +121,12 @@ class TrainingConfig(StrictModel):
     learning_rate: float = Field(default=2e-5, gt=0)
     final_learning_rate: float | None = Field(default=None, gt=0)
     """Learning rate at the end of each phase, reached along half a cosine; None: constant rate."""
-    adam_betas: tuple[float, float] = (0.5, 0.999)
+    adam_betas: tuple[_Decay, _Decay] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
     """Gradients with a larger norm, over all weights that a phase trains, are scaled down to it; None: no
     clipping. At a high rate, one steep batch can push outputs into the flat part of tanh, where gradients
     vanish."""
-    average_decay: float = Field(default=0.0, ge=0, lt=1)
+    average_decay: _Decay = 0.0
     """Validation and checkpoints use weights averaged over about the last 1 / (1 - average_decay) steps."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the networks' activations; losses and weights stay float32."""

@@ -345,6 +345,8 @@ def test_unknown_settings_are_refused(tmp_path):
         parse_overrides(["batch_size"])
     with pytest.raises(InputError, match="epochs or steps"):
         _config("phases=[{name: diffuse}]")
+    with pytest.raises(InputError, match=r"adam_betas\[1\] = 1\.0; expected .*less than 1"):
+        _config("adam_betas=[0.9, 1.0]")
     with pytest.raises(InputError, match="--preset"):
         resolve_config("large")
     file = tmp_path / "c.yaml"
