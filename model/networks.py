@@ -13,13 +13,14 @@ every convolution, so its size does not affect the result.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from torch import Tensor, nn
 
 from datagen.formats.base import StrictModel
@@ -74,6 +75,18 @@ class NetworkConfig(StrictModel):
     """``package.module:Class`` of a custom network in place of the two tracks (model.own_network)."""
     arguments: dict[str, Any] = Field(default={}, exclude_if=lambda value: not value)
     """Keyword arguments of ``factory``."""
+
+    @field_validator("arguments")
+    @classmethod
+    def _survive_json(cls, arguments: dict[str, Any]) -> dict[str, Any]:
+        # checkpoints restore the network, and runs are compared when resumed, from JSON
+        try:
+            is_same = json.loads(json.dumps(arguments, allow_nan=False)) == arguments
+        except (TypeError, ValueError):
+            is_same = False
+        if not is_same:
+            raise ValueError("expected text, finite numbers, true, false, null, lists, and keys of text")
+        return arguments
 
     @model_validator(mode="after")
     def _one_kind(self) -> NetworkConfig:

@@ -111,6 +111,12 @@ def test_settings_of_the_tracks_are_refused(settings: tuple[str, ...], message: 
         _config("network.arguments.width=8")
 
 
+@pytest.mark.parametrize("value", ["2020-01-01", ".inf", "{1: 2}", "!!binary aGk="])
+def test_arguments_that_a_checkpoint_cannot_store_are_refused(value: str) -> None:
+    with pytest.raises(InputError, match=r"network\.arguments = .*expected text, finite numbers"):
+        _config(f"network.factory={TOY}", f"network.arguments.width={value}")
+
+
 @pytest.mark.parametrize(
     ("factory", "message"),
     [
