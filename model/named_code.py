@@ -12,7 +12,7 @@ def load_named(name: str) -> Any:
     """Import the object ``MODULE:NAME``. Raises ``ImportError`` or ``AttributeError`` if it does not exist,
     and ``ValueError`` if ``name`` does not have this form."""
     module, colon, attribute = name.partition(":")
-    if not (colon and module and attribute):
+    if not (colon and module and attribute) or module.startswith("."):
         raise ValueError("no MODULE:NAME")
     if "" not in sys.path:
         sys.path.append("")

@@ -90,6 +90,6 @@ def test_inference_reports_its_stages(
 
 def test_all_unresolvable_names_are_refused_at_once() -> None:
     with pytest.raises(InputError) as caught:
-        load_listeners(["no_such_module:f", "json:no_such_function", "json", "json:decoder"])
-    assert len(caught.value.problems) == 4
+        load_listeners(["no_such_module:f", "json:no_such_function", "json", "json:decoder", "./f.py:f"])
+    assert len(caught.value.problems) == 5
     assert all(problem.expected == "MODULE:FUNCTION" for problem in caught.value.problems)

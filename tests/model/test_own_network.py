@@ -121,6 +121,7 @@ def test_arguments_that_a_checkpoint_cannot_store_are_refused(value: str) -> Non
     ("factory", "message"),
     [
         ("tests.model.toy_network", "no MODULE:NAME"),
+        ("./toy_network.py:Toy", "no MODULE:NAME"),
         ("tests.model.toy_network:Missing", "no attribute 'Missing'"),
         ("no.such.module:Class", "No module named 'no"),
         ("tests.model.toy_network:not_a_class", "not a class of networks"),
