@@ -7,6 +7,7 @@ folder before work starts.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -182,13 +183,21 @@ def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which 1e-4 is a number, as in YAML 1.2; PyYAML reads it as text."""
+
+
+_EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$")
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+0123456789"))
+
+
 def _read_mapping(path: Path) -> dict[str, Any]:
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         got = (error.strerror or str(error)).lower()
         raise input_error(path, "", got, "a readable YAML file", "check the path") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except (ValueError, yaml.YAMLError) as error:  # a ValueError also for a date such as 2020-13-01
         where, got = syntax_error(path, error) if isinstance(error, yaml.YAMLError) else (path, str(error))
         raise input_error(where, "", got, "a readable YAML file", "correct the file") from None
     if not isinstance(data, dict):
@@ -232,8 +241,8 @@ def parse_overrides(items: list[str]) -> dict[str, Any]:
         if not separator or not all(key.split(".")):
             raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2", "write it in this form")
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
+            value = yaml.load(text, _Loader)
+        except (yaml.YAMLError, ValueError) as error:
             raise input_error("--set", key, str(error), "a YAML value") from None
         nested: dict[str, Any] = {key.split(".")[-1]: value}
         for part in reversed(key.split(".")[:-1]):

@@ -111,6 +111,13 @@ def test_settings_of_the_tracks_are_refused(settings: tuple[str, ...], message: 
         _config("network.arguments.width=8")
 
 
+def test_arguments_in_exponential_notation_are_numbers(tmp_path: Path) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(f"network: {{factory: '{TOY}', arguments: {{rate: -2.5E3}}}}")
+    config = resolve_config("smoke", file, parse_overrides(["network.arguments.eps=1e-4"]))
+    assert config.network.arguments == {"rate": -2500.0, "eps": 0.0001}
+
+
 @pytest.mark.parametrize("value", ["2020-01-01", ".inf", "{1: 2}", "!!binary aGk="])
 def test_arguments_that_a_checkpoint_cannot_store_are_refused(value: str) -> None:
     with pytest.raises(InputError, match=r"network\.arguments = .*expected text, finite numbers"):

@@ -350,6 +350,10 @@ def test_unknown_settings_are_refused(tmp_path):
     with pytest.raises(InputError, match="--preset"):
         resolve_config("large")
     file = tmp_path / "c.yaml"
+    file.write_text("seed: 2020-13-01")
+    for settings in (lambda: resolve_config("smoke", file), lambda: parse_overrides(["seed=2020-13-01"])):
+        with pytest.raises(InputError, match="month must be in"):
+            settings()
     file.write_text("batch_size: 3\ndata: {workers: 0}\n")
     config = resolve_config("smoke", file, {"data": {"crop_px": 48}})
     assert (config.batch_size, config.data.crop_px, config.data.crops_per_view) == (3, 48, 2)
