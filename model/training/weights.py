@@ -61,7 +61,7 @@ def weights_folder() -> Path:
     override = os.environ.get("SCENE_MATERIALS_WEIGHTS")
     if override:
         return Path(override)
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "scene-materials"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "scene-materials"
 
 
 # --- reading numpy pickles without running them -----------------------------------------------------------

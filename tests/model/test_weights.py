@@ -121,6 +121,13 @@ def test_missing_weights_name_the_remedy(tmp_path, monkeypatch):
         weights.find_vgg()
 
 
+def test_an_empty_variable_means_the_cache_folder_of_the_user(tmp_path, monkeypatch):
+    monkeypatch.delenv("SCENE_MATERIALS_WEIGHTS", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    assert weights.weights_folder() == tmp_path / ".cache" / "scene-materials"
+
+
 def test_heads_fall_back_to_the_lpips_package_with_a_notice(tmp_path, monkeypatch):
     monkeypatch.setenv("SCENE_MATERIALS_WEIGHTS", str(tmp_path))
     monkeypatch.delenv("SCENE_DATA", raising=False)
