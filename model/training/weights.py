@@ -98,9 +98,6 @@ class ArrayUnpickler(pickle.Unpickler):
         except KeyError:
             raise pickle.UnpicklingError(f"{module}.{name} is not admitted") from None
 
-    def persistent_load(self, pid: Any) -> Any:
-        raise pickle.UnpicklingError("persistent references are not admitted")
-
 
 def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
     """Read nested dictionaries of float arrays from a pickle; other content raises :class:`InputError`."""
