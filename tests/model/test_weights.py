@@ -97,6 +97,12 @@ def test_other_values_and_other_shapes_are_refused(tmp_path):
     save_file(tensors, path)
     with pytest.raises(InputError, match="convolution 2"):
         weights.load_vgg(path)
+    torch.save({name: torch.nn.Parameter(value) for name, value in tensors.items()}, tmp_path / "vgg.pth")
+    with pytest.raises(InputError, match="convolution 2"):  # a file of parameters, which require gradients
+        weights.load_vgg(tmp_path / "vgg.pth")
+    torch.save(torch.zeros(3), tmp_path / "vgg.pth")
+    with pytest.raises(InputError, match="VGG16's convolutions"):
+        weights.load_vgg(tmp_path / "vgg.pth")
     del tensors["features.5.weight"]
     save_file(tensors, path)
     with pytest.raises(InputError, match=r"features\.5\.weight"):
@@ -149,6 +155,12 @@ def test_bad_head_files_are_refused(tmp_path):
     with pytest.raises(InputError):
         weights.load_elpips_heads(path)
     assert not Path("/tmp/never").exists()
+    whole = path.read_bytes()
+    np.save(tmp_path / "array.npy", np.ones(3))
+    for damaged in (b"", whole[: len(whole) // 2], (tmp_path / "array.npy").read_bytes()):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"unreadable|empty file"):
+            weights.load_elpips_heads(path)
 
 
 def test_real_heads_are_read(shared_data):
