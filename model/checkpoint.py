@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import torch
 from pydantic import Field
-from torch import nn
+from torch import Tensor, nn
 
 from datagen.formats.base import StrictModel, canonical_json, parse_model, write_bytes_atomically
 from datagen.foundation.errors import InputError, Problem, input_error
@@ -90,18 +90,29 @@ def save_checkpoint(
     confidence: ConfidenceNets | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> None:
-    """Write weights in ``dtype`` to ``path`` (.safetensors), and the card as JSON next to it, atomically."""
+    """Write weights in ``dtype`` to ``path`` (.safetensors), and the card as JSON next to it, atomically.
+
+    Tensors with values beyond the range of ``dtype`` are written in float32.
+    """
     from safetensors.torch import save
 
     card = card.model_copy(update={"has_confidence": confidence is not None})
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
     if confidence is not None:
         tensors |= {f"confidence.{name}": value for name, value in confidence.state_dict().items()}
-    tensors = {name: value.detach().to("cpu", dtype).contiguous() for name, value in tensors.items()}
+    tensors = {name: _stored(value, dtype) for name, value in tensors.items()}
     text = canonical_json(card)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, save(tensors, {_CARD_KEY: text.decode()}))
     write_bytes_atomically(path.with_suffix(".json"), text)
+
+
+def _stored(value: Tensor, dtype: torch.dtype) -> Tensor:
+    """Copy of a tensor as stored: safetensors refuses tensors that share memory, such as tied weights."""
+    stored = value.detach().to("cpu", dtype, copy=True).contiguous()
+    if dtype != torch.float32 and not bool(torch.isfinite(stored).all()):
+        return _stored(value, torch.float32)
+    return stored
 
 
 def read_card(path: Path) -> CheckpointCard:

@@ -10,11 +10,17 @@ import torch
 import typer
 
 from datagen.foundation.command_line import run_function
+from datagen.foundation.errors import input_error
 from model.checkpoint import load_checkpoint, save_checkpoint
 
 
 def publish_checkpoint(source: Path, target: Path) -> None:
-    """Write the checkpoint ``source`` to ``target`` in half precision, without paths of this machine."""
+    """Write the checkpoint ``source`` to ``target`` in half precision, without paths of this machine.
+
+    Raises :class:`InputError` if ``target`` is no .safetensors file, since its card is the same with .json.
+    """
+    if target.suffix != ".safetensors":
+        raise input_error("--out", "", str(target), "the name of a .safetensors file", "correct it")
     checkpoint = load_checkpoint(source)
     training = {**checkpoint.card.training, "initial_checkpoint": None}
     if "perceptual" in training:

@@ -104,7 +104,8 @@ def save_state(
     if optimizer is not None:
         for index, state in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{index}.{name}": torch.as_tensor(value) for name, value in state.items()}
-    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    # copied, since safetensors refuses tensors that share memory, such as tied weights
+    tensors = {name: value.detach().to("cpu", copy=True).contiguous() for name, value in tensors.items()}
     data = save(tensors, {_KEY: canonical_json(progress).decode()})
     write_bytes_atomically(folder / STATE_FILE, data)
 

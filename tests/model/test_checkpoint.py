@@ -92,6 +92,23 @@ def test_a_published_checkpoint_has_half_the_size_and_no_paths(tmp_path, card):
     assert str(tmp_path) not in text and json.loads(text)["metrics"] == {"roughness_mse": 0.25}
 
 
+def test_a_published_checkpoint_keeps_values_beyond_half_floats(tmp_path, card):
+    """For example the number of batches that the norm of a custom network has seen."""
+    network = MaterialNetwork(TINY)
+    with torch.no_grad():
+        network.tracks["diffuse"].enc2.shift.fill_(70000.0)
+    save_checkpoint(tmp_path / "run.safetensors", card, network)
+    publish_checkpoint(tmp_path / "run.safetensors", tmp_path / "small.safetensors")
+    published = load_checkpoint(tmp_path / "small.safetensors").network
+    assert (published.tracks["diffuse"].enc2.shift == 70000.0).all()
+
+
+def test_a_published_checkpoint_is_not_overwritten_by_its_card(tmp_path, card):
+    save_checkpoint(tmp_path / "run.safetensors", card, MaterialNetwork(TINY))
+    with pytest.raises(InputError, match=r"--out: .*small\.json.*expected the name of a \.safetensors file"):
+        publish_checkpoint(tmp_path / "run.safetensors", tmp_path / "small.json")
+
+
 def test_equal_content_has_equal_bytes(tmp_path, card):
     network = MaterialNetwork(TINY)
     for name in ("a", "b"):

@@ -86,6 +86,13 @@ def test_all_parameters_are_trained(dataset: Path, tmp_path: Path) -> None:
     assert all(not torch.equal(before[name], after[name]) for name in before)
 
 
+def test_tied_weights_are_saved(dataset: Path, tmp_path: Path) -> None:
+    config = _config("network.factory=tests.model.toy_network:Tied", "phases=[{name: joint, steps: 1}]")
+    network = load_checkpoint(Trainer(config, [dataset], tmp_path / "run", device=CPU).run()).network
+    assert isinstance(network, OwnNetwork)
+    assert torch.equal(network.module.same.weight, network.module.last.weight)
+
+
 def test_a_preset_trains_it_in_one_phase_for_its_tracks() -> None:
     config = _config(f"network.factory={TOY}", preset="small")
     assert [(phase.name, phase.epochs, phase.steps) for phase in config.phases] == [

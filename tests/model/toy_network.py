@@ -44,6 +44,25 @@ class Echo(nn.Module):
         }
 
 
+class Tied(Toy):
+    """Has two layers with the same weight."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.same = nn.Conv2d(8, 7, 1)
+        self.same.weight = self.last.weight
+
+
+class Fixed(nn.Module):
+    """Returns its input, without parameters."""
+
+    inputs = ("beauty",)
+
+    def forward(self, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        image = (inputs["beauty"] + 1) / 2
+        return {"diffuse_albedo": image, "specular_albedo": image, "roughness": image[:, :1]}
+
+
 class Unbounded(Toy):
     """Returns values above 1."""
 
