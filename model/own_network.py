@@ -96,8 +96,10 @@ def network_inputs(config: NetworkConfig) -> tuple[str, ...]:
 def try_network(network: OwnNetwork) -> None:
     """Run a network once on grey inputs of 23 x 38 pixels.
 
-    Raises :class:`InputError` if the outputs are not the three maps, or not in [0, 1].
+    Raises :class:`InputError` if it has no parameters, or the outputs are not the three maps in [0, 1].
     """
+    if not any(True for _ in network.parameters()):
+        raise input_error("network", network.config.factory or "", "no parameters", "weights to train")
     buffers = {name: torch.full((1, input_channels(name), *_TRIAL_SIZE), 0.5) for name in INPUTS}
     buffers["depth_z_m"] = torch.ones(1, 1, *_TRIAL_SIZE)
     was_training = network.training

@@ -173,6 +173,7 @@ def test_unknown_arguments_are_named() -> None:
     ("name", "message"),
     [
         ("Unbounded", r"Unbounded: \w+ = .*expected values in \[0, 1\]"),
+        ("Fixed", "Fixed = no parameters; expected weights to train"),
         ("Halved", r"\(1, 3, 12, 19\).*\(1, 3, 23, 38\)"),
     ],
 )
