@@ -65,6 +65,9 @@ class ViewStream(IterableDataset[dict[str, Any]]):
         self.buffers = tuple(buffers)
         unknown = [name for name in self.buffers if name not in BUFFERS]
         raise_problems([Problem("ViewStream", "buffers", name, ", ".join(BUFFERS)) for name in unknown])
+        given = {"crop_px": crop_px, "crops_per_view": crops_per_view}
+        low = [(name, str(value)) for name, value in given.items() if value is not None and value < 1]
+        raise_problems([Problem("ViewStream", name, value, "at least 1") for name, value in low])
         self.crop_px, self.crops_per_view = crop_px, crops_per_view if crop_px else 1
         self.shuffle, self.seed = shuffle, seed
         self.rank, self.num_ranks = _ranks(rank, num_ranks)

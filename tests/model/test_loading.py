@@ -108,6 +108,10 @@ def test_batches_and_splits_of_a_dataset(tmp_path) -> None:
 
 
 def test_wrong_arguments_are_refused(shards, tmp_path) -> None:
+    with pytest.raises(InputError, match=r"crop_px = 0; expected at least 1"):
+        ViewStream(shards, ["beauty"], crop_px=0)
+    with pytest.raises(InputError, match=r"crops_per_view = 0; expected at least 1"):
+        ViewStream(shards, ["beauty"], crop_px=16, crops_per_view=0)
     with pytest.raises(InputError, match=r"buffers = albedo; expected beauty, "):
         ViewStream(shards, ["albedo"])
     with pytest.raises(InputError, match=r"rank = 2; expected a number from 0 to num_ranks - 1 = 1"):
