@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.events import Event, Listeners
 from model.networks import encode_color
@@ -30,14 +31,14 @@ class RunLog:
     ):
         self.folder, self.listeners = folder, listeners or Listeners()
         self.path = folder / CSV_FILE
-        kept = []
-        if self.path.is_file():
-            with self.path.open(newline="", encoding="utf-8") as file:
-                kept = [row for row in csv.DictReader(file) if int(row["step"]) <= step and step > 0]
-        self._file = self.path.open("w", newline="", encoding="utf-8")
+        text = ",".join(_COLUMNS) + "\n"
+        if step and self.path.is_file():
+            _, *lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
+            # a killed run may have written half of a line
+            text += "".join(row for row in lines if row.endswith("\n") and int(row.split(",")[0]) <= step)
+        write_bytes_atomically(self.path, text.encode())
+        self._file = self.path.open("a", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._file, _COLUMNS, lineterminator="\n")
-        self._writer.writeheader()
-        self._writer.writerows(kept)
         self._board: Any = None
         if tensorboard:
             from torch.utils.tensorboard import SummaryWriter

@@ -18,7 +18,7 @@ from datagen.foundation.errors import InputError
 from model.checkpoint import load_checkpoint
 from model.training.config import parse_overrides, resolve_config
 from model.training.dataset import buffer_names
-from model.training.run_log import read_log
+from model.training.run_log import RunLog, read_log
 from model.training.run_state import NonFiniteError
 from model.training.train import Trainer
 from model.training.validation import (
@@ -213,6 +213,21 @@ def test_a_killed_run_resumes_from_its_last_state(dataset, whole, tmp_path):
     Trainer(_config(), [dataset], parts, device=CPU).run()
     assert (whole / "final.safetensors").read_bytes() == (parts / "final.safetensors").read_bytes()
     assert read_log(whole, "train", "total") == read_log(parts, "train", "total")
+
+
+def test_a_log_keeps_its_rows_when_a_resumed_run_is_killed(tmp_path):
+    """The rows are on disk before the first new one, and without half a row of the killed run."""
+    with RunLog(tmp_path, tensorboard=False) as log:
+        for step in range(1, 121):
+            log.scalars(step, "joint", 0, "train", {"total": step / 2})
+    path = tmp_path / "log.csv"
+    path.write_text(path.read_text() + "12")  # of step 121
+    resumed = RunLog(tmp_path, 100, tensorboard=False)  # not closed, as if killed
+    assert read_log(tmp_path, "train", "total") == [(step, step / 2) for step in range(1, 101)]
+    assert len(path.read_text().splitlines()) == 101
+    resumed.scalars(101, "joint", 0, "train", {"total": 1.0})
+    resumed.close()
+    assert read_log(tmp_path, "train", "total")[-2:] == [(100, 50.0), (101, 1.0)]
 
 
 def test_validation_does_not_change_training(dataset, tmp_path):
