@@ -46,7 +46,7 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
     damaged, the first view is smaller than ``crop_px`` per side, or there are no training views.
     """
     needed = buffer_names(network)
-    places: dict[Split, list[ViewPlace]] = {"train": [], "validation": [], "test": []}
+    places: dict[Split, list[ViewPlace]] = {"train": [], "validation": []}
     records, problems = [], []
     for folder in folders:
         dataset = DatasetFolder(Path(folder))
@@ -55,13 +55,12 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
             where = Path(folder) / INDEX_FILE
             problems.append(Problem(where, "buffers", f"no {', '.join(missing)}", "all buffers for training"))
             continue
-        for shard in dataset.index.shards:
-            if shard.split == "test":
-                continue
-            try:
-                places[shard.split] += index_shard(dataset.folder / shard.file)
-            except InputError as error:
-                problems += error.problems
+        for split, found in places.items():
+            for path in dataset.shard_paths(split):
+                try:
+                    found += index_shard(path)
+                except InputError as error:
+                    problems += error.problems
         digest = sha256_file(Path(folder) / INDEX_FILE)
         records.append(
             DataRecord(

@@ -430,6 +430,12 @@ def test_dataset_folders_are_opened_by_their_index(tmp_path):
     (folder / "index.json").write_text(index.model_dump_json().replace('"version":1', '"version":0', 1))
     with pytest.raises(InputError, match="version"):
         open_data([folder], NETWORK, 32)
+    (folder / "index.json").write_text(index.model_dump_json())
+    shard = folder / "shards" / "room-0.tar"
+    shard.rename(tmp_path / "room-0.tar")
+    shard.symlink_to(tmp_path / "room-0.tar")
+    with pytest.raises(InputError, match="a symbolic link that leads to"):
+        open_data([folder], NETWORK, 32)
     only_test = make_dataset(tmp_path / "e", {"room-2": ("test", 1)})
     with pytest.raises(InputError, match="no views of split train"):
         open_data([only_test], NETWORK, 32)
