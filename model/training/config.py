@@ -24,6 +24,7 @@ from model.training.losses import LossConfig
 _Decay = Annotated[float, Field(ge=0, lt=1)]
 PRESETS = ("paper", "small", "light", "smoke")
 PhaseName = Literal["diffuse", "specular", "joint", "confidence"]
+BadViewPolicy = Literal["refuse", "skip"]
 PHASE_TRACKS: dict[PhaseName, tuple[TrackName, ...]] = {
     "diffuse": ("diffuse",),
     "specular": ("specular",),
@@ -91,8 +92,9 @@ class DataConfig(StrictModel):
     in_memory: bool = False
     """Decode each view once per rank, into memory shared by its loader processes, instead of once per block:
     about 70 bytes per pixel and view. The batches are the same."""
-    on_bad_view: Literal["refuse", "skip"] = "refuse"
-    """``refuse`` raises for an invalid view, ``skip`` excludes it from the loss and counts its crops."""
+    on_bad_view: BadViewPolicy = "refuse"
+    """``refuse`` raises for an invalid view, ``skip`` excludes it from loss and validation, and counts its
+    crops."""
 
 
 class ValidationConfig(StrictModel):

@@ -20,13 +20,14 @@ from model.events import Event, Listeners
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
 from model.training.context import make_context
+from model.training.dataset import buffer_names
 from model.training.phases import Phase
 from model.training.run_folder import RunFolder
 from model.training.run_log import RunLog
 from model.training.run_state import NonFiniteError, RunProgress, restore_optimizer, save_bad_batch
 from model.training.sources import open_data, spread
 from model.training.stopping import stop_signals
-from model.training.validation import final_metrics, phase_metrics, score_of
+from model.training.validation import final_metrics, phase_metrics, score_of, valid_views
 
 _STEP_PURPOSE = 0x57
 
@@ -54,7 +55,8 @@ class Trainer:
         self.show_progress = show_progress and self.ranks.is_first
         self.stop_requested = False
         count = config.validation.num_views
-        self.validation_views = spread(self.data.validation, count) if count else []
+        chosen = spread(self.data.validation, count) if count and self.ranks.is_first else []
+        self.validation_views = valid_views(chosen, buffer_names(config.network), config.data.on_bad_view)
 
     def run(self) -> Path:
         """Train to the end and return the final checkpoint's path.

@@ -11,11 +11,12 @@ from torch import Tensor
 
 from datagen.formats.view_places import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
+from datagen.foundation.errors import InputError
 from model.bilateral_solver import SolverConfig
 from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
 from model.networks import MaterialNetwork, TrackName, encode_color
 from model.own_network import OwnNetwork
-from model.training.config import PHASE_TRACKS, PhaseName
+from model.training.config import PHASE_TRACKS, BadViewPolicy, PhaseName
 from model.training.context import TrainingContext
 from model.training.dataset import buffer_names, load_view, view_sample
 from model.training.run_log import RunLog, view_panel
@@ -58,6 +59,22 @@ def score_of(metrics: Mapping[str, float]) -> float:
     """Mean of the maps' mean squared errors; the best checkpoint has the lowest."""
     values = [value for name, value in metrics.items() if name.endswith("_mse")]
     return sum(values) / len(values)
+
+
+def valid_views(
+    places: Sequence[ViewPlace], names: Sequence[str], on_bad_view: BadViewPolicy
+) -> list[ViewPlace]:
+    """Return ``places`` without invalid views; with ``refuse``, these raise :class:`InputError`."""
+    valid = []
+    for place in places:
+        try:
+            load_view(place, names)
+        except InputError:
+            if on_bad_view == "refuse":
+                raise
+        else:
+            valid.append(place)
+    return valid
 
 
 def whole_views(

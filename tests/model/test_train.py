@@ -341,6 +341,22 @@ def test_bad_views_stop_or_are_counted(dataset, tmp_path):
     assert trainer.progress.num_skipped == 2  # both crops of the bad view, once an epoch
 
 
+def test_bad_validation_views_stop_a_run_before_it_starts_or_are_skipped(tmp_path):
+    def spoil(buffers, record):
+        if record["split"] == "validation" and record["index"] == 1:
+            buffers["roughness"] = buffers["roughness"] * np.nan
+
+    splits = {"room-0": ("train", 4), "room-1": ("validation", 2)}
+    data = make_dataset(tmp_path / "set", splits, change=spoil)
+    short = "phases=[{name: diffuse, steps: 1}]"
+    with pytest.raises(InputError, match=r"room-1/view-001: roughness"):
+        Trainer(_config(short), [data], tmp_path / "run", device=CPU)
+    trainer = Trainer(_config(short, "data.on_bad_view=skip"), [data], tmp_path / "run", device=CPU)
+    trainer.run()
+    assert [place.name for place in trainer.validation_views] == ["room-1/view-000"]
+    assert len(read_log(tmp_path / "run", "validation", "score")) == 1
+
+
 def test_bfloat16_channels_last_and_checkpoint_start(dataset, tmp_path):
     settings = ("phases=[{name: joint, steps: 2}]", "precision=bfloat16", "channels_last=true")
     final = Trainer(_config(*settings), [dataset], tmp_path / "a", device=CPU).run()
