@@ -146,16 +146,16 @@ class Trainer:
         """
         config, context, watch = self.config, self.context, self.context.stopwatch
         sums: dict[str, Any] = {}
-        batch: dict[str, Tensor] = {}
+        loaded: list[dict[str, Tensor]] = []
         for group in phase.optimizer.param_groups:
             group["lr"] = phase.learning_rate(self.progress.step)
         phase.optimizer.zero_grad(set_to_none=True)
 
         for micro in range(config.accumulation):
             with watch.section("data"):
-                batch = next(batches)
+                loaded.append(next(batches))
             with watch.section("transfer"):
-                batch = {name: value.to(context.device, non_blocking=True) for name, value in batch.items()}
+                batch = {n: value.to(context.device, non_blocking=True) for n, value in loaded[-1].items()}
             key = (config.seed, _STEP_PURPOSE, phase.index, self.progress.step, micro, self.ranks.index)
             generator = generator_for(*key)
             torch.manual_seed(int(torch.randint(0, 2**62, (1,), generator=generator)))  # seed of dropout
@@ -171,7 +171,7 @@ class Trainer:
             norm = torch.nn.utils.get_total_norm([p.grad for p in phase.parameters if p.grad is not None])
             values = self.ranks.mean({**sums, "gradient_norm": norm})
             if not all(torch.isfinite(torch.tensor([values["total"], values["gradient_norm"]]))):
-                self._stop_on_non_finite(phase, batch, values)
+                self._stop_on_non_finite(phase, loaded, values)
             if config.gradient_clip_norm is not None:
                 torch.nn.utils.clip_grads_with_norm_(phase.parameters, config.gradient_clip_norm, norm)
             phase.optimizer.step()
@@ -179,8 +179,11 @@ class Trainer:
                 phase.average.update(self.progress.step + 1)
         return values
 
-    def _stop_on_non_finite(self, phase: Phase, batch: dict[str, Tensor], values: dict[str, float]) -> None:
+    def _stop_on_non_finite(
+        self, phase: Phase, loaded: list[dict[str, Tensor]], values: dict[str, float]
+    ) -> None:
         step = self.progress.total_step
+        batch = {name: torch.cat([micro[name] for micro in loaded]) for name in loaded[0]}
         path = save_bad_batch(self.folder.path, batch, values, step, self.ranks.index)
         terms = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
         raise NonFiniteError(f"{phase.config.name}, step {step}: {terms}; the batch is in {path}")

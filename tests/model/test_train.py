@@ -325,6 +325,26 @@ def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
     assert batch["beauty"].shape == (2, 3, 32, 32) and torch.isfinite(batch["beauty"]).all()
 
 
+def test_the_batch_of_a_non_finite_loss_has_all_micro_batches(dataset, tmp_path):
+    config = _config("phases=[{name: diffuse, steps: 1}]", "accumulation=2")
+    trainer = Trainer(config, [dataset], tmp_path / "run", device=CPU)
+    original = trainer.context.loss.forward
+    calls = []
+
+    def forward(predicted, *args):
+        calls.append(1)
+        if len(calls) == 1:
+            predicted = {n: v * float("nan") for n, v in predicted.items()}
+        return original(predicted, *args)
+
+    trainer.context.loss.forward = forward
+    with pytest.raises(NonFiniteError, match="total = nan"):
+        trainer.run()
+    batch = load_file(tmp_path / "run" / "bad_batch_step0_rank0.safetensors")
+    used = [crop for micro in trainer.context.plan(0, 0, 1) for crop in micro]
+    assert batch["sample_id"].tolist() == used and len(used) == 4
+
+
 def test_bad_views_stop_or_are_counted(dataset, tmp_path):
     def spoil(buffers, record):
         if record["index"] == 1:
