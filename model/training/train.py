@@ -7,6 +7,7 @@ bit for bit on the same machine. Under ``torchrun`` each process is a rank, and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -207,6 +208,9 @@ class Trainer:
             with phase.averaged_weights():
                 metrics = phase_metrics(self.context, name, self.validation_views, log, step)
                 score = score_of(metrics) if metrics else None
+                if score is not None and not math.isfinite(score):
+                    where = f"{name}, step {step}"
+                    raise NonFiniteError(f"{where}: validation errors are not finite; reduce learning_rate")
                 if score is None or best is None or score < best:
                     self.folder.save_best(name, step, metrics)
                     best = score

@@ -345,6 +345,13 @@ def test_the_batch_of_a_non_finite_loss_has_all_micro_batches(dataset, tmp_path)
     assert batch["sample_id"].tolist() == used and len(used) == 4
 
 
+def test_weights_that_diverge_in_the_last_step_stop_the_run(dataset, tmp_path):
+    rates = ("learning_rate=1e38", "final_learning_rate=null")
+    config = _config("phases=[{name: diffuse, steps: 1}]", "validation.num_panels=0", *rates)
+    with pytest.raises(NonFiniteError, match="diffuse, step 1: validation errors are not finite"):
+        Trainer(config, [dataset], tmp_path / "run", device=CPU).run()
+
+
 def test_bad_views_stop_or_are_counted(dataset, tmp_path):
     def spoil(buffers, record):
         if record["index"] == 1:
