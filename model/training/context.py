@@ -27,16 +27,20 @@ _INIT_PURPOSE = 0x11
 
 
 class Ranks:
-    """Number of ranks and this process's rank under ``torchrun``; a single rank without it."""
+    """Number of ranks and this process's rank under ``torchrun``; a single rank without it.
 
-    def __init__(self) -> None:
+    ``device`` is that of training; None: this rank's GPU if there is one.
+    """
+
+    def __init__(self, device: torch.device | None = None) -> None:
+        uses_gpu = torch.cuda.is_available() if device is None else device.type == "cuda"
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
         self.index = int(os.environ.get("RANK", "0"))
         self.local_index = int(os.environ.get("LOCAL_RANK", "0"))
-        if self.count > 1 and torch.cuda.is_available():
+        if self.count > 1 and uses_gpu:
             torch.cuda.set_device(self.local_index)
         if self.count > 1 and not dist.is_initialized():
-            dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+            dist.init_process_group("nccl" if uses_gpu else "gloo")
 
     @property
     def is_first(self) -> bool:
@@ -115,7 +119,7 @@ def make_context(
 
     Raises :class:`InputError` for an unsuitable ``initial_checkpoint``, network or file of VGG16's weights.
     """
-    ranks = Ranks()
+    ranks = Ranks(device)
     device = device or default_device(ranks.local_index)
     perceptual = None
     if config.loss.perceptual_weight > 0:

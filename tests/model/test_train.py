@@ -17,6 +17,7 @@ from safetensors.torch import load_file
 from datagen.foundation.errors import InputError
 from model.checkpoint import load_checkpoint
 from model.training.config import parse_overrides, resolve_config
+from model.training.context import Ranks
 from model.training.dataset import buffer_names
 from model.training.run_log import RunLog, read_log
 from model.training.run_state import NonFiniteError
@@ -303,6 +304,18 @@ def test_two_ranks_equal_one_process_with_the_double_batch(dataset, tmp_path):
     weights = [_weights(folder) for folder in (one, two)]
     for name, value in weights[0].items():
         torch.testing.assert_close(weights[1][name], value, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(("device", "expected"), [(CPU, ["gloo"]), (None, [0, "nccl"])])
+def test_ranks_communicate_on_the_device_of_training(monkeypatch, device, expected):
+    """On a machine with GPUs, ``--device cpu`` needs a backend for tensors of the CPU."""
+    chosen = []
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "set_device", lambda index: chosen.append(index))
+    monkeypatch.setattr(torch.distributed, "init_process_group", chosen.append)
+    Ranks(device)
+    assert chosen == expected
 
 
 def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
