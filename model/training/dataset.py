@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import signal
 from collections import OrderedDict
@@ -258,10 +259,11 @@ class SharedViews:
         shapes = {name: (len(places), height, width, get_buffer(name).num_channels) for name in names}
         dtypes = {name: torch.from_numpy(np.empty(0, get_buffer(name).dtype)).dtype for name in names}
         needed = sum(math.prod(shape) * dtypes[name].itemsize for name, shape in shapes.items())
+        needed *= int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # torchrun: ranks of this machine
         free = shutil.disk_usage(_SHARED_MEMORY).free if _SHARED_MEMORY.is_dir() else needed
         if needed > free:
             got = f"{free / 1e9:.1f} GB free in {_SHARED_MEMORY}"
-            remedy = "enlarge it (docker run --shm-size), or train with data.in_memory: false"
+            remedy = "enlarge it (docker run --shm-size), or train with --set data.in_memory=false"
             raise input_error("data.in_memory", "", got, f"{needed / 1e9:.1f} GB", remedy)
         self._buffers = {name: _shared(shape, dtypes[name]) for name, shape in shapes.items()}
         self._state = _shared((len(places),), torch.uint8)

@@ -285,7 +285,9 @@ def test_views_in_memory_are_decoded_once_for_all_workers(shard, monkeypatch):
         monkeypatch.setattr("model.training.dataset.decode_view", None)
     shared[1] = None  # an invalid view, which is skipped
     assert dataset[3]["is_skipped"] and not dataset[0]["is_skipped"]
-    monkeypatch.setattr("model.training.dataset.shutil.disk_usage", lambda path: SimpleNamespace(free=1000))
+    monkeypatch.setattr("model.training.dataset.shutil.disk_usage", lambda path: SimpleNamespace(free=10**6))
+    SharedViews(places, NAMES, (64, 48))
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "2")
     with pytest.raises(InputError, match="shm-size"):
         SharedViews(places, NAMES, (64, 48))
 
