@@ -42,7 +42,7 @@ from model.training.conditions import generator_for
 from model.training.config import DataConfig
 
 _GEOMETRY_BUFFERS = ("normal_world", "depth_z_m", "surface_mask")
-_REMEDY = "make the shard again, or train with data.on_bad_view: skip"
+_REMEDY = "make the shard again, or train with --set data.on_bad_view=skip"
 _ORDER_PURPOSE, _CROP_PURPOSE = 0x0D, 0xC4
 _SHARED_MEMORY = Path("/dev/shm")
 _RANGE_SLACK = 1e-3  # tolerance for rounding

@@ -40,7 +40,7 @@ VGG_FILE = "vgg16_imagenet.safetensors"
 HEADS_FILE = "elpips_vgg_linear_weights.npz"
 LPIPS_HEADS_FILE = "lpips_vgg_heads.safetensors"
 """The linear layers of LPIPS-VGG 0.1 as in the package ``lpips`` 0.1.4 (BSD-2-Clause)."""
-FETCH_REMEDY = "run `python -m model.training.fetch_weights`, or train with perceptual: gradient_ssim"
+FETCH_REMEDY = "run `python -m model.training.fetch_weights`, or use --set perceptual.kind=gradient_ssim"
 
 VGG_CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
 TORCHVISION_LAYERS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import tarfile
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import torch
 
 from datagen.foundation.errors import InputError
 from model.training import weights
+from model.training.config import parse_overrides, resolve_config
 
 
 class _Evil:
@@ -123,8 +125,10 @@ def test_a_pickled_state_file_is_not_executed(tmp_path):
 def test_missing_weights_name_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setenv("SCENE_MATERIALS_WEIGHTS", str(tmp_path))
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
-    with pytest.raises(InputError, match=r"python -m model\.training\.fetch_weights"):
+    with pytest.raises(InputError, match=r"python -m model\.training\.fetch_weights.*--set (\S+)") as caught:
         weights.find_vgg()
+    (setting,) = re.findall(r"--set (\S+)", str(caught.value))
+    assert resolve_config("paper", None, parse_overrides([setting])).perceptual.kind == "gradient_ssim"
 
 
 def test_an_empty_variable_means_the_cache_folder_of_the_user(tmp_path, monkeypatch):
