@@ -54,8 +54,6 @@ class LossConfig(StrictModel):
     num_perceptual_renders: int | None = Field(default=None, ge=0)
     """Number of randomly chosen re-renderings for which the perceptual distance is computed; None: all. Fewer
     take less time and leave the expectation unchanged."""
-    log_maps: bool = False
-    """Compare ln(0.1 + M) instead of M for both albedos, as in a comment of the paper's code."""
 
 
 def encode_log(image: Tensor) -> Tensor:
@@ -149,12 +147,8 @@ class MaterialLoss(nn.Module):
         weights = torch.where(is_metal, self.config.metal_weight, 1.0)
         for name, ours in shown.items():
             theirs = truth[name]
-            if self.config.log_maps and name != "roughness":
-                l1_map = (encode_log(ours) - encode_log(theirs)).abs().mean()
-            else:
-                l1_map = (ours - theirs).abs().mean()
-            parts[f"{name}_l1"] = l1_map
-            total = total + self.config.map_l1_weight * l1_map
+            parts[f"{name}_l1"] = (ours - theirs).abs().mean()
+            total = total + self.config.map_l1_weight * parts[f"{name}_l1"]
             if self.config.map_l2_weight > 0:
                 parts[f"{name}_l2"] = (weights * (ours - theirs).square()).mean()
                 total = total + self.config.map_l2_weight * parts[f"{name}_l2"]
