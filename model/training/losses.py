@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from datagen.formats.base import StrictModel
@@ -54,6 +54,13 @@ class LossConfig(StrictModel):
     num_perceptual_renders: int | None = Field(default=None, ge=0)
     """Number of randomly chosen re-renderings for which the perceptual distance is computed; None: all. Fewer
     take less time and leave the expectation unchanged."""
+
+    @model_validator(mode="after")
+    def _any_term(self) -> LossConfig:
+        lights = self.num_point_lights + self.num_area_lights
+        if lights + self.map_l1_weight + self.map_l2_weight + self.perceptual_weight == 0:
+            raise ValueError("expected a light or a weight above 0, without which nothing is trained")
+        return self
 
 
 def encode_log(image: Tensor) -> Tensor:

@@ -418,6 +418,8 @@ def test_unknown_settings_are_refused(tmp_path):
         _config("phases=[{name: diffuse}]")
     with pytest.raises(InputError, match=r"adam_betas\[1\] = 1\.0; expected .*less than 1"):
         _config("adam_betas=[0.9, 1.0]")
+    with pytest.raises(InputError, match=r"expected a light or a weight above 0"):
+        _config("loss={num_point_lights: 0, num_area_lights: 0, map_l1_weight: 0, perceptual_weight: 0}")
     with pytest.raises(InputError, match="--preset"):
         resolve_config("large")
     file = tmp_path / "c.yaml"
