@@ -12,7 +12,6 @@ Images are linear; the luminance of ``beauty`` times ``exposure`` has its 95th p
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,11 +22,10 @@ from numpy.typing import NDArray
 from torch import distributed
 from torch.utils.data import IterableDataset, get_worker_info
 
-from datagen.formats.base import parse_model
 from datagen.formats.configuration import Split
 from datagen.formats.shard import Dataset
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, index_shard, read_member
+from datagen.formats.view_places import ViewPlace, index_shard, read_member, read_record
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.exr import decode_view
@@ -133,15 +131,13 @@ def read_view(place: ViewPlace, names: Sequence[str]) -> tuple[ViewRecord, dict[
     Raises :class:`InputError` for a damaged view.
     """
     where = f"{place.shard}:{place.name}"
+    record = read_record(place)
     try:
-        record = parse_model(ViewRecord, json.loads(read_member(place, place.record)), where)
         buffers = decode_view(read_member(place, place.exr), names, num_threads=1)
     except InputError as error:
         raise InputError(
             *(Problem(where, p.field, p.got, p.expected, p.remedy) for p in error.problems)
         ) from None
-    except (ValueError, RecursionError) as error:
-        raise input_error(where, "", str(error), "valid JSON", _REMEDY) from None
     expected = (record.camera.height_px, record.camera.width_px)
     for name, values in buffers.items():
         if values.shape[:2] != expected:

@@ -7,7 +7,8 @@ import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.formats.shard import CONFIGURATION_MEMBERS
+from datagen.formats.shard import CONFIGURATION_MEMBERS, parse_member
+from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import Problem, input_error, raise_problems
 
 _REMEDY = "make the shard again"
@@ -48,6 +49,11 @@ def index_shard(path: Path) -> list[ViewPlace]:
         problems.append(Problem(path, "", "no views", "at least one", _REMEDY))
     raise_problems(problems)
     return places
+
+
+def read_record(place: ViewPlace) -> ViewRecord:
+    """Read a view's record. Raises :class:`InputError` if it is damaged."""
+    return parse_member(ViewRecord, read_member(place, place.record), f"{place.shard}:{place.name}")
 
 
 def read_member(place: ViewPlace, part: tuple[int, int]) -> bytes:

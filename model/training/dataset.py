@@ -14,7 +14,6 @@ scalars.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import shutil
@@ -30,9 +29,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from datagen.formats.base import parse_model
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, read_member
+from datagen.formats.view_places import ViewPlace, read_member, read_record
 from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS, get_buffer
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.exr import decode_view
@@ -66,16 +64,6 @@ class DecodedView:
     depth_max_m: float
 
 
-def read_record(place: ViewPlace, remedy: str) -> ViewRecord:
-    """Read a view's record. Raises :class:`InputError` if it is invalid, with ``remedy`` for invalid JSON."""
-    where = f"{place.shard}:{place.name}"
-    try:
-        text = json.loads(read_member(place, place.record))
-    except (ValueError, RecursionError) as error:
-        raise input_error(where, "", str(error), "valid JSON", remedy) from None
-    return parse_model(ViewRecord, text, where)
-
-
 def load_view(
     place: ViewPlace, names: Sequence[str], min_side_px: int = 1, size_px: tuple[int, int] | None = None
 ) -> DecodedView:
@@ -84,7 +72,7 @@ def load_view(
     Raises :class:`InputError` with all faults, such as a side below ``min_side_px`` or a size other than
     ``size_px`` (width, height).
     """
-    where, record = f"{place.shard}:{place.name}", read_record(place, _REMEDY)
+    where, record = f"{place.shard}:{place.name}", read_record(place)
     try:
         buffers = decode_view(read_member(place, place.exr), names, num_threads=1)
     except InputError as error:
@@ -276,7 +264,7 @@ class SharedViews:
         if self._state[index] == self._INVALID:
             return None
         if index not in self._records:
-            self._records[index] = read_record(self._places[index], _REMEDY)
+            self._records[index] = read_record(self._places[index])
         buffers = {name: values[index].numpy() for name, values in self._buffers.items()}
         return DecodedView(self._records[index], buffers, float(buffers["depth_z_m"].max(initial=0.0)))
 

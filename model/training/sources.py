@@ -11,11 +11,11 @@ from datagen.formats.base import sha256_file
 from datagen.formats.configuration import Split
 from datagen.formats.shard import INDEX_FILE
 from datagen.formats.shard import Dataset as DatasetFolder
-from datagen.formats.view_places import ViewPlace, index_shard
+from datagen.formats.view_places import ViewPlace, index_shard, read_record
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.checkpoint import DataRecord
 from model.networks import NetworkConfig
-from model.training.dataset import buffer_names, read_record
+from model.training.dataset import buffer_names
 
 
 @dataclass(frozen=True)
@@ -76,18 +76,14 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
         raise input_error(
             "training data", listed, "no views of split train", "at least one shard of that split"
         )
-    size = view_size(places["train"][0])
+    first = places["train"][0]
+    camera = read_record(first).camera
+    size = camera.width_px, camera.height_px
     if min(size) < crop_px:
-        view = f"{places['train'][0].shard}:{places['train'][0].name}"
+        view = f"{first.shard}:{first.name}"
         expected = f"at least {crop_px} px per side"
         raise input_error(view, "size", f"{size[0]} x {size[1]}", expected, "reduce data.crop_px")
     return TrainingData(tuple(places["train"]), tuple(places["validation"]), size, tuple(records))
-
-
-def view_size(place: ViewPlace) -> tuple[int, int]:
-    """Width and height of a view in pixels. Raises :class:`InputError` for an invalid record."""
-    camera = read_record(place, "make the shard again").camera
-    return camera.width_px, camera.height_px
 
 
 def spread(places: Sequence[ViewPlace], count: int) -> list[ViewPlace]:
