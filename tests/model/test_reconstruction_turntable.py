@@ -212,7 +212,7 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0 and out.is_file(), done.output
     dark = CliRunner().invoke(app, [*words, "--sky", "1,1,1", "--quiet"])
     assert dark.exit_code == 0 and "no light of the sky reaches frame-000" in dark.output
-    for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 or 6 numbers"), (["--way", "up"], "not one of"),
+    for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 or 6 finite"), (["--way", "up"], "not one of"),
                         (["--lamp", "1,2,3,0"], "above 0"),
                         (["--lamp", "1,2,3,1,-1,1"], "above 0")):  # fmt: skip
         refused = CliRunner().invoke(app, [*words, *extra])

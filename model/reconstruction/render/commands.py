@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from math import radians
+from math import isfinite, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +18,10 @@ from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
 
 if TYPE_CHECKING:
     from model.reconstruction.render.relight import RelightOptions
+
+
+MAX_STOPS = 100
+"""Maximum exposure compensation, at which exposed images are still finite."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +50,14 @@ class LightWords:
     ] = 0.0
 
     def parse(self) -> RelightOptions:
-        """Parse the options. Raises ``typer.BadParameter`` for an invalid light, position or colour."""
+        """Parse the options. Raises ``typer.BadParameter`` for an invalid light, position, colour or number
+        of stops.
+        """
         from model.reconstruction.render.relight import RelightOptions
 
+        if not abs(self.stops) <= MAX_STOPS:
+            expected = f"-{MAX_STOPS} to {MAX_STOPS}"
+            raise typer.BadParameter(f"{self.stops}; expected {expected}", param_hint="--stops")
         return RelightOptions(
             sky=_sky(self.sky),
             lamps=tuple(_lamp(text) for text in self.lamp),
@@ -130,9 +139,9 @@ def _numbers(text: str, counts: tuple[int, ...], option: str) -> tuple[float, ..
         values = tuple(float(word) for word in text.split(","))
     except ValueError:
         values = ()
-    if len(values) not in counts:
+    if len(values) not in counts or not all(map(isfinite, values)):
         expected = " or ".join(str(count) for count in counts)
-        raise typer.BadParameter(f"{text!r}; expected {expected} numbers", param_hint=option)
+        raise typer.BadParameter(f"{text!r}; expected {expected} finite numbers", param_hint=option)
     return values
 
 
@@ -142,6 +151,8 @@ def _sky(text: str | None) -> Path | tuple[float, float, float] | None:
     if text.lower().endswith(".exr"):
         return Path(text)
     red, green, blue = _numbers(text, (3,), "--sky")
+    if min(red, green, blue) < 0:
+        raise typer.BadParameter(f"{text!r}; expected a radiance of at least 0", param_hint="--sky")
     return red, green, blue
 
 
