@@ -190,6 +190,7 @@ WRONG = [
     ("materials render nope --out r", ("nope: no such file or folder", *CHECK_PATH)),
     ("materials render empty --out r", ("empty: no asset.json", "asset package")),
     ("materials render text.txt --out r", ("text.txt", "asset package")),
+    ("materials render library/objects/chair --out r", ("kind = object", "an environment with cameras")),
     ("materials render library/environments/room-0 --out r --sky 1,1", ("--sky", "3 finite numbers")),
     ("materials render library/environments/room-0 --out r --sky -1,0,0", ("--sky", "at least 0")),
     ("materials render library/environments/room-0 --out r --lamp nan,0,0", ("--lamp", "finite numbers")),

@@ -163,6 +163,22 @@ def test_a_room_without_light_gets_a_lamp(
     assert len(warnings) == 1 and "a lamp in the middle of its cameras is used" in warnings[0]
 
 
+def test_zips_are_closed_and_descriptions_accepted(
+    asset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unpacked files of a zip are removed; the path of ``asset.json`` names its package, as elsewhere."""
+    with open_package(asset) as package:
+        files = {name: package.read_bytes(name) for name in package.names()}
+        write_package(tmp_path / "room.zip", package.asset, files).close()
+    (tmp_path / "unpacked").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "unpacked"))
+    options = replace(QUICK, views=("view_00",))
+    (zipped,) = render_asset(tmp_path / "room.zip", options)
+    assert not list((tmp_path / "unpacked").iterdir())
+    (described,) = render_asset(asset / "asset.json", options)
+    np.testing.assert_array_equal(zipped.color, described.color)
+
+
 def test_lamp_colour_and_exposure_compensation_are_applied(asset: Path, tmp_path: Path) -> None:
     """One stop less halves the light in the PNG but not in the EXR; the intensity's colour tints both."""
     from model.cli import app

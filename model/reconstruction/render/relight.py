@@ -7,8 +7,8 @@ The package is converted to a configuration for ``datagen``'s renderer.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part, Provenanc
 from datagen.formats.base import matrix4, write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.lights import EnvironmentLight, Light, PointLight
-from datagen.formats.package import Package, open_package, write_package
+from datagen.formats.package import FileSource, Package, open_package, write_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
@@ -90,10 +90,15 @@ def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[
     Raises :class:`InputError` for unknown views, missing lights and invalid packages.
     """
     options = options or RelightOptions()
-    package = open_package(path)
-    with _sky_package(options.sky) as sky:
-        configuration, names = _configuration(package, options, sky)
-        library = Library([path, *(i.package for i in options.insertions), *([sky] if sky else [])])
+    with ExitStack() as opened:
+        package, *inserted = (
+            opened.enter_context(open_package(given))
+            for given in (path, *(i.package for i in options.insertions))
+        )
+        sky = opened.enter_context(_sky_package(options.sky))
+        configuration, names = _configuration(package, inserted, options, sky)
+        packages = [package, *inserted, *([sky] if sky else [])]
+        library = opened.enter_context(Library([package.path for package in packages]))
         recipe = RenderRecipe(
             path_samples=options.samples,
             auxiliary_samples=max(4, min(64, options.samples)),
@@ -101,16 +106,14 @@ def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[
             denoise=options.denoise,
         )
         renderer = SceneRenderer(configuration, library, recipe)
+        opened.callback(renderer.close)
         chosen = [k for k, name in enumerate(names) if not options.views or name in options.views]
-        try:
-            for view in renderer.render_views(chosen):
-                yield RenderedImage(names[view.index], view.buffers["beauty"].astype(np.float32))
-        finally:
-            renderer.close()
+        for view in renderer.render_views(chosen):
+            yield RenderedImage(names[view.index], view.buffers["beauty"].astype(np.float32))
 
 
 def _configuration(
-    package: Package, options: RelightOptions, sky: Path | None
+    package: Package, inserted: Sequence[Package], options: RelightOptions, sky: Package | None
 ) -> tuple[Configuration, list[str]]:
     base = configuration_of(package.path, package.sha256, options.seed)
     assert isinstance(package.asset, EnvironmentAsset)
@@ -145,20 +148,19 @@ def _configuration(
         raise input_error(package.path, "lights", "none", "a light", "give one with --lamp or --sky")
     assets = dict(base.assets)
     objects = []
-    for number, insertion in enumerate(options.insertions):
-        inserted = open_package(insertion.package)
-        if not isinstance(inserted.asset, ObjectAsset):
-            raise input_error(insertion.package, "kind", inserted.asset.kind, "an object package")
-        assets[inserted.id] = inserted.sha256
+    for number, (insertion, item) in enumerate(zip(options.insertions, inserted, strict=True)):
+        if not isinstance(item.asset, ObjectAsset):
+            raise input_error(insertion.package, "kind", item.asset.kind, "an object package")
+        assets[item.id] = item.sha256
         matrix = np.eye(4)
         c, s = np.cos(insertion.yaw_rad), np.sin(insertion.yaw_rad)
         matrix[:2, :2] = [[c, -s], [s, c]]
         matrix[:3, 3] = insertion.position_m
         objects.append(
-            PlacedAsset(name=f"inserted-{number}", asset=inserted.id, world_from_asset=matrix4(matrix))
+            PlacedAsset(name=f"inserted-{number}", asset=item.id, world_from_asset=matrix4(matrix))
         )
     if sky is not None:
-        assets[SKY_ID] = open_package(sky).sha256
+        assets[SKY_ID] = sky.sha256
     environment = base.environment.model_copy(update={"emission": emission})
     changes = {
         "environment": environment,
@@ -171,8 +173,8 @@ def _configuration(
 
 
 @contextmanager
-def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path | None]:
-    """Make a temporary package with the environment map, since configurations refer only to packages."""
+def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Package | None]:
+    """Open a temporary package with the environment map, since configurations refer only to packages."""
     if not isinstance(sky, Path):
         yield None
         return
@@ -188,9 +190,8 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
         lights=(EnvironmentLight(name="sky", image="sky.exr"),),
     )
     with tempfile.TemporaryDirectory(prefix="sky-") as folder:
-        path = Path(folder) / "package"
-        write_package(path, asset, {"speck.ply": encode_ply(speck), "sky.exr": sky})
-        yield path
+        files: dict[str, FileSource] = {"speck.ply": encode_ply(speck), "sky.exr": sky}
+        yield write_package(Path(folder) / "package", asset, files)
 
 
 def lit_images(
@@ -201,19 +202,17 @@ def lit_images(
     If no light from the sky reaches the first view, the asset's lights replace the sky. An asset without
     lights gets a lamp in the middle of its cameras. ``warn`` is called with an explanation in both cases.
     """
-    with open_package(path) as package:
-        asset = package.asset
-    assert isinstance(asset, EnvironmentAsset)
+    asset = environment_of(path)
     has_lights = bool(asset.lights) or any(any(m.emission or ()) for m in asset.materials.values())
     if options.sky is None and not options.lamps and not has_lights:
-        options = _with_own_lamp(options, asset, path)
+        options = _with_own_lamp(options, asset)
         warn(f"the asset has no light: {_OWN_LAMP}")
     images = render_asset(path, options)
     first = next(images, None)
     if first is None:
         return
     if _is_unlit(first.color, options):
-        options = replace(options, sky=None) if has_lights else _with_own_lamp(options, asset, path)
+        options = replace(options, sky=None) if has_lights else _with_own_lamp(options, asset)
         instead = "its own lights are used" if has_lights else _OWN_LAMP
         warn(f"no light of the sky reaches {first.name}: the room is closed; {instead}")
         images = render_asset(path, options)
@@ -225,10 +224,18 @@ def lit_images(
 _OWN_LAMP = "a lamp in the middle of its cameras is used (--lamp X,Y,Z sets others)"
 
 
-def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path) -> RelightOptions:
-    """Add a lamp in the middle of the cameras to the options. Raises :class:`InputError` without cameras."""
-    if not asset.cameras:
-        raise input_error(path, "lights", "none", "a light", "give one with --lamp or --sky")
+def environment_of(path: Path) -> EnvironmentAsset:
+    """Read the asset of a package. Raises :class:`InputError` unless it is an environment with cameras."""
+    with open_package(path) as package:
+        asset = package.asset
+    if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
+        expected = "an environment with cameras"
+        raise input_error(path, "kind", asset.kind, expected, "give an output of `materials infer`")
+    return asset
+
+
+def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset) -> RelightOptions:
+    """Add a lamp in the middle of the cameras to the options."""
     x, y, z = (float(v) for v in np.mean([c.camera().position_m for c in asset.cameras], axis=0))
     return replace(options, lamps=(Lamp((x, y, z)),))
 
@@ -258,8 +265,8 @@ def write_renders(
     folder ``out``; return the paths. ``warn`` is called if lights are replaced (:func:`lit_images`).
     """
     options = options or RelightOptions()
-    with open_package(path) as package:  # an unreadable file raises before the folder is made
-        total = len(options.views or getattr(package.asset, "cameras", ()))
+    cameras = environment_of(path).cameras  # an unusable package raises before the folder is made
+    total = len(set(options.views) or cameras)
     out.mkdir(parents=True, exist_ok=True)
     written = []
     exposure = 0.0

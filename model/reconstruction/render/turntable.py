@@ -15,15 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import EnvironmentAsset
-from datagen.formats.package import open_package
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import photographic_exposure
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Progress
 from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
-from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
+from model.reconstruction.render.relight import RelightOptions, environment_of, lit_images, shown_bytes
 
 MIN_RADIUS_M = 0.15  # minimum radius of the orbit, for captures from one position
 _GIF_COLORS = 255
@@ -51,12 +49,7 @@ def write_turntable(
     options = options or TurntableOptions()
     if out.suffix.lower() not in FILM_SUFFIXES:
         raise input_error(out, "", out.suffix or "no suffix", "a file .gif or .mp4", "rename it")
-    with open_package(path) as package:
-        asset = package.asset
-        if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
-            expected = "an environment with cameras"
-            raise input_error(path, "kind", asset.kind, expected, "give an output of `materials infer`")
-        made = way_cameras([c.camera() for c in asset.cameras], options)
+    made = way_cameras([c.camera() for c in environment_of(path).cameras], options)
     frames: list[NDArray[np.uint8]] = []
     exposure = 0.0
     for image in lit_images(path, replace(options.render, views=(), cameras=tuple(made)), warn):
