@@ -24,6 +24,7 @@ from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.render.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
 from model.reconstruction.render.turntable import TurntableOptions, way_cameras, write_turntable
 from oracles.textured_room import room_cameras, room_capture
+from tests.model.test_reconstruction_robustness import small_files
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 LAMP = PointLight(name="lamp", position_m=(2.1, 1.4, 2.2), intensity=(5.0, 5.0, 4.0))
@@ -177,6 +178,14 @@ def test_zips_are_closed_and_descriptions_accepted(
     assert not list((tmp_path / "unpacked").iterdir())
     (described,) = render_asset(asset / "asset.json", options)
     np.testing.assert_array_equal(zipped.color, described.color)
+
+
+def test_a_full_disk_is_named_and_leaves_no_part_of_an_image(asset: Path, tmp_path: Path) -> None:
+    options = replace(QUICK, views=("view_00",))
+    with small_files(2000), pytest.raises(OSError, match="File too large") as caught:
+        write_renders(asset, tmp_path, options)
+    assert caught.value.filename == str(tmp_path / "view_00.exr")
+    assert not list(tmp_path.iterdir())
 
 
 def test_lamp_colour_and_exposure_compensation_are_applied(asset: Path, tmp_path: Path) -> None:

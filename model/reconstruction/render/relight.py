@@ -6,6 +6,7 @@ The package is converted to a configuration for ``datagen``'s renderer.
 
 from __future__ import annotations
 
+import io
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -272,12 +273,13 @@ def write_renders(
     exposure = 0.0
     for image in lit_images(path, options, warn):
         exposure = exposure or options.compensation * photographic_exposure(image.color)
-        file = out / f"{image.name}.exr"
+        file, stream = out / f"{image.name}.exr", io.BytesIO()
         with OpenEXR.File(
             {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
             {"RGB": np.ascontiguousarray(image.color, np.float32)},
         ) as exr:
-            exr.write(str(file))
+            exr.write(stream)
+        write_bytes_atomically(file, stream.getvalue())
         write_bytes_atomically(out / f"{image.name}.png", encode_png(shown_bytes(image.color, exposure)))
         written += [file, out / f"{image.name}.png"]
         progress("render", len(written) // 2, total)
