@@ -97,6 +97,15 @@ def test_files_contain_the_frames(asset: Path, tmp_path: Path, suffix: str) -> N
     assert (np.argmax(same, axis=1) == np.arange(4)).all() and np.min(np.diag(same)) > 0.95, same
 
 
+def test_a_colon_in_a_relative_name_is_no_protocol(
+    asset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    options = TurntableOptions(frames=2, frames_per_second=10, max_width_px=16, render=QUICK)
+    write_turntable(asset, Path("room:1.mp4"), options)
+    assert len(read_frames(tmp_path / "room:1.mp4")) == 2
+
+
 def read_frames(path: Path) -> list[NDArray]:
     if path.suffix == ".gif":
         with Image.open(path) as image:
@@ -246,3 +255,5 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
         write_turntable(asset, tmp_path / "room.avi")
     with pytest.raises(InputError, match="frames = 1"):
         TurntableOptions(frames=1)
+    with pytest.raises(InputError, match=r"frames a second = 0\.001; expected 0\.01 to 100"):
+        TurntableOptions(frames_per_second=0.001)  # a delay that GIF cannot store

@@ -11,6 +11,8 @@ import typer
 from datagen.foundation.errors import input_error
 
 FILM_SUFFIXES = (".gif", ".mp4")
+MIN_RATE = 0.01
+"""Minimum frames per second; the delay of a GIF's frames is at most 655 s."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,9 @@ class FilmOptions:
         typer.Option(help="Animation: orbit inside the room, or through the asset's cameras."),
     ] = "orbit"
     frames: Annotated[int, typer.Option(min=2, help="Animation: number of frames.")] = 48
-    frames_per_second: Annotated[float, typer.Option("--fps", help="Animation: frames per second.")] = 12.0
+    frames_per_second: Annotated[
+        float, typer.Option("--fps", help="Animation: frames per second, in GIF at most 50.")
+    ] = 12.0
     max_width_px: Annotated[
         int, typer.Option("--max-width", min=16, help="Animation: maximum side of frames in pixels.")
     ] = 480
@@ -31,5 +35,5 @@ class FilmOptions:
         if not 2 <= self.frames <= 100_000:
             raise input_error("turntable", "frames", self.frames, "2 to 100000", "correct it")
         rate = self.frames_per_second
-        if not 0 < rate <= 100:
-            raise input_error("turntable", "frames a second", rate, "0 to 100", "correct it")
+        if not MIN_RATE <= rate <= 100:
+            raise input_error("turntable", "frames a second", rate, f"{MIN_RATE} to 100", "correct it")

@@ -58,7 +58,9 @@ def write_turntable(
         if progress is not None:
             progress("render", len(frames), len(made))
     out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.with_name(f".partial-{out.name}")
+    partial = out.absolute().with_name(
+        f".partial-{out.name}"
+    )  # FFmpeg takes "a:" of "a:b.mp4" for a protocol
     try:
         write = _write_gif if out.suffix.lower() == ".gif" else _write_video
         write(partial, frames, options.frames_per_second)
