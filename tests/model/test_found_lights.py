@@ -20,12 +20,15 @@ from datagen.foundation.images import read_image
 from datagen.geometry.traced import TracedGeometry
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
+from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.export import balance
+from model.reconstruction.export.atlas_images import write_atlas_images
 from model.reconstruction.export.slots import Reconstruction
-from model.reconstruction.found_lights import Color, FoundLights, RadianceSamples
+from model.reconstruction.found_lights import Color, FoundLamp, FoundLights, RadianceSamples
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.light.found import found_lights, radiance_samples
 from model.reconstruction.predict.sources import CheckpointMaps
+from oracles.textured_room import room_capture as small_capture
 from tests.model.light_room import LAMP, SKY, photographed_room, room_capture, sunlit_room
 from tests.model.test_light_room import sunlit
 
@@ -140,6 +143,20 @@ def test_without_light_or_samples_nothing_is_corrected(run: Inferred) -> None:
     assert len(few) < balance.MIN_SAMPLES
     assert balance.balanced(run.reconstruction, few) is None
     assert balance.balanced(replace(run.reconstruction, lights=FoundLights()), run.samples) is None
+
+
+def test_black_samples_correct_nothing(tmp_path: Path) -> None:
+    """Their logarithm has no floor if most are black, as around the only lamp of a dark room."""
+    capture, random = small_capture(2, (32, 24)), np.random.default_rng(0)
+    atlas = empty_atlas(64)
+    write_atlas_images(tmp_path, atlas, has_exr=False)
+    lamp = FoundLamp("found-0", np.arange(2, dtype=np.int32), 1, (5.0,) * 3, (0.0,) * 3, 1.0, False)
+    dark = Reconstruction(capture, capture.geometry.mesh, atlas, tmp_path, FoundLights((lamp,)))
+    direction = random.normal(size=(200, 3)).astype(np.float32)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radiance = np.repeat(np.arange(200) % 5 < 2, 3).reshape(200, 3).astype(np.float32)
+    origin = np.tile(np.float32([2.0, 1.5, 1.5]), (200, 1))
+    assert balance.balanced(dark, RadianceSamples(origin, direction, radiance)) is None
 
 
 def test_samples_are_unclipped_pixels_in_any_order_of_the_views() -> None:

@@ -54,17 +54,19 @@ class Balance:
 def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balance | None:
     """Balance the recovered lights of ``reconstruction`` against the photographed ``samples``.
 
-    Returns None if no light emits, if there are fewer than :data:`MIN_SAMPLES` samples, or if gains from half
-    of the samples do not reduce the loss of the other half.
+    Returns None if no light emits, if there are fewer than :data:`MIN_SAMPLES` samples or most are black, or
+    if gains from half of the samples do not reduce the loss of the other half.
     """
     lights = reconstruction.shining_lights
+    photographed = samples.radiance.astype(np.float64)
     if lights is None or len(samples) < MIN_SAMPLES:
+        return None
+    floor = FLOOR * float(np.median(luminance(photographed)))
+    if floor == 0:  # the logarithm of black needs a floor
         return None
     groups, names = _groups(lights), _emitters(lights)
     emitters = [[name for slot in slots for name in names.get(slot, ())] for slots in groups]
     transport = _transport(reconstruction, samples, emitters)
-    photographed = samples.radiance.astype(np.float64)
-    floor = FLOOR * float(np.median(luminance(photographed)))
     is_fitted = np.random.default_rng(0).permutation(len(photographed)) % 2 == 0
     trial = _solved(transport[is_fitted], photographed[is_fitted], floor)
     before, after = (
