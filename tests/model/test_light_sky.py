@@ -41,7 +41,14 @@ from model.reconstruction.export.atlas_images import write_atlas_images
 from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
-from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, Rectangle, lights_text
+from model.reconstruction.found_lights import (
+    FoundLamp,
+    FoundLights,
+    FoundPatch,
+    FoundSun,
+    Rectangle,
+    lights_text,
+)
 from model.reconstruction.light.found import found_lights
 from model.reconstruction.light.lamps import found_lamps
 from model.reconstruction.light.openings import FINE, LeavingRays, found_openings
@@ -376,6 +383,12 @@ def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
     document = glb_document(tmp_path / "room.glb")
     (shining,) = (m for m in document["materials"] if m["name"] == "found-0")
     assert shining["emissiveFactor"] == [1, 1, 1] and "baseColorTexture" in shining["pbrMetallicRoughness"]
+
+
+def test_a_sun_of_gain_zero_is_no_punctual_light(tmp_path: Path) -> None:
+    sun = FoundSun((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.009)
+    write_glb(tmp_path / "dark.glb", exported(tmp_path, FoundLights(sun=sun)), has_punctual=True)
+    assert "extensions" not in glb_document(tmp_path / "dark.glb")
 
 
 def test_small_lamps_are_exported_as_points_on_demand(tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]
         nodes.append({"name": name, "translation": place, "extensions": {PUNCTUAL: {"light": len(lights)}}})
         lights.append(light)
     found = reconstruction.shining_lights
-    if found is not None and found.sun is not None:
+    if found is not None and found.sun is not None and max(found.sun.irradiance) > 0:
         peak = max(found.sun.irradiance)
         color = [c / peak for c in found.sun.irradiance]
         nodes.append(
