@@ -276,3 +276,16 @@ def test_infer_writes_it_on_demand(
     if importlib.util.find_spec("pxr") is not None:
         infer(capture, tmp_path / "with", TRUTH, InferOptions(atlas=64, has_usd=True, is_checked=False))
         assert zipfile.is_zipfile(tmp_path / "with" / f"{capture.name}.usdz")
+
+
+@needs_usd
+def test_lights_of_similar_names_are_all_exported(tmp_path: Path) -> None:
+    """Names that are equal as identifiers, or that of a surface, are numbered."""
+    from pxr import Usd
+
+    names = ("lamp 1", "lamp-1", "surface", "materials")
+    known = tuple(PointLight(name=name, position_m=(1, 2, 2.5), intensity=(5, 5, 4)) for name in names)
+    stage = Usd.Stage.Open(str(made(tmp_path, None, known)))
+    types = {prim.GetName(): prim.GetTypeName() for prim in stage.GetDefaultPrim().GetChildren()}
+    assert types.pop("materials") == "Scope" and types.pop("surface") == "Mesh"
+    assert types == dict.fromkeys(("lamp_1", "lamp_1_2", "surface_2", "materials_2"), "SphereLight")

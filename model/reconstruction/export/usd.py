@@ -34,6 +34,7 @@ from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.naming import unique
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
 from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
 from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0
@@ -141,6 +142,7 @@ class _Stage:
         from pxr import Gf, Usd, UsdGeom
 
         self.index = index
+        self._names = {"materials"}
         self.stage = Usd.Stage.CreateNew(str(file))
         UsdGeom.SetStageUpAxis(self.stage, UsdGeom.Tokens.y)
         UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
@@ -161,7 +163,7 @@ class _Stage:
         from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdShade, Vt
 
         assert mesh.normals is not None and mesh.uv is not None
-        shape = UsdGeom.Mesh.Define(self.stage, f"{ROOT}/{_identifier(name)}")
+        shape = UsdGeom.Mesh.Define(self.stage, self._path(name))
         shape.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.positions, np.float32)))
         shape.CreateFaceVertexCountsAttr(Vt.IntArray(len(mesh.faces), 3))
         indices = np.ascontiguousarray(mesh.faces.reshape(-1), np.int32)
@@ -279,7 +281,7 @@ class _Stage:
         placed[:3, 0], placed[:3, 2] = u / width, -normal / np.linalg.norm(normal)
         placed[:3, 1] = np.cross(placed[:3, 2], placed[:3, 0])
         placed[:3, 3] = np.array(origin) + (u + v) / 2
-        path = f"{ROOT}/{_identifier(name)}"
+        path = self._path(name)
         if is_disk:
             light = UsdLux.DiskLight.Define(self.stage, path)
             light.CreateRadiusAttr(0.5)
@@ -295,7 +297,7 @@ class _Stage:
         """Add a dome light of constant radiance, times ``image`` in the project's convention if given."""
         from pxr import Sdf, UsdLux
 
-        light = UsdLux.DomeLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
+        light = UsdLux.DomeLight.Define(self.stage, self._path(name))
         if image is not None:
             light.CreateTextureFileAttr(Sdf.AssetPath(f"./{image}"))
             light.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
@@ -306,7 +308,7 @@ class _Stage:
         """Add a distant light that travels in ``direction`` (3,)."""
         from pxr import UsdLux
 
-        light = UsdLux.DistantLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
+        light = UsdLux.DistantLight.Define(self.stage, self._path(name))
         light.CreateAngleAttr(float(np.degrees(diameter_rad)))
         light.CreateNormalizeAttr(True)
         placed = np.eye(4)
@@ -322,13 +324,19 @@ class _Stage:
     ) -> None:
         from pxr import UsdLux
 
-        light = UsdLux.SphereLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
+        light = UsdLux.SphereLight.Define(self.stage, self._path(name))
         light.CreateRadiusAttr(float(radius))
         light.CreateTreatAsPointAttr(is_point)
         placed = np.eye(4)
         placed[:3, 3] = position
         self._place(light, placed)
         _shine(UsdLux.LightAPI(light.GetPrim()), tuple(radiance))
+
+    def _path(self, name: str) -> str:
+        """Return a new path for a mesh or light; names of lights may be equal as identifiers."""
+        identifier = unique(_identifier(name), self._names)
+        self._names.add(identifier)
+        return f"{ROOT}/{identifier}"
 
     def _place(self, prim: Any, placed: NDArray) -> None:
         from pxr import Gf
