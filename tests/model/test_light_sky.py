@@ -298,6 +298,14 @@ PANEL = Rectangle((9.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (2.0, 2.0, 
 WINDOW = FoundPatch("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
 
 
+def test_later_maps_without_confidence_remove_the_earlier_one(tmp_path: Path) -> None:
+    """The page of an asset would show it, or refuse its size."""
+    for has_confidence in (True, False):
+        write_atlas_images(tmp_path, empty_atlas(16, has_confidence=has_confidence))
+        names = {path.stem for path in tmp_path.iterdir()}
+        assert ("confidence" in names) == has_confidence and {"roughness", "mask"} <= names
+
+
 def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) -> None:
     """The sky is equally oriented in the Mitsuba scene and in the package as rendered by the project."""
     import mitsuba as mi

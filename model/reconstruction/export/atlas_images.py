@@ -78,9 +78,12 @@ def write_atlas_images(
 ) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; return the paths.
 
-    Any confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B.
+    Any confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B. That of earlier
+    maps in the folder is removed.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    for suffix in ("png", "exr"):
+        (folder / f"{CONFIDENCE}.{suffix}").unlink(missing_ok=True)
 
     def write(name: str) -> Path:
         path = folder / name
