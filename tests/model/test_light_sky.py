@@ -61,6 +61,7 @@ from tests.conftest import REPOSITORY
 from tests.model.light_room import LAMP, photographed_room, quads, room_geometry
 from tests.model.test_found_lights import glb_document
 from tests.model.test_reconstruction_assets import VALIDATOR, needs_bpy
+from tests.model.test_reconstruction_robustness import small_files
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 LOW, HIGH = np.zeros(3), np.array([4.0, 3.0, 2.5])
@@ -296,6 +297,14 @@ def exported(folder: Path, lights: FoundLights) -> Reconstruction:
 
 PANEL = Rectangle((9.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (2.0, 2.0, 2.0))
 WINDOW = FoundPatch("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
+
+
+def test_a_full_disk_leaves_no_part_of_a_texture(tmp_path: Path) -> None:
+    made = exported(tmp_path, FoundLights())
+    size = min(path.stat().st_size for path in made.images.glob("*o*.png"))
+    with small_files(size - 1), pytest.raises(OSError, match="File too large"):
+        write_mitsuba_scene(tmp_path / "mitsuba", made)
+    assert not list((tmp_path / "mitsuba" / "textures").iterdir())
 
 
 def test_later_maps_without_confidence_remove_the_earlier_one(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -37,7 +36,8 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)
     for name in MAP_CHANNELS:
-        shutil.copyfile(reconstruction.images / f"{name}.png", textures / f"{name}.png")
+        image = (reconstruction.images / f"{name}.png").read_bytes()
+        write_bytes_atomically(textures / f"{name}.png", image)
     scene = ElementTree.Element("scene", version="3.0.0")
     _add(scene, "integrator", "path", ("integer", "max_depth", 8))
     for view in reconstruction.capture.views if has_sensors else ():
