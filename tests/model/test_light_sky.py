@@ -299,6 +299,24 @@ PANEL = Rectangle((9.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (2.0, 2.0, 
 WINDOW = FoundPatch("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
 
 
+def test_names_of_views_may_be_those_of_surfaces_and_lights(tmp_path: Path) -> None:
+    """Ids of the Mitsuba scene are unique, and other views keep their names."""
+    import mitsuba as mi
+
+    from mitsuba_plugins import register
+
+    register()
+    made = exported(tmp_path, FoundLights(windows=(WINDOW,)))
+    views = tuple(
+        replace(view, name=name)
+        for view, name in zip(made.capture.views, ("surface", "window-0-0"), strict=True)
+    )
+    for capture, ids in ((made.capture, ["view_00", "view_01"]),
+                         (replace(made.capture, views=views), ["surface_2", "window-0-0_2"])):  # fmt: skip
+        scene = mi.load_file(str(write_mitsuba_scene(tmp_path / ids[0], replace(made, capture=capture))))
+        assert [sensor.id() for sensor in scene.sensors()] == ids
+
+
 def test_a_full_disk_leaves_no_part_of_a_texture(tmp_path: Path) -> None:
     made = exported(tmp_path, FoundLights())
     size = min(path.stat().st_size for path in made.images.glob("*o*.png"))

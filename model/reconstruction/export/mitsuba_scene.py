@@ -13,6 +13,7 @@ from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.naming import unique
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import (
     WORLD_FROM_SKY,
@@ -30,7 +31,8 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
     """Write ``scene.xml``, its meshes and its textures to ``folder``; return the path of ``scene.xml``.
 
     Loading it requires ``mitsuba_plugins.register()``, which provides its BSDF. Sensors are the capture's
-    cameras with their mean focal length, since Mitsuba's pixels are square. Lights are the recovered lights,
+    cameras with their mean focal length, since Mitsuba's pixels are square; their ids are the views' names,
+    unless a shape or light has this id. Lights are the recovered lights,
     else the capture's point lights and constant sky, else a white sky. Shape ids are the names of meshes.
     """
     textures = folder / "textures"
@@ -40,8 +42,13 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
         write_bytes_atomically(textures / f"{name}.png", image)
     scene = ElementTree.Element("scene", version="3.0.0")
     _add(scene, "integrator", "path", ("integer", "max_depth", 8))
+    slots, found = export_slots(reconstruction), reconstruction.shining_lights
+    patches = patch_meshes(found.sending) if found is not None else {}
+    ids = {_MATERIAL, SKY, SUN, *slots, *patches}
     for view in reconstruction.capture.views if has_sensors else ():
-        _add_sensor(scene, view.name, view.camera)
+        sensor_id = unique(view.name, ids)
+        ids.add(sensor_id)
+        _add_sensor(scene, sensor_id, view.camera)
     bsdf = _add(scene, "bsdf", "cook_torrance")
     bsdf.set("id", _MATERIAL)
     for name in MAP_CHANNELS:
@@ -53,18 +60,21 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
             ("boolean", "raw", "true" if name == "roughness" else "false"),
         )
         texture.set("name", name)
-    for name, slot in export_slots(reconstruction).items():
+    for name, slot in slots.items():
         shape = _add_mesh(scene, folder, name, slot.mesh)
         if slot.has_material:
             ElementTree.SubElement(shape, "ref", id=_MATERIAL)
         else:
             _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0"))
         _add_emission(shape, slot.emission)
-    found = reconstruction.shining_lights
+    for name, (mesh, radiance) in patches.items():
+        shape = _add_mesh(scene, folder, name, mesh)
+        _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))
+        _add_emission(shape, radiance)
     if found is None:
         _add_lights(scene, reconstruction.capture.lights)
     else:
-        _add_found(scene, folder, found)
+        _add_far(scene, folder, found)
     ElementTree.indent(scene)
     path = folder / "scene.xml"
     write_bytes_atomically(path, ElementTree.tostring(scene) + b"\n")
@@ -86,12 +96,8 @@ def _add_emission(shape: ElementTree.Element, emission: Color | None) -> None:
         _add(shape, "emitter", "area", ("rgb", "radiance", _numbers(emission)))
 
 
-def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> None:
-    """Add the rectangles of panels and windows, with zero reflectance, the sun and the sky."""
-    for name, (mesh, radiance) in patch_meshes(found.sending).items():
-        shape = _add_mesh(scene, folder, name, mesh)
-        _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))
-        _add_emission(shape, radiance)
+def _add_far(scene: ElementTree.Element, folder: Path, found: FoundLights) -> None:
+    """Add the sun and the sky."""
     if found.sun is not None:
         emitter = _add(scene, "emitter", "directional", ("rgb", "irradiance", _numbers(found.sun.irradiance)))
         emitter.set("id", SUN)
