@@ -463,6 +463,14 @@ def test_wrong_winding_is_recognised() -> None:
     np.testing.assert_allclose(turned[seen], face_normals(mesh)[seen], atol=1e-6)
 
 
+def test_meshes_of_many_triangles_may_have_few_regions() -> None:
+    """Float32 counts regions exactly, of however many triangles."""
+    views = noise_views(room_mesh(), 1)
+    MapMerger(views, region_of_face=np.zeros(2**24, np.int8))
+    with pytest.raises(ValueError, match="fewer regions"):
+        MapMerger(views, region_of_face=np.array([2**24]))
+
+
 def test_bad_maps_are_refused() -> None:
     mesh = room_mesh()
     (view,) = noise_views(mesh, 1)

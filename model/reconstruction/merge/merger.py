@@ -254,7 +254,7 @@ def _view_arrays(
 
     Raises ValueError for too many regions.
     """
-    if region_of_face is not None and len(region_of_face) >= 2**24:
+    if region_of_face is not None and region_of_face.max(initial=0) >= 2**24:
         raise ValueError("expected fewer regions than float32 counts exactly")
     sizes = [view.camera.width_px * view.camera.height_px for view in views]
     ends = np.cumsum(sizes)
