@@ -23,6 +23,7 @@ from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.atlas_page.sources import MAX_SOURCES, page_sources
+from model.reconstruction.atlas_page.textures import shrunk
 from model.reconstruction.atlas_page.writing import PAGE_FILES, write_view
 from oracles import brdf
 from tests.browser.driver import SOFTWARE_GL, WAIT_S, Page, find_browser, open_browser
@@ -654,6 +655,13 @@ def test_large_textures_are_averaged_down_and_named(tmp_path: Path) -> None:
     result = write_view(quad.asset / "asset", tmp_path / "page", max_side=256)
     assert len(result.notes) == 3 and "256 of 1024 texels" in result.notes[0]
     assert write_view(quad.asset, tmp_path / "page", max_side=256).notes == result.notes  # updated page
+
+
+def test_averages_are_of_light_not_of_encoded_values() -> None:
+    """A checkerboard of black and white has the albedo 0.5 and the roughness 0.5."""
+    board = (np.indices((8, 8)).sum(axis=0) % 2 * 255).astype(np.uint8)[..., None].repeat(3, axis=-1)
+    assert (shrunk(board, 4, is_color=True) == round(255 * float(srgb_from_linear(np.array(0.5))))).all()
+    assert (shrunk(board, 4, is_color=False) == 128).all()
 
 
 def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> None:

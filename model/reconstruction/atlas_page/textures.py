@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from datagen.formats.asset import Material, Texture
 from datagen.formats.package import Package
 from datagen.formats.textures import texture_values
-from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png, quantized_bytes, read_image
 from model.reconstruction.export.atlas_images import SEEN
@@ -38,17 +38,24 @@ class PageImage:
 
     def png(self, max_side: int | None = None) -> bytes:
         """Encode the image as PNG, averaged down to sides of at most ``max_side`` if given."""
-        return encode_png(self.pixels if max_side is None else shrunk(self.pixels, max_side))
+        is_color = self.kind != "rough"
+        return encode_png(
+            self.pixels if max_side is None else shrunk(self.pixels, max_side, is_color=is_color)
+        )
 
 
-def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
-    """Average an image (H, W, C) down to sides of at most ``max_side`` pixels."""
+def shrunk(pixels: NDArray[np.uint8], max_side: int, *, is_color: bool) -> NDArray[np.uint8]:
+    """Average an image (H, W, C), sRGB-encoded if ``is_color``, down to sides of at most ``max_side``."""
     longest = max(pixels.shape[:2])
     if longest <= max_side:
         return pixels
     import cv2
 
     size = tuple(max(1, side * max_side // longest) for side in pixels.shape[1::-1])
+    if is_color:  # 16 bits of linear values are as exact as 8 of sRGB
+        linear = np.round(65535 * linear_from_srgb(np.arange(256) / 255)).astype(np.uint16)[pixels]
+        small = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
+        return quantized_bytes(srgb_from_linear(small.reshape(size[1], size[0], -1) / 65535))
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     return small.reshape(size[1], size[0], -1).astype(np.uint8, copy=False)
 
@@ -81,7 +88,7 @@ def material_images(
             remedy = "write both in one run of `materials infer`"
             raise input_error(f"{name}.png", "size", got, expected, remedy)
         packed.append(np.full(rough.shape, unknown, np.uint8) if values is None else values)
-    yield PageImage("rough", shrunk(np.stack(packed, axis=-1), max_side), side)
+    yield PageImage("rough", shrunk(np.stack(packed, axis=-1), max_side, is_color=False), side)
 
 
 def _pixels(package: Package, texture: Texture) -> NDArray:
@@ -99,7 +106,7 @@ def _color_bytes(package: Package, channel: object, max_side: int) -> tuple[NDAr
     )
     if not is_stored_so:
         pixels = quantized_bytes(srgb_from_linear(texture_values(channel, pixels, is_scalar=False)))
-    return shrunk(pixels, max_side), max(pixels.shape[:2])
+    return shrunk(pixels, max_side, is_color=True), max(pixels.shape[:2])
 
 
 def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], int]:
