@@ -664,6 +664,16 @@ def test_averages_are_of_light_not_of_encoded_values() -> None:
     assert (shrunk(board, 4, is_color=False) == 128).all()
 
 
+def test_the_atlas_is_found_from_within_the_package(
+    quad: Quad, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder, source in ((quad.asset / "asset", "."), (quad.asset, "asset/asset.json")):
+        monkeypatch.chdir(folder)
+        write_view(Path(source), tmp_path / "page")
+        text = (tmp_path / "page" / "data" / "scene.js").read_text()
+        assert '"hasConfidence":true,"hasMask":true' in text, source
+
+
 def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> None:
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("do not lose")

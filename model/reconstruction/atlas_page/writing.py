@@ -59,9 +59,8 @@ def write_view(
     The mask of observed texels and the confidence are read from the folder ``atlas`` next to the package, if
     present. Raises :class:`InputError` for other input, or if ``out`` contains other files.
     """
-    package_path = source / "asset" if is_package(source / "asset") else source
     _check_out(out)
-    package = open_package(package_path)
+    package = open_package(source / "asset" if is_package(source / "asset") else source)
     (out / "data").mkdir(parents=True, exist_ok=True)
     notes: list[str] = []
     previews: dict[str, str] = {}
@@ -69,11 +68,11 @@ def write_view(
         asset = package.asset
         if not isinstance(asset, EnvironmentAsset | ObjectAsset):
             expected = "an environment or an object"
-            raise input_error(package_path, "kind", asset.kind, expected, "name another package")
+            raise input_error(package.path, "kind", asset.kind, expected, "name another package")
         slots = _meshes_by_material(package, asset)
         shown = [asset.materials[slot] for slot in slots if asset.materials[slot].emission is None]
         has_atlas = sum(bool(material.textures()) for material in shown) == 1
-        state = read_state(package_path.parent / "atlas") if has_atlas else AtlasState()
+        state = read_state(package.path.resolve().parent / "atlas") if has_atlas else AtlasState()
         materials = []
         for number, (slot, mesh) in enumerate(slots.items()):
             material = asset.materials[slot]
