@@ -674,6 +674,14 @@ def test_the_atlas_is_found_from_within_the_package(
         assert '"hasConfidence":true,"hasMask":true' in text, source
 
 
+def test_an_updated_page_keeps_no_images_of_the_earlier_one(quad: Quad, tmp_path: Path) -> None:
+    write_view(make_quad(tmp_path / "large", side=1152).asset, tmp_path / "page")
+    assert (tmp_path / "page" / "data" / "0-rough.js").is_file()
+    result = write_view(quad.asset, tmp_path / "page")
+    assert {path.name for path in (tmp_path / "page" / "data").iterdir()} == {"preview.js", "scene.js"}
+    assert result.num_bytes == write_view(quad.asset, tmp_path / "other").num_bytes
+
+
 def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> None:
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("do not lose")

@@ -64,6 +64,7 @@ def write_view(
     (out / "data").mkdir(parents=True, exist_ok=True)
     notes: list[str] = []
     previews: dict[str, str] = {}
+    large: set[Path] = set()
     try:
         asset = package.asset
         if not isinstance(asset, EnvironmentAsset | ObjectAsset):
@@ -87,6 +88,7 @@ def write_view(
                     previews[name] = _text(image.png(PREVIEW_SIDE))
                     progress(len(previews), 3 * len(shown))
                     if max(image.pixels.shape) > PREVIEW_SIDE:
+                        large.add(out / "data" / f"{name}.js")
                         _write_script(out / "data" / f"{name}.js", f'images["{name}"]', _text(image.png()))
                     if image.original_side > max_side:
                         texels = f"{max_side} of {image.original_side} texels a side"
@@ -108,6 +110,8 @@ def write_view(
         }
     finally:
         package.close()
+    for earlier in set((out / "data").glob("[0-9]*-*.js")) - large:
+        earlier.unlink()
     _write_script(out / "data" / "preview.js", "preview", previews)
     _write_script(out / "data" / "scene.js", "scene", scene)
     page = files("model.reconstruction.atlas_page") / "page"
