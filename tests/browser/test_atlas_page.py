@@ -344,6 +344,8 @@ def test_camera_turns_and_moves(page: Page) -> None:
     assert radius[0] == pytest.approx(radius[1])
     page.keys("]", to="#picture")
     assert "+0.5 EV" in page.run("return document.getElementById('exposure').getAttribute('aria-valuetext')")
+    page.keys(*"]" * 20, to="#picture")
+    assert page.run("return VIEW.state().stops") == 8  # the end of the slider
 
 
 def test_page_starts_with_the_whole_room(browser: Page, quad: Quad, tmp_path: Path) -> None:

@@ -259,7 +259,7 @@
       w: () => controls.move(0, 0, far), s: () => controls.move(0, 0, -far), a: () => controls.move(-far, 0, 0), d: () => controls.move(far, 0, 0), q: () => controls.move(0, -far, 0), e: () => controls.move(0, far, 0),
       ArrowLeft: () => controls.turn(angle, 0), ArrowRight: () => controls.turn(-angle, 0), ArrowUp: () => controls.turn(0, angle), ArrowDown: () => controls.turn(0, -angle),
       j: pushed(-1, 0, 0), l: pushed(1, 0, 0), k: pushed(0, -1, 0), i: pushed(0, 1, 0), u: pushed(0, 0, -1), o: pushed(0, 0, 1),
-      "[": () => ui.exposure.apply(settings.stops - 0.5), "]": () => ui.exposure.apply(settings.stops + 0.5),
+      "[": () => ui.exposure.apply(Math.max(settings.stops - 0.5, -8)), "]": () => ui.exposure.apply(Math.min(settings.stops + 0.5, 8)),
       c: () => lookFrom(current + 1 < data.cameras.length ? current + 1 : room ? ROOM : OUTSIDE), f: () => setMode(controls.mode() === "fly" ? "orbit" : "fly"),
     }[event.key.length === 1 ? event.key.toLowerCase() : event.key] || (/^[1-7]$/.test(event.key) ? () => choose(Number(event.key) - 1) : null);
     if (!act) return;
