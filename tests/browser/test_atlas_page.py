@@ -313,6 +313,12 @@ def test_light_moves_with_keys_sliders_and_pointer(page: Page) -> None:
     assert dragged[0] > on_axis[0] + 0.05
     assert (dragged - on_axis) @ forward == pytest.approx(0, abs=1e-6)  # in the plane of the picture
     assert page.run("return VIEW.state().camera") == camera
+    page.keys("2", to="#picture")  # D, without the light's ball: the pointer turns the camera
+    pose(page, tuple(on_axis.tolist()), showsLight=True)
+    ActionChains(page.driver).drag_and_drop_by_offset(canvas, 90, 0).perform()
+    state = page.run("return VIEW.state()")
+    np.testing.assert_allclose(state["light"], on_axis)
+    assert state["camera"] != camera or state["target"] != TARGET.tolist()
 
 
 def test_camera_turns_and_moves(page: Page) -> None:

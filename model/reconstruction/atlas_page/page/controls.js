@@ -11,6 +11,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
   orbit.addEventListener("change", changed);
   let mode = "orbit";
   const light = new Vector3();
+  let isLightShown = true;
 
   // "fly" rotates the camera about its position: the centre of rotation is just in front of it
   function setMode(wanted) {
@@ -64,7 +65,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
   function isOnLight(event) {
     const at = light.clone().project(camera);
     const [x, y] = [((at.x + 1) / 2) * canvas.clientWidth, ((1 - at.y) / 2) * canvas.clientHeight];
-    return at.z < 1 && Math.hypot(x - event.offsetX, y - event.offsetY) < 16;
+    return isLightShown && at.z < 1 && Math.hypot(x - event.offsetX, y - event.offsetY) < 16;
   }
   let plane = null;
   canvas.addEventListener("pointerdown", (event) => {
@@ -99,5 +100,6 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
     light, size, center, look, move, turn, setMode, moveLight,
     mode: () => mode, target: () => orbit.target,
     whenLightMoves(call) { onLight = call; },
+    showLight(isShown) { isLightShown = isShown; }, // a hidden one cannot be dragged
   };
 };

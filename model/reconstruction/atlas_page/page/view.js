@@ -133,6 +133,7 @@
     bulb.position.copy(controls.light);
     bulb.scale.setScalar(0.012 * camera.position.distanceTo(controls.light));
     bulb.visible = shared.shown.value === 0 && settings.showsLight;
+    controls.showLight(bulb.visible);
     renderer.render(world, camera);
   }
 
