@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from datagen.foundation.errors import InputError, input_error
 from datagen.geometry.views import TracedView
 from datagen.multiview.compiled import compiled, num_threads
 
@@ -107,7 +108,7 @@ class Surfels:
 def build_surfels(views: Sequence[TracedView]) -> Surfels:
     """Build the surfels of the non-emitting surfaces in the views.
 
-    Raises ``ValueError`` if the views show no extended surface.
+    Raises :class:`InputError` if the views show no extended surface.
     """
     cameras = [camera_row(view) for view in views]
     low, cell_m, shape = _extent(views)
@@ -159,16 +160,21 @@ def _extent(views: Sequence[TracedView]) -> tuple[NDArray[np.float64], float, ND
         footprint.append(z / view.camera.fx_px)
     position = np.concatenate(points) if points else np.zeros((0, 3))
     if not len(position):
-        raise ValueError("no view sees the mesh")
+        raise _unseen("no view sees the mesh")
     low, high = np.percentile(position, [1, 99], axis=0)
     diagonal = float(np.linalg.norm(high - low))
     if diagonal <= 0:
-        raise ValueError("the views see no extended surface")
+        raise _unseen("the views see no extended surface")
     cell_m = max(diagonal / CELLS_ACROSS, MIN_CELL_PIXELS * float(np.median(np.concatenate(footprint))))
     margin = 0.5 * (_MAX_EXTENT - 1) * np.maximum(high - low, 0.1 * diagonal)
     low = np.maximum(position.min(axis=0) - cell_m, low - margin)
     high = np.minimum(position.max(axis=0) + cell_m, high + margin)
     return low, cell_m, np.ceil((high - low) / cell_m).astype(np.int64) + 1
+
+
+def _unseen(got: str) -> InputError:
+    expected = "a surface in many pixels"
+    return input_error("photographs", "", got, expected, "check the unit and the frame of the mesh")
 
 
 @compiled

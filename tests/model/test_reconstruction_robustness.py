@@ -20,9 +20,12 @@ import pytest
 import torch
 
 from datagen.formats.capture import Capture
+from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
+from datagen.geometry.views import trace_capture
+from datagen.light.surfels import build_surfels
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
@@ -162,6 +165,16 @@ def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: floa
     for view in capture.views:
         assert any(w.startswith(f"{view.name}: ") and expected in w for w in report.warnings), report.warnings
     assert np.isfinite(read_image(tmp_path / "out" / "atlas" / "diffuse_albedo.exr")).all()
+
+
+def test_a_mesh_in_hardly_any_pixel_is_refused_with_a_remedy() -> None:
+    """Such as one in centimetres instead of metres; the light stage needs an extended surface."""
+    (view,) = trace_capture(room_capture(1, (16, 12))).views
+    depth = np.zeros_like(view.geometry.depth_z_m)
+    depth[0, 0] = 1
+    seen = replace(view, geometry=replace(view.geometry, depth_z_m=depth))
+    with pytest.raises(InputError, match=r"no view sees the mesh.*check the unit"):
+        build_surfels([seen])
 
 
 def test_a_mesh_off_by_two_centimetres(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def materials_from_light(
     ``maps`` are the network's; ``emits`` (M,) is the mask of triangles known to emit; ``region_of_face`` (M,)
     is the smooth region of each triangle; ``exposure`` is the factor that scales bright surfaces to 0.9;
     ``doubt_at`` returns the uncertain luminance (N,) of the diffuse shading at positions and normals (N, 3).
-    Raises ValueError if the views show no extended surface.
+    Raises :class:`InputError` if the views show no extended surface.
     """
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
