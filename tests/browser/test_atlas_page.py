@@ -702,6 +702,7 @@ def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> Non
     if material is not None:
         with pytest.raises(InputError, match="environment or an object"):
             write_view(material, tmp_path / "other-page")
+        assert not (tmp_path / "other-page").exists()
 
 
 def test_vendored_library_is_the_pinned_one() -> None:

@@ -60,16 +60,15 @@ def write_view(
     present. Raises :class:`InputError` for other input, or if ``out`` contains other files.
     """
     _check_out(out)
-    package = open_package(source / "asset" if is_package(source / "asset") else source)
-    (out / "data").mkdir(parents=True, exist_ok=True)
     notes: list[str] = []
     previews: dict[str, str] = {}
     large: set[Path] = set()
-    try:
+    with open_package(source / "asset" if is_package(source / "asset") else source) as package:
         asset = package.asset
         if not isinstance(asset, EnvironmentAsset | ObjectAsset):
             expected = "an environment or an object"
             raise input_error(package.path, "kind", asset.kind, expected, "name another package")
+        (out / "data").mkdir(parents=True, exist_ok=True)
         slots = _meshes_by_material(package, asset)
         shown = [asset.materials[slot] for slot in slots if asset.materials[slot].emission is None]
         has_atlas = sum(bool(material.textures()) for material in shown) == 1
@@ -108,8 +107,6 @@ def write_view(
             "colorMap": cividis(),
             "notes": notes,
         }
-    finally:
-        package.close()
     for earlier in set((out / "data").glob("[0-9]*-*.js")) - large:
         earlier.unlink()
     _write_script(out / "data" / "preview.js", "preview", previews)
