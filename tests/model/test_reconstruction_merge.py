@@ -66,8 +66,6 @@ def fetched(
     """A view's seven channels at pixel (u, v), or None if no surface matches, and its confidences (3,)."""
     maps = np.concatenate([view.maps[k] for k in ("diffuse_albedo", "specular_albedo", "roughness")], axis=-1)
     confidence = np.ones((*maps.shape[:2], 3)) if view.confidence is None else view.confidence
-    if options.fetch == "nearest":
-        return maps[int(v), int(u)], confidence[int(v), int(u)]
     height, width = maps.shape[:2]
     x, y = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
     see, values, worth, total = options.visibility, np.zeros(7), np.zeros(3), 0.0
@@ -170,7 +168,7 @@ def brute_force(
 def test_equals_brute_force(num_views: int) -> None:
     mesh, size = room_mesh(), 40
     views = noise_views(mesh, num_views)
-    options = MergeOptions(fetch="nearest", tile=17)
+    options = MergeOptions(tile=17)
     expected, counts, faces, is_close = brute_force(mesh, views, size, options)
     merger = MapMerger(views, options)
     atlas = empty_atlas(size)

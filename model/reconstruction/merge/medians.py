@@ -55,7 +55,6 @@ class Rules(NamedTuple):
     slope_tolerance_px: np.float32
     slope_limit: np.float32
     is_traced: bool
-    is_nearest: bool
     is_weighted: bool
 
 
@@ -130,13 +129,13 @@ def _append_view(
 ) -> None:
     """Append the values of a view to the lists of the lanes visible in it, in ``values`` (lists * V, LANES).
 
-    Pixels of another smooth region and, with interpolation, of a different depth are ignored.
+    Values are interpolated between pixels of the same smooth region and of similar depth.
     """
     camera, first, depths, packets = views.cameras[view], views.first_pixel[view], views.depth, views.packets
     width, height, num_views = int(camera[16]), int(camera[17]), len(views.first_pixel)
     last_x, last_y = np.float32(width - 1), np.float32(height - 1)
     reach = rules.depth_tolerance + rules.slope_limit
-    is_traced, is_nearest, is_weighted = rules.is_traced, rules.is_nearest, rules.is_weighted
+    is_traced, is_weighted = rules.is_traced, rules.is_weighted
     for lane in range(num):
         limit = state[_LIMIT + lane]
         if limit < _ZERO:
@@ -147,22 +146,16 @@ def _append_view(
                 continue
         elif abs(depths[first + int(v) * width + int(u)] - depth) > limit:
             continue
-        if is_nearest:
-            i = first + int(v) * width + int(u)
-            j, k, m = i, i, i
-            wi, wj, wk, wm = _ONE, _ZERO, _ZERO, _ZERO
-            tolerance = _INFINITY
-        else:
-            x = min(max(u - _HALF, _ZERO), last_x)  # border pixels extend beyond their centres
-            y = min(max(v - _HALF, _ZERO), last_y)
-            left, top = int(x), int(y)
-            s, t = x - np.float32(left), y - np.float32(top)
-            i = first + top * width + left
-            j = i + 1 if left + 1 < width else i
-            down = width if top + 1 < height else 0
-            k, m = i + down, j + down
-            wi, wj, wk, wm = (_ONE - s) * (_ONE - t), s * (_ONE - t), (_ONE - s) * t, s * t
-            tolerance = depth * reach
+        x = min(max(u - _HALF, _ZERO), last_x)  # border pixels extend beyond their centres
+        y = min(max(v - _HALF, _ZERO), last_y)
+        left, top = int(x), int(y)
+        s, t = x - np.float32(left), y - np.float32(top)
+        i = first + top * width + left
+        j = i + 1 if left + 1 < width else i
+        down = width if top + 1 < height else 0
+        k, m = i + down, j + down
+        wi, wj, wk, wm = (_ONE - s) * (_ONE - t), s * (_ONE - t), (_ONE - s) * t, s * t
+        tolerance = depth * reach
         region = state[_REGION + lane]
         wi = wi if packets[i, 7] == region and abs(depths[i] - depth) <= tolerance else _ZERO
         wj = wj if packets[j, 7] == region and abs(depths[j] - depth) <= tolerance else _ZERO

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,12 +109,10 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
 class MergeOptions:
     """Options of the merge.
 
-    ``fetch``: whether values are interpolated between pixels of similar depth or taken from the nearest
-    pixel; ``tile``: side of a tile in texels; ``weights``: weights of pixels
+    ``tile``: side of a tile in texels; ``weights``: weights of pixels
     (:mod:`model.reconstruction.merge.weights`).
     """
 
-    fetch: Literal["nearest", "bilinear"] = "bilinear"
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
     tile: int = DEFAULT_TILE
     weights: Weights = "none"
@@ -127,7 +125,6 @@ class MergeOptions:
             np.float32(see.slope_tolerance_px),
             np.float32(see.slope_limit),
             see.mode == "trace",
-            self.fetch == "nearest",
             weights != "none",
         )
 
