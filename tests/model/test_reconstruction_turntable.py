@@ -78,6 +78,8 @@ def test_path_visits_the_cameras_and_is_closed() -> None:
     steps = np.linalg.norm(np.diff([c.position_m for c in [*made, made[0]]], axis=0), axis=1)
     assert steps.max() < 3 * np.median(steps)  # no jump, not even at the seam
     assert {(c.width_px, c.height_px) for c in made} == {(40, 30)}
+    odd = way_cameras(cameras, TurntableOptions(frames=2, max_width_px=43))
+    assert odd[0].width_px == 42  # even, and at most 43
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])

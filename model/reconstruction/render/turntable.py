@@ -78,7 +78,10 @@ def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Ca
     """
     lens = cameras[0]
     scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
-    width, height = (max(16, 2 * round(0.5 * scale * side)) for side in (lens.width_px, lens.height_px))
+    most = options.max_width_px // 2 * 2
+    width, height = (
+        min(max(16, 2 * round(0.5 * scale * side)), most) for side in (lens.width_px, lens.height_px)
+    )
     focal = float(np.median([c.fx_px / c.width_px for c in cameras])) * width
     poses = _orbit(cameras, options.frames) if options.way == "orbit" else _through(cameras, options.frames)
     return [Camera(width, height, focal, focal, width / 2, height / 2, pose) for pose in poses]
