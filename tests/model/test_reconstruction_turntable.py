@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
@@ -158,6 +159,22 @@ def test_a_closed_room_under_a_sky_keeps_its_lights(asset: Path, tmp_path: Path)
     assert len(warnings) == 1
     own, under_sky = (brightness(tmp_path / name / "view_00.exr") for name in ("own", "sky"))
     assert under_sky == pytest.approx(own, rel=0.01) and own > 0.01
+
+
+def test_a_grey_sky_is_one_and_a_faulty_one_is_named(asset: Path, tmp_path: Path) -> None:
+    """The light of a grey image is compared with that of the room; messages name the given file."""
+    sky, warnings = tmp_path / "sky.exr", list[str]()
+    for value in (1.0, np.nan):
+        pixels = np.full((8, 16), value, np.float32)
+        with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Y": pixels}) as file:
+            file.write(str(sky))
+        options = replace(QUICK, views=("view_00",), sky=sky)
+        if np.isnan(value):
+            with pytest.raises(InputError, match=f"{sky}: NaN, Inf or negative values"):
+                write_renders(asset, tmp_path / "renders", options)
+        else:
+            write_renders(asset, tmp_path / "renders", options, warnings.append)
+    assert len(warnings) == 1 and "no light of the sky" in warnings[0]
 
 
 @pytest.mark.parametrize("sky", [None, (1.0, 1.0, 1.0)])

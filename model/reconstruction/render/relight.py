@@ -181,6 +181,9 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Pack
         return
     if sky.suffix.lower() != ".exr" or not sky.is_file():
         raise input_error(sky, "", "no linear EXR image", "an environment map (.exr)", "convert it")
+    pixels = read_image(sky)  # errors of the renderer would name the temporary copy
+    if not np.isfinite(pixels).all() or (pixels < 0).any():
+        raise input_error(sky, "", "NaN, Inf or negative values", "radiance", "repair the image")
     speck = Mesh(np.eye(3, dtype=np.float32) * 1e-3, np.array([[0, 1, 2]], np.int32))
     asset = EnvironmentAsset(
         id=SKY_ID,
@@ -251,7 +254,8 @@ def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
 @lru_cache(maxsize=4)
 def _sky_luminance(sky: Path | tuple[float, float, float]) -> float:
     if isinstance(sky, Path):
-        return float(luminance(read_image(sky)[..., :3].astype(np.float64)).mean())
+        mean = read_image(sky).mean(axis=(0, 1), dtype=np.float64)
+        return float(luminance(mean[:3] if len(mean) >= 3 else np.repeat(mean[:1], 3)))
     return float(luminance(np.array(sky, dtype=np.float64)))
 
 
