@@ -63,6 +63,8 @@ from model.reconstruction.unwrap.uv import unwrapped
 __all__ = ["InferOptions", "InferReport", "infer"]
 MEMORY_ATLAS = 4096
 """Maximum side in texels of an atlas in memory; larger ones are in temporary files in the output folder."""
+MAX_NAME = 185
+"""Maximum length of a capture's name in the id of its asset, which is at most 200 characters long."""
 
 
 @dataclass(frozen=True)
@@ -301,7 +303,8 @@ def _export(capture: Capture, merged: Merged, run: Run) -> None:
         write_atlas_images(out / "atlas", merged.atlas, has_exr=run.options.has_exr, progress=advance)
     reconstruction = _balanced(reconstruction, found, run)
     with run.stage("export") as advance:
-        write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
+        asset_id = f"{capture.name[:MAX_NAME]}-reconstruction"
+        write_asset(out / "asset", reconstruction, asset_id).close()
         advance(1, 4)
         glb = out / f"{capture.name}.glb"
         error = write_glb(glb, reconstruction, has_punctual=run.options.has_punctual)

@@ -167,6 +167,15 @@ def test_black_or_white_photographs_give_finite_maps(tmp_path: Path, level: floa
     assert np.isfinite(read_image(tmp_path / "out" / "atlas" / "diffuse_albedo.exr")).all()
 
 
+def test_a_long_name_is_shortened_in_the_id_of_the_asset(tmp_path: Path) -> None:
+    """Names of folders in other scripts are transliterated, which makes them several times as long."""
+    capture = replace(room_capture(1, (16, 12)), name="x" * 200)
+    infer(capture, tmp_path, TRUTH, replace(OPTIONS, is_checked=False, has_exr=False))
+    assert (tmp_path / f"{capture.name}.glb").is_file()
+    asset = json.loads((tmp_path / "asset" / "asset.json").read_text())
+    assert asset["id"] == "x" * 185 + "-reconstruction"
+
+
 def test_a_mesh_in_hardly_any_pixel_is_refused_with_a_remedy() -> None:
     """Such as one in centimetres instead of metres; the light stage needs an extended surface."""
     (view,) = trace_capture(room_capture(1, (16, 12))).views
