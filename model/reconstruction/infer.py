@@ -2,7 +2,7 @@
 """The pipeline from a capture to an asset: mended → traced → checked → completed → predicted → leveled →
 lit → merged → filled → balanced → exported.
 
-OUT/state.json      identity of the work: a hash of checkpoint, cameras, geometry and options
+OUT/state.json      identity of the work: a hash of checkpoint, views, geometry and options
 OUT/views/          predicted maps, one EXR per view, which a resumed run reads
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface)
 OUT/asset/          the asset package; also exported as OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz
@@ -126,12 +126,11 @@ def infer(
     try:
         if run.options.has_usd:
             require_usd()
-        source.prepare(run.options)  # raises before hours of work, and before OUT is assigned
+        source.prepare(run.options)  # raises before the capture is read, and before OUT is assigned
         select_variant()
         report.notes += capture.notes
         if run.options.mends_mesh:
             capture = mended_mesh(capture, run)
-        _claim(capture, source, run)
         with ExitStack() as files:
             merged = _merged(_packed(_final_views(capture, source, run), run), run, files)
             with run.stage("fill") as advance:
@@ -154,27 +153,26 @@ def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
     return stages if options.materials == "network" else [*stages, lit]
 
 
-def _claim(capture: Capture, source: MapSource, run: Run) -> None:
+def _claim(traced: TracedCapture, source: MapSource, run: Run) -> None:
     """Assign ``run.out`` to this work. Raises :class:`InputError` if the folder contains other work."""
-    mesh = capture.geometry.mesh
+    mesh, options = traced.capture.geometry.mesh, run.options
     geometry = hashlib.sha256(mesh.positions.tobytes() + mesh.faces.tobytes()).hexdigest()
-    cameras = [
+    views = [
         [v.name, v.camera.width_px, v.camera.height_px, v.camera.fx_px, v.camera.fy_px, v.camera.cx_px,
-         v.camera.cy_px, v.camera.world_from_camera.tolist()]
-        for v in capture.views
+         v.camera.cy_px, v.camera.world_from_camera.tolist(), sha256_hex(v.color.tobytes())]
+        for v in traced.views
     ]  # fmt: skip
     work = {
-        "name": capture.name,
+        "name": traced.capture.name,
         "geometry": geometry,
-        "cameras": cameras,
+        "views": views,
         "weights": source.identity,
-        "precision": run.options.precision,
-        "is_filtered": run.options.is_filtered,
+        "precision": options.precision,
+        "visibility": options.visibility,
+        "is_filtered": options.is_filtered,
+        "is_evened": options.is_evened,
+        "mends_poses": options.mends_poses,
     }
-    if not run.options.is_evened:
-        work["is_evened"] = False
-    if run.options.mends_poses:
-        work["mends_poses"] = True
     state = canonical_json({"format": "scene-materials/inference", "work": sha256_hex(canonical_json(work))})
     path = run.out / "state.json"
     if path.is_file() and path.read_bytes() != state:
@@ -188,6 +186,7 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
     """Trace, check and complete the capture, predict its maps, and correct them."""
     with run.stage("trace") as advance:
         traced = trace_capture(capture, advance)
+    _claim(traced, source, run)
     _check(traced, run)
     doubt_at = None
     if source.is_predicted:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
 from datagen.geometry.views import TracedCapture
 from model.reconstruction import infer as infer_module
@@ -19,7 +20,8 @@ from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps, GivenMaps
 from model.reconstruction.stages import Estimate, Maps, Run
-from oracles.textured_room import room_capture
+from oracles.textured_room import MapSource, room_capture
+from tests.model.test_light_infer import untrained
 
 OPTIONS = InferOptions(atlas=64, has_exr=False, is_checked=False)
 PREDICTED = replace(TRUTH, identity="as if predicted", is_predicted=True)
@@ -78,3 +80,21 @@ def test_traced_views_and_maps_are_freed_before_the_merge(tmp_path: Path) -> Non
     infer(room_capture(2, (32, 24)), tmp_path, GivenMaps("kept", read), OPTIONS, tell)
     assert len(held["traced"]) == len(held["maps"]) == 2 and alive == []
     assert {("unwrap", 1), ("pack", 1), ("fill", 400), ("images", 4)} <= told
+
+
+def test_maps_are_not_reused_for_other_photographs_or_statistics(tmp_path: Path) -> None:
+    """Stored maps depend on the photographs' values and on the visibility test of their statistics."""
+    source = untrained(tmp_path, 3)
+    options = replace(OPTIONS, materials="network", is_leveled=False)
+    capture = room_capture(2, (32, 24))
+    infer(capture, tmp_path / "out", source, options)
+    infer(capture, tmp_path / "out", source, replace(options, weights="none"))
+    first, second = capture.views
+    maps = second.source.read_maps(("diffuse_albedo",))
+    darker = replace(second, source=MapSource({"diffuse_albedo": 0.5 * maps["diffuse_albedo"]}))
+    for other, changed in (
+        (replace(capture, views=(first, darker)), options),
+        (capture, replace(options, visibility="trace")),
+    ):
+        with pytest.raises(InputError, match="other work"):
+            infer(other, tmp_path / "out", source, changed)
