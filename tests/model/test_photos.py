@@ -7,6 +7,8 @@ import json
 import shutil
 import struct
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,14 +18,17 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import Capture
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
-from datagen.foundation.meshes.ply import read_ply
+from datagen.foundation.meshes.ply import encode_ply, read_ply
 from datagen.geometry.traced import TracedGeometry
 from model.cli import app
+from model.reconstruction.photos import pipeline
 from model.reconstruction.photos.colmap_run import ColmapRun
+from model.reconstruction.photos.options import PhotosOptions
 from tests.model.lit_box import SIDES, SIZE, box_capture
 from tests.model.test_light_infer import untrained
 
@@ -167,3 +172,33 @@ def test_given_cameras_need_no_program(tmp_path: Path) -> None:
     (run.model / "points3D.bin").write_bytes(struct.pack("<Q", 0))
     with pytest.raises(InputError, match="no surface"):
         run.mesh()
+
+
+def test_a_changed_capture_is_inferred_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras, mesh and photographs may change in place; an unchanged capture is not inferred again."""
+    images, _, truth = photographed(tmp_path)
+    capture, out = truth / "model", tmp_path / "out"
+    images.rename(capture / "images")
+    (capture / "room.ply").write_bytes(encode_ply(box_capture().geometry.mesh))
+    made: list[str] = []
+
+    def made_by(name: str, file: str) -> Callable[..., None]:
+        return lambda *_: made.append(name) or write_bytes_atomically(out / file, b"")  # type: ignore[func-returns-value]
+
+    monkeypatch.setattr(pipeline, "infer", made_by("report", "report.json"))
+    monkeypatch.setattr(pipeline, "write_turntable", made_by("turntable", "turntable.gif"))
+    source, options = untrained(tmp_path, 3), PhotosOptions()
+
+    def make() -> None:
+        pipeline.make_asset(capture, out, source, options, lambda *_: None, made.append)
+
+    make()
+    make()
+    assert made == ["report", "turntable"]
+    mesh = box_capture().geometry.mesh
+    (capture / "room.ply").write_bytes(encode_ply(replace(mesh, positions=mesh.positions * np.float32(1.01))))
+    make()
+    assert made == ["report", "turntable"] * 2
+    (capture / "images" / "view-000.png").write_bytes((capture / "images" / "view-001.png").read_bytes())
+    make()
+    assert made == ["report", "turntable"] * 3

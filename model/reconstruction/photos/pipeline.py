@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """``materials photos``: photographs → cameras and mesh → asset → turntable, in one folder.
 
-OUT/photos.json     record of the photographs, options and checkpoint
+OUT/photos.json     record of the photographs or capture, options and checkpoint
 OUT/colmap/         cameras and mesh from COLMAP, unless the input has cameras (``colmap_run``)
 OUT/...             output of ``materials infer``
 OUT/turntable.gif   animation along a path through the room under the recovered lights
@@ -16,8 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.formats.capture import Capture
 from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.captures.brackets import BracketSource
+from model.reconstruction.captures.mesh_file import load_mesh
 from model.reconstruction.captures.photograph_files import KNOWN_SUFFIXES, can_read, is_raw, unread_problems
+from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.read import has_cameras, read_capture
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferReport, Progress
@@ -73,34 +78,35 @@ def make_asset(
     Raises :class:`InputError` if the input is invalid, a program is missing or fails, or ``out`` contains the
     results of other photographs.
     """
-    has_own = has_cameras(folder)
-    photographs = [] if has_own else photographs_in(folder)
+    given = read_capture(folder, options.reading) if has_cameras(folder) else None
+    photographs = [] if given else photographs_in(folder)
     run = ColmapRun(options.program, folder, out / "colmap", say)
-    if not has_own and not run.has_cameras and shutil.which(options.program) is None:
+    if not given and not run.has_cameras and shutil.which(options.program) is None:
         rest = ["materials", "photos", str(folder), "--out", str(out)]
         say(missing_program(options.program, folder, out / "colmap", rest))
         remedy = "install it and give the same command again, or run the commands above"
         raise InputError(Problem(options.program, "", "no such program", "COLMAP 3.7 or later", remedy))
-    _claim(out, folder, photographs, source, options)
+    own_mesh = options.reading.mesh
+    content = _content(given) if given else _of_mesh(load_mesh(own_mesh)) if own_mesh else []
+    _claim(out, folder, photographs, [repr(options), source.identity, *content])
     inference = options.inference
-    if has_own:
-        capture, reading = folder, options.reading
-    else:
-        capture = run.cameras()
-        reading = replace(options.reading, mesh=options.reading.mesh or run.mesh(), images=folder)
+    capture = given
+    if not capture:
+        cameras = run.cameras()
+        reading = replace(options.reading, mesh=own_mesh or run.mesh(), images=folder)
         if reading.up == "auto":
             reading = replace(reading, up="cameras")
-        if options.reading.mesh is None:
+        if own_mesh is None:
             # a surface through COLMAP's points is in the cameras' frame, but lacks most edges of the room;
             # sparse points are accurate, and the wide triangles between them are not noise
             inference = replace(inference, is_checked=False, mends_mesh=not run.has_sparse_mesh)
+        capture = read_capture(cameras, reading)
     report = None
     if not (out / "report.json").is_file():
-        opened = replace(read_capture(capture, reading), name="room")
-        registered = len(opened.views)
-        if photographs and registered < len(photographs):
+        registered = len(capture.views)
+        if registered < len(photographs):
             say(f"COLMAP found the poses of {registered} of {len(photographs)} photographs")
-        report = infer(opened, out, source, inference, tell)
+        report = infer(replace(capture, name="room"), out, source, inference, tell)
     turntable = out / TURNTABLE
     if not turntable.is_file():
         relight = RelightOptions(samples=options.samples)
@@ -110,10 +116,25 @@ def make_asset(
     return Made(report, turntable)
 
 
-def _claim(
-    out: Path, folder: Path, photographs: list[Path], source: MapSource, options: PhotosOptions
-) -> None:
-    """Assign ``out`` to ``photographs``; if other options were used before, remove the report and turntable.
+def _content(capture: Capture) -> list[str]:
+    """Describe the views, photographs and geometry of a capture, to recognise changes."""
+    files: list[Path] = []
+    for view in capture.views:
+        match view.source:
+            case PhotographSource():
+                files.append(view.source.path)
+            case BracketSource():
+                files += [photograph.path for photograph in view.source.photographs]
+    stamps = [f"{file.stat().st_size} {file.stat().st_mtime_ns}" for file in files]
+    return [*(repr(view) for view in capture.views), *stamps, *_of_mesh(capture.geometry.mesh)]
+
+
+def _of_mesh(mesh: Mesh) -> list[str]:
+    return [sha256_hex(mesh.positions.tobytes() + mesh.faces.tobytes())]
+
+
+def _claim(out: Path, folder: Path, photographs: list[Path], settings: list[str]) -> None:
+    """Assign ``out`` to ``photographs``; if ``settings`` were others before, remove the report and turntable.
 
     Raises :class:`InputError` if ``out`` is assigned to other photographs.
     """
@@ -123,7 +144,6 @@ def _claim(
         "folder": folder.resolve().name,
         "files": files,
     }
-    settings = [repr(options), source.identity]
     state = canonical_json({**work, "options": sha256_hex(canonical_json(settings))})
     path = out / "photos.json"
     before = path.read_bytes() if path.is_file() else None
