@@ -37,7 +37,13 @@ NUM_POINTS = 600
 _PROGRAM = """#!{python}
 import pathlib, shutil, sys
 truth = pathlib.Path({truth!r})
+names = (truth / "options").read_text()
+if sys.argv[2:] == ["-h"]:
+    sys.exit("\\n".join(name + " arg (=1)" for name in names.split()))
 verb, options = sys.argv[1], dict(zip(sys.argv[2::2], sys.argv[3::2]))
+for name in options:
+    if name.startswith(("--Sift", "--Feature")) and name not in names.split():
+        sys.exit("unrecognised option " + name)
 with (truth / "calls").open("a") as calls:
     calls.write(verb + "\\n")
 if (truth / ("fail-" + verb)).exists():
@@ -47,6 +53,10 @@ if verb == "patch_match_stereo":
 if verb == "mapper":
     shutil.copytree(truth / "model", pathlib.Path(options["--output_path"]) / "0")
 """
+_OPTIONS = """--SiftExtraction.use_gpu --SiftExtraction.max_image_size --SiftExtraction.peak_threshold
+--SiftMatching.use_gpu --SiftMatching.guided_matching"""
+_OPTIONS_SINCE_3_13 = """--FeatureExtraction.use_gpu --SiftExtraction.max_image_size
+--SiftExtraction.peak_threshold --FeatureMatching.use_gpu --FeatureMatching.guided_matching"""
 
 
 def points_of(capture: Capture) -> bytes:
@@ -92,6 +102,7 @@ def photographed(folder: Path) -> tuple[Path, Path, Path]:
     (truth / "model" / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, *SIZE, *lens))
     (truth / "model" / "images.bin").write_bytes(shown)
     (truth / "model" / "points3D.bin").write_bytes(points_of(capture))
+    (truth / "options").write_text(_OPTIONS)
     program = folder / "colmap"
     program.write_text(_PROGRAM.format(python=sys.executable, truth=str(truth)))
     program.chmod(0o755)
@@ -172,6 +183,14 @@ def test_given_cameras_need_no_program(tmp_path: Path) -> None:
     (run.model / "points3D.bin").write_bytes(struct.pack("<Q", 0))
     with pytest.raises(InputError, match="no surface"):
         run.mesh()
+
+
+def test_options_have_the_names_of_the_installed_version(tmp_path: Path) -> None:
+    images, program, truth = photographed(tmp_path)
+    (truth / "options").write_text(_OPTIONS_SINCE_3_13)
+    run = ColmapRun(str(program), images, tmp_path / "work", lambda step: None)
+    assert run.cameras() == run.model and run.has_cameras
+    assert "mapper" in (truth / "calls").read_text()
 
 
 def test_a_changed_capture_is_inferred_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,6 +31,8 @@ MAX_POINT_ERROR_PX = 2.0
 """Maximum mean reprojection error, in pixels, of sparse points from which the mesh is made."""
 _OVERLAP = "take more photographs that overlap, sharp and large, from different positions; see the log"
 _TAIL = 400  # characters of the log in an error
+_RENAMED = {"--SiftExtraction.": "--FeatureExtraction.", "--SiftMatching.": "--FeatureMatching."}
+"""Prefixes of options until COLMAP 3.12 and, of most of them, since 3.13."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,9 @@ class ColmapRun:
         log = self.work / f"{step.name}.log"
         with log.open("wb") as out:
             for command in step.commands:
-                ended = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, check=False)
+                ended = subprocess.run(
+                    _as_installed(command), stdout=out, stderr=subprocess.STDOUT, check=False
+                )
                 if ended.returncode and step.name == "dense":
                     raise subprocess.CalledProcessError(ended.returncode, command)
                 if ended.returncode:
@@ -186,6 +190,18 @@ class ColmapRun:
                     remedy = _OVERLAP if command[1] == "mapper" else "see the log, then run it again"
                     raise input_error(log, step.name, got, "exit code 0", remedy)
         write_bytes_atomically(done, b"")
+
+
+def _as_installed(command: tuple[str, ...]) -> list[str]:
+    """Return ``command`` with those of the names since COLMAP 3.13 that the installed version lists."""
+    if not any(word.startswith(tuple(_RENAMED)) for word in command):
+        return list(command)
+    shown = subprocess.run([*command[:2], "-h"], capture_output=True, check=False)
+    known = set((shown.stdout + shown.stderr).decode(errors="replace").split())
+    renamed = list(command)
+    for old, new in _RENAMED.items():
+        renamed = [word.replace(old, new) if word.replace(old, new) in known else word for word in renamed]
+    return renamed
 
 
 def _size(model: Path) -> int:
