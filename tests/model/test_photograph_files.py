@@ -207,10 +207,11 @@ def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> Non
         read_photograph(damaged)
 
 
-def test_raw_photographs_need_cameras(tmp_path: Path) -> None:
-    """COLMAP cannot read raw photographs, but captures may contain their cameras."""
-    (tmp_path / "a.dng").write_bytes(b"anything")
-    with pytest.raises(InputError, match=r"a\.dng = a raw photograph; .*COLMAP reads.*capture with cameras"):
+@pytest.mark.parametrize(("suffix", "kind"), [("dng", "a raw photograph"), ("HEIC", "HEIC")])
+def test_photographs_that_colmap_cannot_read_need_cameras(tmp_path: Path, suffix: str, kind: str) -> None:
+    for name in "abc":
+        (tmp_path / f"{name}.{suffix}").write_bytes(b"anything")
+    with pytest.raises(InputError, match=rf"a\.{suffix} = {kind}; .*COLMAP reads.*capture with cameras"):
         photographs_in(tmp_path)
 
 

@@ -21,7 +21,13 @@ from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.captures.brackets import BracketSource
 from model.reconstruction.captures.mesh_file import load_mesh
-from model.reconstruction.captures.photograph_files import KNOWN_SUFFIXES, can_read, is_raw, unread_problems
+from model.reconstruction.captures.photograph_files import (
+    HEIC_SUFFIXES,
+    KNOWN_SUFFIXES,
+    can_read,
+    is_raw,
+    unread_problems,
+)
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.read import has_cameras, read_capture
 from model.reconstruction.infer import infer
@@ -47,15 +53,18 @@ class Made:
 def photographs_in(folder: Path) -> list[Path]:
     """List the photographs in a folder, sorted by name.
 
-    Raises :class:`InputError` for fewer than three, and for raw photographs and unsupported formats.
+    Raises :class:`InputError` for fewer than three, and for raw photographs, HEIC and unsupported formats.
     """
     if not folder.is_dir():
         raise input_error(folder, "", "no such folder", "a folder of photographs", "check the path")
     found = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in KNOWN_SUFFIXES]
-    raw = [file for file in found if is_raw(file)]
-    if raw:
-        remedy = "develop all with equal settings to JPEG in another folder, or give a capture with cameras"
-        raise input_error(folder, raw[0].name, "a raw photograph", "photographs that COLMAP reads", remedy)
+    for file in found:
+        if is_raw(file) or file.suffix.lower() in HEIC_SUFFIXES:  # Debian's COLMAP reads neither
+            got = "a raw photograph" if is_raw(file) else "HEIC"
+            remedy = (
+                "convert all with equal settings to JPEG in another folder, or give a capture with cameras"
+            )
+            raise input_error(folder, file.name, got, "photographs that COLMAP reads", remedy)
     unread = [file for file in found if not can_read(file)]
     if unread:
         raise InputError(*unread_problems(folder, unread))
