@@ -294,12 +294,20 @@ def test_distortion_is_undone(distortion: Distortion | None) -> None:
     assert np.quantile(np.abs(wrong.color - _pattern(x, y))[wrong.valid_mask], 0.99) > 2 * limit
 
 
-def test_strong_barrel_distortion_shows_nothing_twice() -> None:
+@pytest.mark.parametrize(
+    ("model", "fold"),
+    [
+        ("brown", 1 / np.sqrt(3 * 0.3)),  # d/dr r (1 - 0.3 r^2) = 0
+        ("fisheye", np.tan(1 / np.sqrt(3 * 0.5))),  # d/dt t (1 - 0.5 t^2) = 0, t = atan r
+    ],
+)
+def test_strong_barrel_distortion_shows_nothing_twice(
+    model: Literal["brown", "fisheye"], fold: float
+) -> None:
     lens = Camera(80, 80, 30.0, 30.0, 40.0, 40.0, np.eye(4))
-    distortion = Distortion(model="brown", coefficients=(-0.3,))
+    distortion = Distortion(model=model, coefficients=(-0.3 if model == "brown" else -0.5,))
     image = undistorted(np.ones((80, 80, 3), np.float32), lens, distortion, lens)
     r = np.hypot(*(lens.pixel_centers() - 40.0).transpose(2, 0, 1)) / 30
-    fold = 1 / np.sqrt(3 * 0.3)  # d/dr r (1 - 0.3 r^2) = 0
     assert not image.valid_mask[r > fold + 0.05].any()
     assert image.valid_mask[r < fold - 0.05].all()
 

@@ -188,8 +188,6 @@ def _distorted_pixels(
     u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
     x, y = np.moveaxis(lens_pixels(lens, distortion, rays) - 0.5, -1, 0)
-    if distortion is not None and distortion.model == "fisheye":
-        return x.astype(np.float32), y.astype(np.float32)
     folded = _is_beyond_fold(distortion, np.hypot(rays[..., 0], rays[..., 1]))
     return np.where(folded, np.float32(-1e6), x.astype(np.float32)), y.astype(np.float32)
 
@@ -199,11 +197,7 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
     x, y = np.moveaxis(np.asarray(rays, dtype=np.float64), -1, 0)
     if distortion is not None and distortion.model == "fisheye":
         r = np.hypot(x, y)
-        theta = np.arctan(r)
-        k = np.zeros(4)
-        k[: len(distortion.coefficients)] = distortion.coefficients
-        t = theta**2
-        bent = theta * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
+        bent = _distorted_radius(distortion, r)
         scale = np.where(r > 1e-12, bent / np.maximum(r, 1e-12), 1.0)  # the centre stays fixed
         x, y = x * scale, y * scale
     elif distortion is not None:
@@ -214,6 +208,17 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
             y * factor + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
     return np.stack([lens.fx_px * x + lens.cx_px, lens.fy_px * y + lens.cy_px], axis=-1)
+
+
+def _distorted_radius(distortion: Distortion, r: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the radii at which a lens without tangential distortion shows the radii ``r``, of any shape."""
+    if distortion.model != "fisheye":
+        return r * _radial(distortion, r**2)
+    theta = np.arctan(r)
+    k = np.zeros(4)
+    k[: len(distortion.coefficients)] = distortion.coefficients
+    t = theta**2
+    return theta * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
 
 
 def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -231,5 +236,5 @@ def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.boo
     if distortion is None:
         return np.zeros(r.shape, dtype=bool)
     steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)
-    turns = np.flatnonzero(np.diff(steps * _radial(distortion, steps**2)) <= 0)
+    turns = np.flatnonzero(np.diff(_distorted_radius(distortion, steps)) <= 0)
     return r > steps[turns[0]] if turns.size else np.zeros(r.shape, dtype=bool)
