@@ -18,6 +18,7 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.geometry.traced import TracedGeometry
+from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.check.capture_check import check_capture
 from model.reconstruction.check.edges import edge_field, match_edges, mesh_edges, photograph_field
 from model.reconstruction.check.registration import SeenShift, common_mistake
@@ -182,6 +183,22 @@ def test_useless_views_are_named() -> None:
     assert len(warnings) == len(expected)
     for name, text in expected.items():
         assert any(w.startswith(f"{name}: ") and text in w for w in warnings), (name, warnings)
+
+
+def test_clipped_photographs_of_any_exposure_are_named(tmp_path: Path) -> None:
+    """Photographs are scaled to a common exposure, and their limit with them."""
+    capture = photographed_room()
+    for index, scale, bright in ((0, 0.4, 0.7), (2, 3.0, 0.7), (4, 0.4, 0.4), (6, 3.0, 0.4)):
+        view = capture.views[index]
+        encoded = srgb_from_linear(np.clip(view.read().color / scale, 0, 0.9)) * 255
+        encoded[:, : int(bright * encoded.shape[1])] = 255
+        path = tmp_path / f"{index}.png"
+        path.write_bytes(encode_png(encoded.astype(np.uint8)))
+        capture = with_view(capture, index, source=PhotographSource(path, view.camera, None, "auto", scale))
+    clipped = [
+        w for w in check_capture(capture).all_warnings if "over half of it is at the sensor's limit" in w
+    ]
+    assert [warning.split(":")[0] for warning in clipped] == ["view_00", "view_02"]
 
 
 def test_a_better_up_axis_is_found_and_inference_refuses(tmp_path: Path) -> None:

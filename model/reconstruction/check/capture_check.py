@@ -62,7 +62,8 @@ def check_traced(
     """Check a capture that is already read and traced, as :func:`check_capture` does."""
 
     def look(view: TracedView) -> Look:
-        return Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
+        image = ColorImage(view.color, view.valid_mask, view.clipped_mask, view.limit)
+        return Look(view.name, view.camera, image, view.geometry)
 
     with ThreadPoolExecutor(num_threads()) as pool:
         looks = list(pool.map(look, traced.views))

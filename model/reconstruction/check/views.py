@@ -86,9 +86,10 @@ class CheckReport:
         return {"format": "scene-materials/check", **asdict(self)}
 
 
-def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
-    """Return warnings, with remedies, if a photograph of linear ``color`` (H, W, 3) hardly shows the mesh, is
-    black or is mostly clipped.
+def view_warnings(name: str, image: ColorImage, geometry: ViewGeometry) -> list[str]:
+    """Return warnings, with remedies, if a photograph hardly shows the mesh, is black or is mostly clipped.
+
+    An image without a known limit counts as clipped where it is white and nothing is brighter.
     """
     found = []
     coverage = float((geometry.face >= 0).mean())
@@ -98,10 +99,14 @@ def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry)
         found.append(
             f"{name}: only {coverage:.1%} of its pixels show the mesh; leave it out if it shows another scene"
         )
-    brightness = luminance(color)
+    brightness = luminance(image.color)
+    if image.clipped_mask is None:
+        is_clipped = (brightness >= CLIPPED_LEVEL) & (brightness.max() <= 1.0)
+    else:
+        is_clipped = image.clipped_mask.all(axis=2)
     if not brightness.any():
         found.append(f"{name}: is black; leave it out")
-    elif float((brightness >= CLIPPED_LEVEL).mean()) > MAX_CLIPPED and float(brightness.max()) <= 1.0:
+    elif float(is_clipped.mean()) > MAX_CLIPPED:
         found.append(f"{name}: over half of it is at the sensor's limit; expose less or leave it out")
     return found
 
@@ -137,7 +142,7 @@ class Look:
             coverage=float(hit.mean()),
             back_share=float(is_back.mean()) if hit.any() else 0.0,
             nearest_m=float(depth[hit].min()) if hit.any() else 0.0,
-            warnings=view_warnings(self.name, self.image.color, self.geometry),
+            warnings=view_warnings(self.name, self.image, self.geometry),
         )
         if hit.any() and float((depth[hit] < _NEAR_M).mean()) > _MAX_NEAR:
             found.warnings.append(
