@@ -35,8 +35,9 @@ CheckpointOption = Annotated[
 
 def _opened(path: Path, reading: CaptureOptions) -> Capture:
     from datagen.library import resolve_library_paths
-    from model.reconstruction.captures.read import read_capture
+    from model.reconstruction.captures.read import read_capture, refuse_unused
 
+    refuse_unused(path, reading)
     library = resolve_library_paths([str(name) for name in reading.library], Path())
     return read_capture(path, replace(reading, library=library))
 
@@ -62,6 +63,8 @@ def infer(
     from model.reconstruction.infer import infer as run
     from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 
+    if truth and checkpoint:
+        raise typer.BadParameter("--truth needs no checkpoint", param_hint="--checkpoint")
     listeners = load_listeners(listener or ())
     opened = _opened(capture, reading)
     source: MapSource = TRUTH if truth else CheckpointMaps(checkpoint or bundled_checkpoint())

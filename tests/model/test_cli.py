@@ -84,3 +84,27 @@ def test_training_with_validation_views_prints_no_note(dataset, tmp_path):
     arguments = ["train", str(dataset), "--out", str(tmp_path / "run"), "--preset", "smoke", "--dry-run"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0 and "no validation:" not in result.output
+
+
+@pytest.mark.parametrize(
+    ("capture", "options"),
+    [
+        ("a.tar", "--unit 0.01 --up y --mesh-up y --mesh a.ply --images . --encoding srgb --exposure common"),
+        ("capture.json", "--unit 0.01 --up y --mesh-up y --encoding srgb --library ."),
+        ("asset.zip", "--unit 0.01 --up y --mesh-up y --mesh a.ply --library ."),
+        ("transforms.json", "--library ."),
+    ],
+)
+def test_options_without_meaning_for_a_capture_are_refused(tmp_path, capture, options):
+    """Regression: they were ignored."""
+    (tmp_path / capture).write_text("")
+    with pytest.raises(InputError, match="no such option for") as caught:
+        CliRunner().invoke(app, ["check", str(tmp_path / capture), *options.split()], catch_exceptions=False)
+    found = {problem.field for problem in caught.value.problems}
+    assert found == {word for word in options.split() if word.startswith("--")}
+
+
+def test_ground_truth_and_a_checkpoint_are_contradictory(tmp_path):
+    command = ["infer", str(tmp_path / "a.tar"), "--out", str(tmp_path), "--truth", "--checkpoint", "a"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 2 and "--truth needs no checkpoint" in result.output

@@ -98,6 +98,10 @@ def test_meshes_outside_are_refused_unless_allowed(tmp_path: Path, outside: Path
             read_capture(root, OPTIONS)
         given = CaptureOptions(mesh=outside / "room.ply", max_width_px=32)
         assert len(read_capture(root, given).geometry.mesh.faces) == 12
+    record["mesh"]["file"] = "room.ply"
+    (root / "capture.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"mesh\.file = room\.ply; .*which --mesh names"):
+        read_capture(root, given)
     root = _write_form(tmp_path / "other", "transforms", "a.png")
     (root / "a.png").write_bytes((outside / "a.png").read_bytes())
     (root / "room.ply").unlink()

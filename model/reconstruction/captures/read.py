@@ -88,6 +88,40 @@ FORMS = (
 """Calibration formats in the order in which they are tried."""
 
 
+_UNUSED = {
+    "a shard": ("images", "mesh", "mesh_up", "up", "unit_m", "encoding", "exposure"),
+    "capture.json": ("library", "mesh_up", "up", "unit_m", "encoding"),
+    "an environment package": ("library", "mesh", "mesh_up", "up", "unit_m"),
+    "cameras with photographs": ("library",),
+}
+"""Options without meaning by kind of capture; a shard, ``capture.json`` and a package state them."""
+
+
+def refuse_unused(path: Path, options: CaptureOptions) -> None:
+    """Raise :class:`InputError` for options that differ from their defaults but do not apply to the capture
+    at ``path``.
+    """
+    kind = _kind_of(path) or "cameras with photographs"
+    defaults = CaptureOptions()
+    flags = {name: f"--{name.removesuffix('_m').replace('_', '-')}" for name in _UNUSED[kind]}
+    raise_problems(
+        [
+            Problem(path, flag, str(getattr(options, name)), f"no such option for {kind}", "leave it out")
+            for name, flag in flags.items()
+            if getattr(options, name) != getattr(defaults, name)
+        ]
+    )
+
+
+def _kind_of(path: Path) -> str | None:
+    """Return the key of ``_UNUSED`` for a capture in a format of this project, else None."""
+    if path.suffix == ".tar" or (path / "shards").is_dir():
+        return "a shard"
+    if (path / CAPTURE_FILE).is_file() or (path.is_file() and path.name.endswith(CAPTURE_FILE)):
+        return "capture.json"
+    return "an environment package" if is_package(path) else None
+
+
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
     """Read the capture at ``path``. Raises :class:`InputError` with its faults, or if its format is unknown.
 
@@ -96,16 +130,22 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
     """
     options = options or CaptureOptions()
     budget = Budget(path, options.limits)
-    if path.suffix == ".tar" or (path / "shards").is_dir():
+    kind = _kind_of(path)
+    if kind == "a shard":
         return _shrunk(_read_rendered(path, options), options.max_width_px)
-    if (path / CAPTURE_FILE).is_file() or (path.is_file() and path.name.endswith(CAPTURE_FILE)):
+    if kind == "capture.json":
         file = path if path.is_file() else path / CAPTURE_FILE
         record = read_json(CaptureFile, file)
         budget.spend("frames", len(record.photographs), "photographs")
         given = [folder.resolve() for folder in (file.parent, options.images, options.mesh) if folder]
         _check_paths(record, file, given)
+        if options.mesh and (file.parent / record.mesh.file).resolve() != options.mesh.resolve():
+            expected = f"{options.mesh}, which --mesh names"
+            raise input_error(
+                file, "mesh.file", record.mesh.file, expected, "correct it, or leave --mesh out"
+            )
         return open_capture(record, file.parent, options.max_width_px, budget=budget)
-    if is_package(path):
+    if kind == "an environment package":
         capture = read_package(path, options.images, options.encoding, budget, options.exposure)
         return _shrunk(capture, options.max_width_px)
     record, notes, mesh = _calibrated(path, options, budget)
@@ -213,8 +253,7 @@ def _calibrated(
 
 def has_cameras(path: Path) -> bool:
     """Return whether ``path`` has a known capture format; its content is not checked."""
-    is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
-    return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
+    return _kind_of(path) is not None or any(form.find(path) is not None for form in FORMS)
 
 
 def _form_of(path: Path) -> tuple[Form, Path]:

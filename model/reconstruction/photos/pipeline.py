@@ -29,7 +29,7 @@ from model.reconstruction.captures.photograph_files import (
     unread_problems,
 )
 from model.reconstruction.captures.photographs import PhotographSource
-from model.reconstruction.captures.read import has_cameras, read_capture
+from model.reconstruction.captures.read import has_cameras, read_capture, refuse_unused
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferReport, Progress
 from model.reconstruction.photos.colmap_run import ColmapRun, missing_program
@@ -87,7 +87,10 @@ def make_asset(
     Raises :class:`InputError` if the input is invalid, a program is missing or fails, or ``out`` contains the
     results of other photographs.
     """
-    given = read_capture(folder, options.reading) if has_cameras(folder) else None
+    given = None
+    if has_cameras(folder):
+        refuse_unused(folder, options.reading)
+        given = read_capture(folder, options.reading)
     photographs = [] if given else photographs_in(folder)
     run = ColmapRun(options.program, folder, out / "colmap", say)
     if not given and not run.has_cameras and shutil.which(options.program) is None:
