@@ -337,10 +337,12 @@ def test_bundler(tmp_path: Path) -> None:
             out = 410.5 * (1 - 0.1 * s + 0.02 * s**2) * p
             return np.stack([300 + out[:, 0], 200 - out[:, 1]], axis=1)
 
-        oracles[f"images-d{k}"] = project
+        oracles[f"images-d-{k}"] = project
     (tmp_path / "bundle.out").write_text(text + "0 0 0\n" * 5)
-    (tmp_path / "list.txt").write_text("".join(f"./images/d{k}.png 0 410\n" for k in range(4)))
-    write_images(tmp_path / "images", [f"d{k}.png" for k in range(3)])
+    endings = (" 0 410.5", "", " 0 4e2", "")  # COLMAP writes names alone
+    lines = [f"./images/d {k}.png{ending}\n" for k, ending in enumerate(endings)]
+    (tmp_path / "list.txt").write_text("".join(lines))
+    write_images(tmp_path / "images", [f"d {k}.png" for k in range(3)])
     write_mesh(tmp_path)
     check(read_capture(tmp_path, OPTIONS).views, oracles)
 

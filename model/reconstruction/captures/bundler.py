@@ -9,6 +9,7 @@ sizes, so the images are required.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -91,8 +92,9 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _names(path: Path) -> list[str]:
-    """Read the image names, the first word of each line of the list next to the file."""
+    """Read the image names in the list next to the file, whose lines may end in 0 and a focal length."""
     for name in (f"{path.stem}.list.txt", *_LISTS):
         if (path.parent / name).is_file():
-            return [line.split()[0] for line in read_text(path.parent / name).splitlines() if line.strip()]
+            lines = filter(str.strip, read_text(path.parent / name).splitlines())
+            return [re.sub(r"\s+0\s+[\d.eE+-]+$", "", line.strip()) for line in lines]
     raise input_error(path, "", "no list of images beside it", " or ".join(_LISTS), "add it")
