@@ -390,6 +390,9 @@ def test_faults_of_realitycapture_are_collected(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         read_capture(tmp_path, OPTIONS)
     assert "row 1 (a.png) roll" in str(caught.value) and "b.png = not found" in str(caught.value)
+    (tmp_path / "c.csv").write_text(head + '"a.png,0,0,1,0,90,0,20\n' + "a" * 140_000)
+    with pytest.raises(InputError, match="one row per camera"):
+        read_capture(tmp_path, OPTIONS)
     (tmp_path / "c.csv").write_text(head + "a.png,0,0,1,0,90,0,20\n")
     assert read_capture(tmp_path, OPTIONS).views[0].camera.fx_px == pytest.approx(600 * 20 / 36)
 

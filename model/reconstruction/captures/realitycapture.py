@@ -87,7 +87,11 @@ def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
     missing: list[str] = []
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     budget.spend("frames", len(lines), "rows")
-    for number, row in enumerate(csv.reader(lines), start=1):
+    try:
+        rows = list(csv.reader(lines))
+    except csv.Error as error:  # a quotation mark without a second one
+        raise input_error(path, "", str(error), "one row per camera", EXPORT_AGAIN) from None
+    for number, row in enumerate(rows, start=1):
         if [word.strip().lower() for word in row] == names:
             continue
         try:
