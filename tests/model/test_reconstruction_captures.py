@@ -141,6 +141,22 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no known format"):
         read_capture(tmp_path / "empty")
 
+    write_colmap(tmp_path / "zero", make_cameras(1), "binary", "PINHOLE", [50, 51, 32, 20])
+    file = tmp_path / "zero" / "cameras.bin"
+    file.write_bytes(file.read_bytes()[:16] + struct.pack("<QQ", 0, 0) + file.read_bytes()[32:])
+    write_images(tmp_path / "zero" / "images", 1)
+    write_mesh(tmp_path / "zero")
+    with pytest.raises(InputError, match="width_px"):
+        read_capture(tmp_path / "zero")
+
+
+def test_text_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    """As editors on Windows write it."""
+    write_colmap(tmp_path / "m", make_cameras(2), "text", "PINHOLE", [50, 51, 32, 20])
+    for name in ("cameras.txt", "images.txt"):
+        path = tmp_path / "m" / name
+        path.write_text("\ufeff" + path.read_text().replace("\n", "\r\n"), newline="")
+    assert len(read_colmap(tmp_path / "m", Budget("x"))) == 2
 
 @pytest.mark.parametrize("form", ["text", "binary"])
 def test_an_unsupported_lens_is_reported_once(tmp_path: Path, form: str) -> None:

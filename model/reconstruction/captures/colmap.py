@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from model.reconstruction.captures.posed import Calibration, PosedImage, pose_of
+from model.reconstruction.captures.posed import Calibration, PosedImage, pose_of, read_text
 
 MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -160,13 +159,7 @@ def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        if path.stat().st_size > MAX_TEXT_BYTES:
-            raise input_error(path, "", "a file of over 256 MB", "a COLMAP model", _REMEDY)
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise input_error(path, got=str(error), expected="a readable text file", remedy=_REMEDY) from None
-    return [line.strip() for line in text.splitlines() if not line.startswith("#")]
+    return [line.strip() for line in read_text(path).splitlines() if not line.startswith("#")]
 
 
 def _read_text_cameras(path: Path, budget: Budget) -> dict[int, _Lens]:
