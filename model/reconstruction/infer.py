@@ -18,6 +18,7 @@ the atlas is filled.
 from __future__ import annotations
 
 import hashlib
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -265,6 +266,8 @@ def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atl
     if size <= MEMORY_ATLAS:
         yield empty_atlas(size, has_confidence=has_confidence)
         return
+    for left in out.glob(".atlas-*"):  # by a run that was killed
+        shutil.rmtree(left)
     with tempfile.TemporaryDirectory(prefix=".atlas-", dir=out) as folder:
         yield empty_atlas(size, Path(folder), has_confidence=has_confidence)
 

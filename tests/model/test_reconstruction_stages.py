@@ -82,6 +82,14 @@ def test_traced_views_and_maps_are_freed_before_the_merge(tmp_path: Path) -> Non
     assert {("unwrap", 1), ("pack", 1), ("fill", 400), ("images", 4)} <= told
 
 
+def test_memory_of_a_killed_run_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(infer_module, "MEMORY_ATLAS", 32)
+    (tmp_path / ".atlas-killed").mkdir()
+    (tmp_path / ".atlas-killed" / "map").write_bytes(b"large")
+    infer(room_capture(2, (32, 24)), tmp_path, TRUTH, OPTIONS)
+    assert not list(tmp_path.glob(".atlas-*"))
+
+
 def test_maps_are_not_reused_for_other_photographs_or_statistics(tmp_path: Path) -> None:
     """Stored maps depend on the photographs' values and on the visibility test of their statistics."""
     source = untrained(tmp_path, 3)
