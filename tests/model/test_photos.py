@@ -152,16 +152,18 @@ def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
 
 def test_without_the_program_the_commands_are_printed(tmp_path: Path) -> None:
     images, _, _ = photographed(tmp_path)
-    words = ["photos", str(images), "--out", str(tmp_path / "out"), "--colmap", "no-such-colmap", "--quiet"]
+    words = ["photos", str(images), "--out", str(tmp_path / "out"), "--colmap", "no-such-colmap"]
+    words += ["--unit", "0.5", "--quiet"]
     refused = CliRunner().invoke(app, words)
     assert refused.exit_code != 0
     for text in (
         "apt-get install colmap",
         "feature_extractor",
         "mapper",
-        "materials photos",
+        "# then the same command again",
     ):
         assert text in refused.output
+    assert "materials photos" not in refused.output  # it would lack the options
     assert not (tmp_path / "out").exists()
     refused = CliRunner().invoke(app, ["photos", str(tmp_path / "truth"), "--out", str(tmp_path / "out")])
     assert refused.exit_code != 0 and "photographs = 0" in str(refused.exception) + refused.output

@@ -14,7 +14,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,8 +81,8 @@ def dense_step(program: str, photographs: Path, work: Path) -> Step:
     )  # fmt: skip
 
 
-def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
-    """Return the shell commands that install and run COLMAP and then run the command ``rest``."""
+def missing_program(program: str, photographs: Path, work: Path) -> str:
+    """Return the shell commands that install and run COLMAP."""
     found, largest = work / "found", work / "sparse" / "0"
     return "\n".join(
         [
@@ -91,7 +91,7 @@ def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[
             *(shlex.join(c) for step in camera_steps(program, photographs, work) for c in step.commands),
             f"mkdir -p {shlex.quote(str(largest.parent))}",
             f"cp -r {shlex.quote(str(found / '0'))} {shlex.quote(str(largest))}    # the largest model",
-            shlex.join(rest),
+            "# then the same command again",
         ]
     )
 

@@ -94,8 +94,7 @@ def make_asset(
     photographs = [] if given else photographs_in(folder)
     run = ColmapRun(options.program, folder, out / "colmap", say)
     if not given and not run.has_cameras and shutil.which(options.program) is None:
-        rest = ["materials", "photos", str(folder), "--out", str(out)]
-        say(missing_program(options.program, folder, out / "colmap", rest))
+        say(missing_program(options.program, folder, out / "colmap"))
         remedy = "install it and give the same command again, or run the commands above"
         raise InputError(Problem(options.program, "", "no such program", "COLMAP 3.7 or later", remedy))
     own_mesh = options.reading.mesh
