@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -140,7 +141,6 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no known format"):
         read_capture(tmp_path / "empty")
-
     write_colmap(tmp_path / "zero", make_cameras(1), "binary", "PINHOLE", [50, 51, 32, 20])
     file = tmp_path / "zero" / "cameras.bin"
     file.write_bytes(file.read_bytes()[:16] + struct.pack("<QQ", 0, 0) + file.read_bytes()[32:])
@@ -157,6 +157,7 @@ def test_text_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
         path = tmp_path / "m" / name
         path.write_text("\ufeff" + path.read_text().replace("\n", "\r\n"), newline="")
     assert len(read_colmap(tmp_path / "m", Budget("x"))) == 2
+
 
 @pytest.mark.parametrize("form", ["text", "binary"])
 def test_an_unsupported_lens_is_reported_once(tmp_path: Path, form: str) -> None:
@@ -343,6 +344,31 @@ def test_orientation_agrees_with_pillow(tmp_path: Path, orientation: int) -> Non
     else:
         with pytest.raises(InputError, match="size = 9x6"):
             fit_orientation(pixels, path, tall)
+
+
+@pytest.mark.parametrize("up", ["auto", "cameras"])
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_up_is_estimated_from_photographs_held_upright(
+    tmp_path: Path, orientation: int, up: Literal["auto", "cameras"]
+) -> None:
+    """Cameras calibrated on stored pixels, which EXIF turns. The world has z up."""
+    cameras = make_cameras(5)
+    stored = []
+    for index, camera in enumerate(cameras):
+        right, down, forward = camera.world_from_camera[:3, :3].T
+        axes = {1: (right, down), 3: (-right, -down), 6: (down, -right), 8: (-down, right)}[orientation]
+        pose = camera.world_from_camera.copy()
+        pose[:3, :3] = np.stack([*axes, forward], axis=1)
+        stored.append(replace(camera, world_from_camera=pose))
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.new("RGB", SIZE, (90, 90, 90)).save(tmp_path / f"img{index}.png", exif=exif)
+    write_colmap(tmp_path / "sparse", stored, "text", "PINHOLE", [55, 57, 31, 21.5])
+    write_mesh(tmp_path)
+    capture = read_capture(tmp_path, CaptureOptions(images=tmp_path, up=up))
+    for view, camera in zip(capture.views, cameras, strict=True):
+        assert view.camera.forward[2] == pytest.approx(camera.forward[2], abs=1e-6)
+        assert view.camera.position_m[2] == pytest.approx(camera.position_m[2], abs=1e-6)
 
 
 def test_encodings(tmp_path: Path) -> None:

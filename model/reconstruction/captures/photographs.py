@@ -19,7 +19,12 @@ from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import normalized
-from model.reconstruction.captures.photograph_files import is_raw, pillow_formats, read_stored
+from model.reconstruction.captures.photograph_files import (
+    is_raw,
+    photograph_size,
+    pillow_formats,
+    read_stored,
+)
 
 PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
@@ -28,6 +33,7 @@ MIN_CLIPPED_SHARE = 0.02
 """Share of clipped pixels in a resampled pixel above which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
+_QUARTER_TURNS = {3: 2, 4: 2, 5: 1, 6: 1, 7: 3, 8: 3}  # clockwise, to turn a stored image upright
 _ASPECT_SLACK_PX = 1.0  # since calibrations round sizes differently
 
 
@@ -103,9 +109,8 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
     return np.ascontiguousarray(np.flip(pixels, flips)) if flips else np.ascontiguousarray(pixels)
 
 
-def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
-    height, width = pixels.shape[:2]
-    return abs(width * camera.height_px / camera.width_px - height) <= _ASPECT_SLACK_PX
+def _has_shape_of(width: int, height: int, camera: Camera) -> bool:
+    return abs(width * camera.height_px - height * camera.width_px) <= _ASPECT_SLACK_PX * camera.width_px
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
@@ -114,14 +119,26 @@ def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
     Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
     image has the camera's aspect ratio.
     """
-    if _has_shape_of(pixels, camera):
+    if _has_shape_of(pixels.shape[1], pixels.shape[0], camera):
         return pixels
     turned = upright(pixels, exif_orientation(path))
-    if _has_shape_of(turned, camera):
+    if _has_shape_of(turned.shape[1], turned.shape[0], camera):
         return turned
     got = f"{pixels.shape[1]}x{pixels.shape[0]}"
     expected = f"the shape of its camera, {camera.width_px}x{camera.height_px}"
     raise input_error(path, "size", got, expected, "use the calibrated images, uncropped")
+
+
+def upright_pose(camera: Camera, path: Path) -> NDArray[np.float64]:
+    """Compute world_from_camera (4, 4) of ``camera`` with the photograph ``path`` held upright.
+
+    It differs from the camera's if EXIF turns the photograph and the camera was calibrated on stored pixels.
+    """
+    pose = camera.world_from_camera.copy()
+    turns = _QUARTER_TURNS.get(exif_orientation(path), 0)
+    if turns and _has_shape_of(*photograph_size(path), camera):
+        pose[:3, :2] = pose[:3, :2] @ np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), turns)
+    return pose
 
 
 def linearized(pixels: NDArray, encoding: Encoding) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,11 +58,12 @@ from model.reconstruction.captures.frames import (
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
 from model.reconstruction.captures.options import (
     DEFAULT_MAX_WIDTH_PX,
+    Axis,
     CaptureOptions,
     Exposure,
 )
 from model.reconstruction.captures.package import is_package, read_package
-from model.reconstruction.captures.photographs import PhotographSource
+from model.reconstruction.captures.photographs import PhotographSource, upright_pose
 from model.reconstruction.captures.posed import Calibration, ImageFinder
 from model.reconstruction.captures.rendered import library_of, read_shard
 
@@ -204,13 +206,11 @@ def _calibrated(
     where = found.relative_to(path).as_posix() if found != path and found.is_relative_to(path) else found.name
     kind = "" if where == form.name else f" ({form.name})"
     notes = [f"{len(calibration.images)} cameras in {where}{kind}", *calibration.notes]
-    up, unit_m = options.up, options.unit_m
-    loaded = None
-    cameras = [image.camera for image in calibration.images]
-    if up == "auto":
-        up, note = judged_up(cameras)
-        notes.append(note)
-    rotation = level_rotation(cameras) if up == "cameras" else z_up_from(up)
+    finder = ImageFinder(calibration.folder)
+    files = [finder.find(image.file) for image in calibration.images]
+    rotation, up_notes = _rotation(options.up, [image.camera for image in calibration.images], files)
+    notes += up_notes
+    loaded, unit_m = None, options.unit_m
     if unit_m is None:
         loaded = load_mesh(mesh, budget)
         size = np.ptp(loaded.positions, axis=0) if len(loaded.positions) else np.zeros(3)
@@ -218,12 +218,10 @@ def _calibrated(
         notes.append(note)
     elif not (np.isfinite(unit_m) and unit_m > 0):
         raise input_error("--unit", "", unit_m, "metres per unit, above 0", "correct it")
-    finder = ImageFinder(calibration.folder)
     names: set[str] = set()
     photographs, problems = [], []
     missing: list[str] = []
-    for image in calibration.images:
-        file = finder.find(image.file)
+    for image, file in zip(calibration.images, files, strict=True):
         if file is None:
             missing.append(image.file)
             continue
@@ -249,6 +247,24 @@ def _calibrated(
         mesh=MeshRecord(file=str(mesh), world_from_mesh=rows),  # type: ignore[arg-type]
     )
     return record, tuple(notes), loaded
+
+
+def _rotation(
+    up: Literal["auto", "cameras", Axis], cameras: Sequence[Camera], files: Sequence[Path | None]
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Return the rotation (3, 3) that maps ``up`` to +z, if required estimated from the poses in which
+    ``cameras`` hold their photographs ``files`` upright, and notes about the estimate.
+    """
+    if up != "auto" and up != "cameras":
+        return z_up_from(up), []
+    held = [
+        replace(camera, world_from_camera=upright_pose(camera, file)) if file else camera
+        for camera, file in zip(cameras, files, strict=True)
+    ]
+    if up == "cameras":
+        return level_rotation(held), []
+    axis, note = judged_up(held)
+    return z_up_from(axis), [note]
 
 
 def has_cameras(path: Path) -> bool:
