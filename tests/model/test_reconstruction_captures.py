@@ -15,7 +15,9 @@ import OpenEXR
 import pytest
 from PIL import Image, ImageOps
 
-from datagen.formats.capture import Distortion
+from datagen.formats.base import canonical_json
+from datagen.formats.capture import CaptureFile, Distortion, MeshRecord, PhotographRecord
+from datagen.formats.configuration import ViewCamera
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
@@ -32,7 +34,7 @@ from model.reconstruction.captures.photographs import (
     undistorted,
     upright,
 )
-from model.reconstruction.captures.read import capture_file, read_capture, write_capture
+from model.reconstruction.captures.read import read_capture
 from tests.datagen.small_library import box, with_uv
 
 SIZE = (64, 40)
@@ -204,8 +206,12 @@ def test_colmap_capture_is_opened_and_round_trips(tmp_path: Path) -> None:
     stored = np.random.default_rng(1).integers(0, 256, (SIZE[1], SIZE[0], 3)) / 255
     np.testing.assert_allclose(image.color, linear_from_srgb(stored), atol=1e-6)
     assert image.valid_mask.all()
-    record, _ = capture_file(tmp_path, CaptureOptions())
-    write_capture(tmp_path, record)
+    photographs = [
+        PhotographRecord(camera=ViewCamera.from_camera(v.name, v.camera), image=f"images/{v.name}.png")
+        for v in capture.views
+    ]
+    record = CaptureFile(name="room", photographs=tuple(photographs), mesh=MeshRecord(file="room.ply"))
+    (tmp_path / "capture.json").write_bytes(canonical_json(record))
     again = read_capture(tmp_path / "capture.json")
     for a, b in zip(capture.views, again.views, strict=True):
         np.testing.assert_array_equal(a.camera.world_from_camera, b.camera.world_from_camera)

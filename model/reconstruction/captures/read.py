@@ -8,7 +8,6 @@ require a mesh file; ``CaptureOptions`` defines the axes and units of cameras an
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from datagen.formats.base import canonical_json, problems_of, read_json, write_bytes_atomically
+from datagen.formats.base import problems_of, read_json
 from datagen.formats.capture import (
     CAPTURE_FILE,
     Capture,
@@ -182,18 +181,12 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
     return read_shard(path, library_of(path, options.library))
 
 
-def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
-    """Make the content of ``capture.json``, with absolute paths, for calibrated photographs at ``path``; also
-    return notes for the user. Raises :class:`InputError`.
-    """
-    record, notes, _ = _calibrated(path, options, Budget(path, options.limits))
-    return record, notes
-
-
 def _calibrated(
     path: Path, options: CaptureOptions, budget: Budget
 ) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
-    """Like :func:`capture_file`; also return the mesh in its own frame if the unit was estimated from it."""
+    """Make the content of ``capture.json``, with absolute paths, for calibrated photographs at ``path``; also
+    return notes for the user, and the mesh in its own frame if the unit was estimated from it.
+    """
     form, found = _form_of(path)
     try:
         calibration = form.read(found, options.images, budget)
@@ -280,29 +273,6 @@ def _form_of(path: Path) -> tuple[Form, Path]:
     expected = f"a shard, capture.json, an environment package or {', '.join(f.name for f in FORMS)}"
     got = "no known format" if path.exists() else "no such file or folder"
     raise input_error(path, "", got, expected, "check the path")
-
-
-def write_capture(folder: Path, record: CaptureFile) -> Path:
-    """Write ``capture.json`` to ``folder`` and return its path; paths below the folder become relative."""
-    folder.mkdir(parents=True, exist_ok=True)
-
-    def relative(name: str) -> str:
-        target = Path(name).resolve()
-        return target.relative_to(folder.resolve()).as_posix() if _is_below(target, folder) else str(target)
-
-    photographs = tuple(
-        photograph.model_copy(update={"image": relative(photograph.image)})
-        for photograph in record.photographs
-    )
-    mesh = record.mesh.model_copy(update={"file": relative(record.mesh.file)})
-    path = folder / CAPTURE_FILE
-    updated = record.model_copy(update={"photographs": photographs, "mesh": mesh})
-    write_bytes_atomically(path, canonical_json(updated))
-    return path
-
-
-def _is_below(target: Path, folder: Path) -> bool:
-    return os.path.commonpath([target, folder.resolve()]) == str(folder.resolve())
 
 
 def open_capture(
