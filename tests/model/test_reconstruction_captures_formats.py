@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -430,6 +431,9 @@ def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
         world[:3, :3] = turned
         return Camera(*SIZE, 500, 500, 300, 200, world @ look_at(np.zeros(3), np.array(way)))
 
+    def rolled(camera: Camera) -> Camera:
+        return replace(camera, world_from_camera=camera.world_from_camera @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+
     turned = Rotation.random(random_state=3).as_matrix()
     ring = [camera(heading, 10 + heading / 8) for heading in range(0, 200, 20)]
     up = level_rotation(ring) @ turned
@@ -439,6 +443,9 @@ def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
     assert (turned.T @ mean / np.linalg.norm(mean))[2] < np.cos(np.radians(10))
     ahead = level_rotation([camera(heading, 20) for heading in (-3, 0, 3)]) @ turned
     assert ahead[2, 2] == pytest.approx(np.cos(np.radians(20)), abs=1e-3)
+    for downward in ([camera(heading, 89) for heading in (0, 90, 180, 270)], [*ring[:1], rolled(ring[0])]):
+        with pytest.raises(InputError, match="name the axis with --up"):
+            level_rotation(downward)
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import input_error
 from model.reconstruction.captures.options import Axis
 
 AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)
 _MIN_AGREEMENT = 0.3  # minimum length of the mean up vector, near 0 for cameras that look down
+_MIN_UPRIGHT = 0.05  # minimum component of the mean up vector along the estimated axis, to know its sign
 _MIN_TURN = np.sin(np.radians(10.0)) ** 2  # variance of directions at 10 degrees from their mean
 _LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0
 _SMALLEST_ROOM = 1.0
@@ -44,12 +46,16 @@ def z_up_from(up: Axis) -> NDArray[np.float64]:
 def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     """Compute the rotation (3, 3) that maps the up direction to +z, estimated from cameras without roll.
 
-    If the pixel rows of all images are almost parallel, up is the cameras' mean up direction.
+    If the pixel rows of all images are almost parallel, up is the cameras' mean up direction. Raises
+    :class:`InputError` if the cameras' up directions cancel, as of cameras that look straight down.
     """
     along_rows = np.array([camera.world_from_camera[:3, 0] for camera in cameras])
     mean_up = -np.mean([camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
     variance, directions = np.linalg.eigh(along_rows.T @ along_rows / len(cameras))
     up = directions[:, 0] if variance[1] > _MIN_TURN else mean_up
+    if abs(up @ mean_up) <= _MIN_UPRIGHT * np.linalg.norm(up):
+        expected = "photographs held upright, of which the axis is estimated"
+        raise input_error("--up", "cameras", "no common up direction", expected, "name the axis with --up")
     up = up * np.sign(up @ mean_up) / np.linalg.norm(up)
     level = along_rows - np.outer(along_rows @ up, up)
     lengths = np.linalg.norm(level, axis=1)
