@@ -181,6 +181,7 @@ def _claim(traced: TracedCapture, source: MapSource, run: Run) -> None:
         raise input_error(run.out, "state.json", "other work", expected, "choose another --out or remove it")
     (run.out / "views").mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, state)
+    (run.out / "report.json").unlink(missing_ok=True)  # that of earlier options
 
 
 def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:

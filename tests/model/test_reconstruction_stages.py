@@ -90,6 +90,18 @@ def test_memory_of_a_killed_run_is_removed(tmp_path: Path, monkeypatch: pytest.M
     assert not list(tmp_path.glob(".atlas-*"))
 
 
+def test_an_interrupted_run_leaves_no_report_of_an_earlier_one(tmp_path: Path) -> None:
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "images":
+            raise KeyboardInterrupt
+
+    infer(room_capture(2, (32, 24)), tmp_path, TRUTH, OPTIONS)
+    assert (tmp_path / "report.json").is_file()
+    with pytest.raises(KeyboardInterrupt):
+        infer(room_capture(2, (32, 24)), tmp_path, TRUTH, replace(OPTIONS, atlas=96), stop)
+    assert not (tmp_path / "report.json").exists()
+
+
 def test_maps_are_not_reused_for_other_photographs_or_statistics(tmp_path: Path) -> None:
     """Stored maps depend on the photographs' values and on the visibility test of their statistics."""
     source = untrained(tmp_path, 3)
