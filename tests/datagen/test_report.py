@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datagen.farm.collect import collect
 from datagen.formats.lights import AreaLight, PointLight, SkyLight
 from datagen.formats.shard import Dataset, DatasetIndex, ShardReader
 from datagen.foundation.buffers import MATERIAL_MAPS
@@ -38,6 +39,7 @@ from datagen.inspection.report.writing import (
 )
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsView
+from tests.datagen.small_plan import plan_small
 from tests.datagen.small_rendered import predict, rendered_dataset
 
 
@@ -393,6 +395,13 @@ def test_wrong_folders_and_options_are_refused(dataset: Path, tmp_path: Path) ->
     with pytest.raises(InputError, match="--pixels"):
         parse_pixels("many")
     assert parse_pixels("all") is None and parse_pixels("12") == 12
+
+
+def test_a_dataset_without_shards_is_refused(tmp_path: Path) -> None:
+    folder = plan_small(tmp_path / "dataset", tmp_path / "library", num_units=1, num_views=2)
+    collect(folder.root)
+    with pytest.raises(InputError, match="no shards"):
+        write_report(folder.root, tmp_path / "page", ReportOptions())
 
 
 def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

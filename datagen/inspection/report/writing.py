@@ -28,7 +28,7 @@ from urllib.parse import quote
 
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import write_bytes_atomically
-from datagen.formats.shard import Dataset, DatasetIndex
+from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex
 from datagen.foundation.buffers import BUFFERS, MIN_COVERAGE
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.color_maps import cividis
@@ -129,9 +129,12 @@ def write_report(
     """Write the report of a dataset folder into ``out``, or update an existing one.
 
     ``progress(stage, done, total)`` counts shards. Raises :class:`InputError` if the folder has no index,
-    ``out`` contains other files, no shard can be read, or source views are requested without LLVM.
+    ``out`` contains other files, there is no readable shard, or source views are requested without LLVM.
     """
     index = Dataset(folder).index
+    if not index.shards:
+        remedy = "render the plan first: datagen run"
+        raise input_error(folder / INDEX_FILE, "", "no shards", "at least one", remedy)
     _check_out(out)
     out.mkdir(parents=True, exist_ok=True)
     tell = partial(progress, "verify") if progress is not None else None
@@ -145,7 +148,7 @@ def write_report(
     ]
     gathered, unreadable = _run_jobs(jobs, gather_shard, "figures", options.workers, progress)
     if not gathered:
-        raise InputError(*(unreadable[0][1].problems if unreadable else ()))
+        raise InputError(*unreadable[0][1].problems)
     damaged = {job.shard for job, _ in unreadable}
     pairs = [
         CompareJob(job.shard, job.record, out, method, job.with_pixels)
