@@ -513,6 +513,8 @@ def test_options_for_predictions_are_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a distinct name"):
         parse_methods(folders, [])
     assert [m.slug for m in parse_methods(folders, ["A+", "A-"])] == ["a", "a-1"]
+    slugs = [m.slug for m in parse_methods([*folders, tmp_path], ["a-2", "a", "A"])]
+    assert len(set(slugs)) == 3
     with pytest.raises(InputError) as caught:
         parse_methods([tmp_path / "none"], ["x", "y"])
     assert len(caught.value.problems) == 2

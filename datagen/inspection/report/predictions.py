@@ -14,6 +14,7 @@ Errors are mean squared errors of linear values over a view's surface pixels and
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -90,9 +91,10 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
         problems.append(Problem("--label", "", repr(name), "a distinct name for each method", remedy))
     raise_problems(problems)
     slugs: list[str] = []
-    for number, name in enumerate(names):
-        slug = re.sub(r"[^a-z0-9]+", "-", transliterated(name).lower()).strip("-") or "method"
-        slugs.append(slug if slug not in slugs else f"{slug}-{number}")
+    for name in names:
+        base = re.sub(r"[^a-z0-9]+", "-", transliterated(name).lower()).strip("-") or "method"
+        numbered = (f"{base}-{number}" for number in itertools.count(1))
+        slugs.append(next(slug for slug in itertools.chain([base], numbered) if slug not in slugs))
     return tuple(Method(*parts) for parts in zip(names, slugs, folders, strict=True))
 
 
