@@ -11,6 +11,7 @@ import base64
 import html
 import io
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,11 @@ class Preview:
 
     def _views(self) -> list[Path]:
         """Paths of the view records of units in progress."""
-        return list((self.root / "work").glob("*/rendered/*.json"))
+        found: list[Path] = []
+        for folder in (self.root / "work").glob("*/rendered"):
+            with suppress(FileNotFoundError):  # the unit has been packed
+                found += folder.glob("*.json")
+        return found
 
     def _update_pictures(self) -> None:
         """Encode pictures of the newest views since the last call, and drop the oldest pictures."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 import re
 import shutil
 from pathlib import Path
@@ -86,6 +87,24 @@ def test_a_missing_or_damaged_view_is_skipped(tmp_path: Path, clock: list[float]
     (folder / "view-002.exr").unlink()
     page.update(1)
     assert list(_pictures(page.path.read_text())) == ["small-00000 / view-000"]
+
+
+def test_a_unit_may_be_packed_while_its_views_are_listed(
+    tmp_path: Path, clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = Preview(tmp_path, 4)
+    _render(tmp_path, 2, "small-00000-k")
+    packed = _render(tmp_path, 2, "small-00001-k")
+    scandir = os.scandir
+
+    def packs(path: object) -> object:
+        if isinstance(path, str | Path) and Path(path) == packed:
+            shutil.rmtree(packed.parent)
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", packs)
+    page.update(2)
+    assert not packed.exists() and len(_pictures(page.path.read_text())) == 2
 
 
 def test_failures_are_shown_as_text(tmp_path: Path, clock: list[float]) -> None:
