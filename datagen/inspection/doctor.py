@@ -151,12 +151,19 @@ def program_finding(title: str, command: str, purpose: str, debian: str) -> Find
         how = _installing(title, debian)
         return Finding(title, f"no {command}", False, False, f"for {purpose}: {how}")
     if title == "Blender":
-        done = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=60, check=False)
-        found = re.search(r"Blender (\d+)\.(\d+)", done.stdout)
-        if found and (int(found[1]), int(found[2])) < MIN_BLENDER:
+        found = re.search(r"Blender (\d+)\.(\d+)", _output_of([path, "--version"]))
+        if found is None or (int(found[1]), int(found[2])) < MIN_BLENDER:
             remedy = f"for {purpose}: {_installing(title, debian)}"
-            return Finding(title, f"{found[0]} ({path})", False, False, remedy)
+            return Finding(title, f"{found[0] if found else 'no version'} ({path})", False, False, remedy)
     return Finding(title, path, True, False)
+
+
+def _output_of(command: list[str]) -> str:
+    """Standard output of a program; '' if it is missing, cannot be executed, or takes over a minute."""
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=60).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
 
 
 def _installing(title: str, debian: str) -> str:
@@ -183,8 +190,7 @@ def gpu_finding() -> Finding:
     if not has_cuda():
         return Finding("GPU", "none; rendering runs on the CPU", True, False)
     command = ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"]
-    names = subprocess.run(command, capture_output=True, text=True)
-    found = "; ".join(names.stdout.strip().splitlines()) or "NVIDIA driver found"
+    found = "; ".join(_output_of(command).strip().splitlines()) or "NVIDIA driver found"
     if not uses_optix(CUDA_VARIANT):
         found += f"; OIDN denoises on the CPU, as {OPTIX_WEIGHTS} is missing"
         return Finding("GPU", found, False, False, "containers: NVIDIA_DRIVER_CAPABILITIES=all")

@@ -102,6 +102,18 @@ def test_doctor_reports_a_gpu_without_denoiser(monkeypatch: pytest.MonkeyPatch, 
     assert ("NVIDIA_DRIVER_CAPABILITIES" in finding.remedy) != has_weights
 
 
+def test_doctor_survives_programs_that_do_not_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    broken = tmp_path / "blender"
+    broken.write_text("an incomplete download")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))  # has no nvidia-smi, as containers without "utility"
+    monkeypatch.setattr(doctor, "has_cuda", lambda: True)
+    monkeypatch.setattr(doctor, "uses_optix", lambda variant: True)
+    assert doctor.gpu_finding() == doctor.Finding("GPU", "NVIDIA driver found", True, False)
+    finding = doctor.program_finding("Blender", *doctor.PROGRAMS["Blender"])
+    assert not finding.is_fine and str(broken) in finding.value and "blender.org" in finding.remedy
+
+
 @pytest.mark.parametrize("module", ["datagen", "model.cli"])
 def test_the_commands_print_their_version(module: str) -> None:
     command = [sys.executable, "-m", module, "--version"]
