@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.shard import Dataset, ShardReader, View
 from datagen.foundation.color import luminance
-from datagen.foundation.errors import input_error
+from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.paths import inside
 from datagen.inspection.findings import Fault, Report
 from datagen.library import Library
 from datagen.rendering.error import relative_mse_of_parts
@@ -96,11 +97,15 @@ def recheck(
 ) -> list[Rechecked]:
     """Render ``count`` random views again with ``samples`` paths per pixel, and compare them.
 
-    The recipe's seed selects the views. Faults and notes are added to ``report``; a configuration whose
-    assets have changed is skipped with a note. ``progress(done, total)`` counts views. The arguments must
-    pass :func:`check_recheck`.
+    The recipe's seed selects the views. Faults and notes are added to ``report``; a configuration that is
+    damaged or whose assets have changed is skipped with a note, as are all without an index.
+    ``progress(done, total)`` counts views. The arguments must pass :func:`check_recheck`.
     """
-    dataset = Dataset(folder)
+    try:
+        dataset = Dataset(folder)
+    except InputError as error:
+        report.notes.append(f"no view was rendered again: {error}")
+        return []
     places = [(k, view) for k, shard in enumerate(dataset.index.shards) for view in range(shard.num_views)]
     chosen = np.random.default_rng([dataset.index.recipe.seed, count]).permutation(len(places))[:count]
     wanted: dict[int, list[int]] = {}
@@ -109,7 +114,11 @@ def recheck(
         wanted.setdefault(shard, []).append(view)
     found: list[Rechecked] = []
     for shard, views in wanted.items():
-        found += _recheck_shard(dataset.shard_paths()[shard], set(views), library, samples, report)
+        file = dataset.index.shards[shard].file
+        try:
+            found += _recheck_shard(inside(folder, folder / file), set(views), library, samples, report)
+        except InputError as error:
+            report.notes.append(f"{file} was not rendered again: {error}")
         if progress is not None:
             progress(len(found), len(chosen))
     report.applied["recheck"] += len(found)

@@ -112,7 +112,21 @@ def test_unsupported_rechecks_are_reported_before_the_dataset_is_verified(
     shutil.copytree(dataset, tmp_path / "copy", ignore=shutil.ignore_patterns("dataset.json"))
     with pytest.raises(InputError, match="name it with --library"):
         verify_command(tmp_path / "copy", recheck=1)
-    nothing = Report("")
     (tmp_path / "empty").mkdir()
+    nothing = Report("")
     assert recheck(dataset, Library([tmp_path / "empty"]), 2, 4, nothing) == []
     assert "is missing or has changed" in nothing.notes[0] and nothing.applied["recheck"] == 0
+
+
+@pytest.mark.parametrize("damaged", ["index.json", "shards"])
+def test_faults_are_reported_if_a_damaged_dataset_is_rechecked(
+    dataset: Path, damaged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(dataset, copy)
+    for path in [copy / damaged] if damaged != "shards" else sorted((copy / damaged).iterdir()):
+        path.write_bytes(path.read_bytes()[:2000])
+    library = [dataset.parent / "library"]
+    assert verify_command(copy, library, recheck=4, recheck_samples=4, as_json=True) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["num_errors"] and any("rendered again" in note for note in report["notes"])
