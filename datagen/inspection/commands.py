@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from datagen.foundation.command_line import with_options
+from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Bars
 
 
@@ -116,6 +117,9 @@ def report(
     Example: datagen report smoke --workers 2
     """
     if sheets_only:
+        if dry_run or out is not None:
+            got, expected = "with --out or --dry-run", "neither: sheets are written to the dataset at once"
+            raise input_error("--sheets-only", "", got, expected, "leave them out")
         write_sheets(folder)
         return
     from datagen.inspection.report.command import parse_pixels, report_command

@@ -149,6 +149,7 @@ WRONG = [
     ("datagen report nope", ("nope/index.json: no such file",)),
     ("datagen report rooms --pixels lots", ("--pixels", '"all"')),
     ("datagen report rooms --cost -1", ("'--cost'",)),
+    ("datagen report rooms --sheets-only --dry-run", ("--sheets-only", "--dry-run")),
     ("datagen verify rooms --recheck 1 --recheck-samples 6", ("--recheck-samples = 6", "a multiple of 4")),
     ("python -m datagen.inspection.render_package nope --out x", ("nope: no such folder",)),
     ("python -m datagen.tradeoff nope --out x", ("nope/plan.json: no plan here", "datagen plan")),
