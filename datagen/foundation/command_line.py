@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import inspect
+import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
@@ -47,6 +48,14 @@ VersionOption = Annotated[
     bool,
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
 ]
+
+
+def finite(value: float | None) -> float | None:
+    """Callback of an option that refuses infinity, which a minimum allows, and NaN."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} is not finite")
+    return value
+
 
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from datagen.foundation.command_line import with_options
+from datagen.foundation.command_line import finite, with_options
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Bars
 
@@ -88,7 +88,9 @@ class ReportWords:
     pixels: Annotated[str, typer.Option(help="Number of views with pixels for the viewer, or all.")] = "400"
     sources: Annotated[bool, typer.Option(help="Write which views each pixel's statistics use.")] = True
     check: Annotated[bool, typer.Option("--verify/--no-verify", help="Verify the dataset first.")] = True
-    cost: Annotated[float, typer.Option(min=0, help="Price of one unit's resources per hour.")] = 0.0
+    cost: Annotated[
+        float, typer.Option(min=0, callback=finite, help="Price of one unit's resources per hour.")
+    ] = 0.0
     predictions: Annotated[
         tuple[Path, ...],
         typer.Option(help="Folder of predicted maps to compare with the ground truth, repeatable."),

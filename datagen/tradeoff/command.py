@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from datagen.farm.worker import EXIT_INTERRUPTED
-from datagen.foundation.command_line import with_options
+from datagen.foundation.command_line import finite, with_options
 from datagen.foundation.errors import InputError
 from datagen.foundation.progress import Bars
 from datagen.tradeoff.selection import Point, front_of, points_of, recommend
@@ -25,7 +25,10 @@ class Limits:
     rel_mse: Annotated[
         float | None,
         typer.Option(
-            "--max-rel-mse", min=0, help="Recommend the cheapest setting with at most this relMSE of beauty."
+            "--max-rel-mse",
+            min=0,
+            callback=finite,
+            help="Recommend the cheapest setting with at most this relMSE of beauty.",
         ),
     ] = None
     maps_error: Annotated[
@@ -33,6 +36,7 @@ class Limits:
         typer.Option(
             "--max-maps-error",
             min=0,
+            callback=finite,
             help="Maximum mean absolute error of the ground-truth maps of the recommended setting.",
         ),
     ] = None
@@ -41,6 +45,7 @@ class Limits:
         typer.Option(
             "--max-statistics-error",
             min=0,
+            callback=finite,
             help="Maximum mean absolute error of the statistics of the recommended setting.",
         ),
     ] = None
