@@ -213,10 +213,16 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
 
 
 def _one_at_a_time(points: Sequence[Point], base: Setting, name: str) -> list[Point]:
-    """Select the base and the points that differ from it only in field ``name``, sorted by its value."""
+    """Select the base and the points that differ from it only in field ``name``, sorted by its value; names
+    are in the order of :data:`SWEEPS`, others (the denoiser of a GPU) last."""
     some = [p for p in points if set(p.setting.differences(base)) <= {name}]
-    order = {value: k for k, value in enumerate(SWEEPS[name])}
-    return sorted(some, key=lambda p: (order.get(getattr(p.setting, name), 0.5), getattr(p.setting, name)))
+    order = {value: k for k, value in enumerate(SWEEPS[name]) if isinstance(value, str)}
+
+    def place(point: Point) -> float:
+        value = getattr(point.setting, name)
+        return order.get(value, len(order)) if order else float(value)
+
+    return sorted(some, key=place)
 
 
 # ---- page

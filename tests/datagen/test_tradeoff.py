@@ -29,7 +29,7 @@ from datagen.tradeoff.selection import (
 )
 from datagen.tradeoff.settings import FACTORIAL, SWEEPS, Setting, planned_settings
 from datagen.tradeoff.sweep import Sweep, SweepOptions
-from datagen.tradeoff.writing import Results, csv_columns, front_figure
+from datagen.tradeoff.writing import Results, csv_columns, front_figure, sweeps_figure
 from mitsuba_plugins.variant import has_cuda
 from tests.datagen.small_plan import plan_small
 
@@ -161,6 +161,18 @@ def test_the_front_marks_settings_unlike_the_base() -> None:
     points = [replace(point(1.0, 0.1), setting=replace(base, **c)) for c in ({}, {"max_depth": 8})]
     (axes,) = front_figure(points, Results([], base, [], {})).axes
     assert [line.get_marker() for line in axes.lines[:2]] == ["o", "x"]
+
+
+def test_values_of_a_sweep_are_in_order() -> None:
+    points = [point(1.0, 0.1, path_samples=n) for n in (BASE.path_samples, 256, 128, 2)]
+    points += [point(1.0, 0.1, denoiser=mode) for mode in ("unguided", "none")]
+    figure = sweeps_figure(points, BASE)
+    assert figure is not None
+    shown = {axes.get_title().split()[0]: list(axes.lines[0].get_xdata()) for axes in figure.axes}
+    assert shown == {
+        "path_samples": ["2", "8", "128", "256"],
+        "denoiser": ["none", "high", "unguided"],
+    }
 
 
 # ---- a sweep
