@@ -107,7 +107,7 @@ class Sweep:
         raise_problems(problems)
         paths = tuple(map(str, folder.library_paths()))
         subjects = []
-        for index in options.configurations:
+        for index in dict.fromkeys(options.configurations):
             configuration = sized(folder.read_configuration(units[index]), options.size, options.views)
             key = reference_key(configuration, options.reference_samples)
             reference = Reference(self.out / "references" / key, len(configuration.cameras))
@@ -131,9 +131,10 @@ class Sweep:
     def description(self) -> dict[str, str]:
         """Conditions of the sweep for its report, by name."""
         options = self.options
+        views = " or ".join(dict.fromkeys(str(s.reference.num_views) for s in self.subjects))
         return {
             "configurations": ", ".join(s.configuration.id for s in self.subjects),
-            "views": f"{options.views} of {options.size[0]}x{options.size[1]} a configuration",
+            "views": f"{views} of {options.size[0]}x{options.size[1]} a configuration",
             "reference": f"2 x {options.reference_samples} paths a pixel",
             "base": ", ".join(f"{name} {value}" for name, value in asdict(self.base).items() if value != ""),
             "machine": f"{os.cpu_count()} cores, {platform.processor() or platform.machine()}",
