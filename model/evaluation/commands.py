@@ -63,10 +63,10 @@ def evaluate(
     else:
         write_results(evaluation.result, evaluation.truth, out)
     typer.echo((out / "evaluation.md").read_text(encoding="utf-8"))
+    for name, reason in evaluation.result.failures.items():
+        typer.echo(f"scene {name} has no figures:\n{reason}", err=True)
     if other is not None:
         typer.echo(comparison(evaluation.result, other).markdown())
     typer.echo(str(out / "index.html"))
-    for name, reason in evaluation.result.failures.items():
-        typer.echo(f"scene {name} has no figures:\n{reason}", err=True)
     if evaluation.result.failures:
         raise typer.Exit(1)

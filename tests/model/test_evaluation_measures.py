@@ -18,7 +18,9 @@ from datagen.formats.lights import DirectionalLight
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
 from datagen.foundation.meshes.mesh import Mesh, joined
+from model.evaluation import commands
 from model.evaluation.compare import comparison, read_other
+from model.evaluation.evaluate import Evaluation
 from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures, level_figures, measures_of_others
 from model.evaluation.noise import bootstrap_error, difference, seed_spread
@@ -309,3 +311,15 @@ def test_two_runs_are_compared_beyond_noise(tmp_path: Path) -> None:
         read_other(tmp_path / "nothing")
     with pytest.raises(InputError, match="same views"):
         comparison(better, other.model_copy(update={"scenes": ()}))
+
+
+def test_failed_scenes_are_named_before_a_comparison_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = _run({"view-0": 20.0}, {})
+    (tmp_path / "evaluation.json").write_bytes(canonical_json(other))
+    failed = other.model_copy(update={"scenes": (), "failures": {"room": "no lamp"}})
+    monkeypatch.setattr("model.evaluation.evaluate.evaluate", lambda *_: Evaluation(failed, {}))
+    with pytest.raises(InputError, match="same views"):
+        commands.evaluate(Path("small"), tmp_path / "out", compare=tmp_path, quiet=True)
+    assert "scene room has no figures:\nno lamp" in capsys.readouterr().err
