@@ -113,7 +113,7 @@ def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels, np.float32)
     if width > max_width_px:
-        size = (max_width_px, round(height * max_width_px / width))
+        size = (max_width_px, max(1, round(height * max_width_px / width)))
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
     return (np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8)
 

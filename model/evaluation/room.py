@@ -45,6 +45,8 @@ from model.checkpoint import CheckpointCard
 from model.evaluation.drawn_room import RECIPE_SUFFIXES, draw_room, imported, recipe_library
 from model.evaluation.photographer import choose_cameras
 
+Side = Annotated[int, Field(ge=16, le=16384)]
+"""Side of an image in pixels. LPIPS-VGG, which halves images four times, needs 16, SSIM 11."""
 _SCENE_FILE = "scene.xml"
 
 
@@ -67,10 +69,7 @@ class TestScene(StrictModel):
     source: Path
     views: Annotated[int, Field(ge=1, le=4096)] = 40
     novel_views: Annotated[int, Field(ge=0, le=4096)] = 10
-    resolution: tuple[Annotated[int, Field(ge=8, le=16384)], Annotated[int, Field(ge=8, le=16384)]] = (
-        640,
-        384,
-    )
+    resolution: tuple[Side, Side] = (640, 384)
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     render: RenderRecipe = Field(default_factory=lambda: RenderRecipe(quality="standard"))
     judged: RenderRecipe | None = None

@@ -22,6 +22,7 @@ from model.evaluation.lpips import Lpips
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.metrics import common_exposure, image_figures, means, psnr_db, shown, ssim
 from model.evaluation.overview import overview_svg, standalone
+from model.evaluation.pictures import small
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.room import TestScene
@@ -62,6 +63,7 @@ def test_all_faults_of_a_suite_are_reported_at_once(tmp_path: Path) -> None:
         ("input_views: 4", "input_views: 4\nviews: 3", "no such key"),
         ("input_views: 4", "input_views: 4\nmodified_light: {kitchen: {own_gain: 1}}", "kitchen"),
         ("kind: texture", "kind: truth, geometry: {noise_m: 0.1}", "no geometry"),
+        ("resolution: [96, 64]", "resolution: [96, 15]", "16"),  # LPIPS needs 16 pixels, SSIM 11
     ],
 )
 def test_bad_suites_are_refused(tmp_path: Path, old: str, new: str, expected: str) -> None:
@@ -316,6 +318,10 @@ def test_tables_contain_the_papers_figures(tmp_path: Path) -> None:
     write_results(_result(), {"veach-ajar": {"view-000": _view(0.5)}}, tmp_path)
     text = (tmp_path / "evaluation.md").read_text()
     assert "left out, no checkpoint at x" in text and "may have been trained" in text
+
+
+def test_a_long_view_keeps_a_row_in_pictures() -> None:
+    assert small(np.zeros((16, 16384, 3))).shape == (1, 320, 3)
 
 
 def test_chart_of_methods_has_their_figures() -> None:
