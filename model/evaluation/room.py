@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, Plan
@@ -79,6 +79,16 @@ class TestScene(StrictModel):
     configuration: Annotated[int, Field(ge=0)] = 0
     imports: tuple[Path, ...] = ()
     may_know_shapes: bool = False
+
+    @model_validator(mode="after")
+    def _fields_fit_the_source(self) -> TestScene:
+        of_files, of_recipes = ("unit_m", "annotations"), ("configuration", "imports", "may_know_shapes")
+        fields, others = type(self).model_fields, of_files if self.is_drawn else of_recipes
+        given = [name for name in others if getattr(self, name) != fields[name].default]
+        if given:
+            kind = "a Mitsuba file" if self.is_drawn else "a recipe"
+            raise ValueError(f"expected {' and '.join(given)} only with {kind} as source")
+        return self
 
     @property
     def is_drawn(self) -> bool:

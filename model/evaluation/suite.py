@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from datagen.formats.base import NonNegative, Positive, Slug, StrictModel, Unit, Vector3, read_yaml
 from datagen.formats.lights import Light
+from datagen.formats.package import is_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.bundled import object_package, resolve_bundled
 from datagen.foundation.errors import InputError, Problem
@@ -199,7 +200,11 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
 
     scenes = []
     for index, scene in enumerate(suite.scenes):
-        changes: dict[str, Any] = {"source": existing(f"scenes[{index}].source", scene.source, "a scene")}
+        source = existing(f"scenes[{index}].source", scene.source, "a scene")
+        changes: dict[str, Any] = {"source": source}
+        if is_package(source) and (scene.unit_m != 1.0 or scene.annotations is not None):
+            got, expected = "an asset package", "a Mitsuba file, with unit_m or annotations"
+            problems.append(Problem(path, f"scenes[{index}].source", got, expected, "leave them out"))
         if scene.annotations is not None:
             changes["annotations"] = existing(
                 f"scenes[{index}].annotations", scene.annotations, "a file of annotations"

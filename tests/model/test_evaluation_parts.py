@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
 from datagen.formats.lights import AreaLight
+from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import encode_view
@@ -34,6 +35,7 @@ from tests.conftest import REPOSITORY
 from tests.datagen.small_library import box
 
 SMALL = REPOSITORY / "scenes" / "suites" / "small.yaml"
+ROOM = bundled_library() / "environments" / "study"
 
 
 # ---- suites
@@ -64,6 +66,10 @@ def test_all_faults_of_a_suite_are_reported_at_once(tmp_path: Path) -> None:
         ("input_views: 4", "input_views: 4\nmodified_light: {kitchen: {own_gain: 1}}", "kitchen"),
         ("kind: texture", "kind: truth, geometry: {noise_m: 0.1}", "no geometry"),
         ("resolution: [96, 64]", "resolution: [96, 15]", "16"),  # LPIPS needs 16 pixels, SSIM 11
+        ("views: 12\n", "views: 12\n    may_know_shapes: true\n", "recipe"),
+        ("views: 12\n", "views: 12\n    imports: [.]\n", "recipe"),
+        ("room/room.xml", "room.yaml\n    unit_m: 2", "a Mitsuba file"),
+        ("small_room/room.xml", f"{ROOM}\n    unit_m: 2", "a Mitsuba file"),
     ],
 )
 def test_bad_suites_are_refused(tmp_path: Path, old: str, new: str, expected: str) -> None:
