@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.foundation.images import encode_png
@@ -25,15 +27,19 @@ KNOWN_WARNING = (
 )
 
 
-def state_of(result: SuiteResult) -> bytes:
-    """Content of ``state.json``, a hash of ``result`` by which :func:`is_written` recognises its files."""
-    return canonical_json({"revision": _REVISION, "result": sha256_hex(canonical_json(result))})
+def _state(result: SuiteResult, files: Iterable[str]) -> dict[str, Any]:
+    """Content of ``state.json``, by which :func:`is_written` recognises the files of ``result``."""
+    return {"revision": _REVISION, "result": sha256_hex(canonical_json(result)), "files": sorted(files)}
 
 
 def is_written(result: SuiteResult, out: Path) -> bool:
     """Whether the folder ``out`` contains the files of ``result``."""
-    path = out / STATE_FILE
-    return path.is_file() and path.read_bytes() == state_of(result)
+    try:
+        state = json.loads((out / STATE_FILE).read_bytes())
+    except (OSError, ValueError):
+        return False
+    files = state.get("files", ())
+    return bool(state == _state(result, files) and all((out / file).is_file() for file in files))
 
 
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
@@ -42,7 +48,8 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
     out.mkdir(parents=True, exist_ok=True)
     (out / STATE_FILE).unlink(missing_ok=True)
     maps, *others = tables_of(result)
-    tables = [maps, *measure_tables(result), *others]
+    further = measure_tables(result)
+    tables = [maps, *(table for table in further if table.rows), *others]
     rows = {scene.name: scene_rows(scene, stored[scene.name]) for scene in result.scenes}
     content = {
         "evaluation.md": _markdown(result, tables).encode(),
@@ -50,6 +57,8 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
         "index.html": page_html(result, _notes(result), tables, rows, stored).encode(),
         **{f"{table.name}.csv": table.csv().encode() for table in tables},
     }
+    for table in further:  # of an earlier result
+        (out / f"{table.name}.csv").unlink(missing_ok=True)
     figures = out / "figures"
     shutil.rmtree(figures, ignore_errors=True)
     figures.mkdir()
@@ -61,7 +70,7 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
         content[f"figures/{name}-relighting.png"] = encode_png(sheet(scene, RELIGHTING, is_turned=True))
     for file, data in content.items():
         write_bytes_atomically(out / file, data)
-    write_bytes_atomically(out / STATE_FILE, state_of(result))
+    write_bytes_atomically(out / STATE_FILE, canonical_json(_state(result, content)))
     return [out / file for file in content]
 
 

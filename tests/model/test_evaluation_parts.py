@@ -30,7 +30,7 @@ from model.evaluation.room import TestScene
 from model.evaluation.scenery import added_lights, level_place
 from model.evaluation.suite import ModifiedLight, describe_suite, read_suite
 from model.evaluation.tables import tables_of
-from model.evaluation.writing import write_results
+from model.evaluation.writing import is_written, write_results
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import box
 
@@ -324,6 +324,22 @@ def test_tables_contain_the_papers_figures(tmp_path: Path) -> None:
     write_results(_result(), {"veach-ajar": {"view-000": _view(0.5)}}, tmp_path)
     text = (tmp_path / "evaluation.md").read_text()
     assert "left out, no checkpoint at x" in text and "may have been trained" in text
+
+
+def test_files_of_an_earlier_result_are_replaced(tmp_path: Path) -> None:
+    scenes = {"veach-ajar": {"view-000": _view(0.5)}}
+    result = _result()
+    scene = result.scenes[0]
+    taken = scene.methods[0].model_copy(update={"camera": "phone"})
+    with_cameras = scene.model_copy(update={"methods": (*scene.methods, taken)})
+    write_results(result.model_copy(update={"scenes": (with_cameras,)}), scenes, tmp_path)
+    assert (tmp_path / "cameras.csv").is_file()
+    (tmp_path / "notes.csv").write_text("mine")
+    write_results(result, scenes, tmp_path)
+    assert not (tmp_path / "cameras.csv").exists() and (tmp_path / "notes.csv").is_file()
+    assert is_written(result, tmp_path)
+    (tmp_path / "index.html").unlink()
+    assert not is_written(result, tmp_path)
 
 
 def test_a_long_view_keeps_a_row_in_pictures() -> None:
