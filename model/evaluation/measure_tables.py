@@ -104,7 +104,8 @@ def _noise(result: SuiteResult) -> Table:
     for scene, method in _judged(result):
         for light, views, found in image_noise(method):
             figures = (found.mean, found.by_views, found.by_seed, found.error)
-            rows.append((scene.name, method.label, light, views, *figures))
+            known = (None if np.isnan(figure) else figure for figure in figures)
+            rows.append((scene.name, method.label, light, views, *known))
     columns = ("scene", "method", "light", "views", "PSNR sRGB (dB)", "by views", "by seed", "together")
     caption = (
         "Standard errors of the mean over views: by bootstrap over views, and from another seed of the "

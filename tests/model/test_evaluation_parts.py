@@ -20,6 +20,7 @@ from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh, joined
 from model.evaluation.baselines import maps_files
 from model.evaluation.lpips import Lpips
+from model.evaluation.measure_tables import measure_tables
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.metrics import common_exposure, image_figures, means, psnr_db, shown, ssim
 from model.evaluation.overview import overview_svg, standalone
@@ -340,6 +341,21 @@ def test_files_of_an_earlier_result_are_replaced(tmp_path: Path) -> None:
     assert is_written(result, tmp_path)
     (tmp_path / "index.html").unlink()
     assert not is_written(result, tmp_path)
+
+
+def test_an_unknown_error_is_an_empty_cell(tmp_path: Path) -> None:
+    result = _result()
+    method = (
+        result.scenes[0]
+        .methods[0]
+        .model_copy(update={"image_views": {"own": {"novel": {"path-000": {"psnr_srgb_db": 20.0}}}}})
+    )
+    scene = result.scenes[0].model_copy(update={"methods": (method,)})
+    (noise,) = (
+        t for t in measure_tables(result.model_copy(update={"scenes": (scene,)})) if t.name == "noise"
+    )
+    assert noise.texts()[0][4:] == ["20.00", "", "0.00", ""]
+    assert noise.csv().splitlines()[1].endswith("novel,20.0,,0.0,")
 
 
 def test_a_long_view_keeps_a_row_in_pictures() -> None:
