@@ -47,16 +47,19 @@ class Copy:
     def __init__(self, work: Path):
         self.root, self.work = work / "project", work
         self._warm: subprocess.Popen[str] | None = None
+        start = self.root / "sitecustomize.py"
         if self.root.exists():
+            if not start.is_file():
+                sys.exit(f"--work: {self.root} is not a copy of an earlier run: choose another folder")
             shutil.rmtree(self.root)
+        self.root.mkdir()
+        start.write_text("from benchmarks.mutation.lines import trace_child\n\ntrace_child()\n")
         command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
         names = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=True).stdout
         for name in names.split("\0"):
             if name and (PROJECT / name).is_file():
                 (self.root / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(PROJECT / name, self.root / name)
-        start = "from benchmarks.mutation.lines import trace_child\n\ntrace_child()\n"
-        (self.root / "sitecustomize.py").write_text(start)
         for name in ("home", "numba", "children"):
             (work / name).mkdir(exist_ok=True)
 

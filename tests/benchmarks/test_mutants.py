@@ -7,10 +7,12 @@ import ast
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
 from benchmarks.mutation import warm
+from benchmarks.mutation.__main__ import Copy
 from benchmarks.mutation.mutants import Mutant, find_mutants
 
 SOURCE = textwrap.dedent(
@@ -106,3 +108,12 @@ def test_endless_tests_are_stopped(code: str, timeout_s: float, ended: int) -> N
     process = subprocess.Popen([sys.executable, "-S", "-c", code], start_new_session=True)
     assert warm.outcome_of(process.pid, timeout_s) == ended
     process.returncode = ended  # outcome_of has waited for it
+
+
+def test_a_folder_that_is_no_copy_is_not_removed(tmp_path: Path) -> None:
+    kept = tmp_path / "project" / "thesis.txt"
+    kept.parent.mkdir()
+    kept.write_text("mine")
+    with pytest.raises(SystemExit, match="--work"):
+        Copy(tmp_path)
+    assert kept.read_text() == "mine"
