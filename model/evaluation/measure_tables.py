@@ -34,9 +34,10 @@ PUBLISHED_OTHERS = (
 
 
 def measure_tables(result: SuiteResult) -> list[Table]:
-    """Further tables of a suite's result; those without rows say nothing."""
-    tables = (_levels, _kinds, _others, _noise, _calibration, _cameras)
-    return [table(result) for table in tables]
+    """Further tables of a suite's result; empty ones are omitted, except that of the kinds of surface."""
+    tables = [_levels(result), _kinds(result), _others(result), _noise(result)]
+    tables += [_calibration(result), _cameras(result)]
+    return [table for table in tables if table.rows or table.name == "kinds"]
 
 
 def _judged(result: SuiteResult) -> list[tuple[SceneResult, MethodResult]]:

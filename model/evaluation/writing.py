@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
-from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.formats.base import (
+    RelativePath,
+    StrictModel,
+    canonical_json,
+    read_json,
+    sha256_hex,
+    write_bytes_atomically,
+)
+from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from model.evaluation.confidence_chart import confidence_svg
 from model.evaluation.measure_tables import measure_tables
@@ -21,35 +27,41 @@ from model.evaluation.results import SuiteResult
 from model.evaluation.tables import Table, tables_of
 
 STATE_FILE = "state.json"
-_REVISION = 5
 KNOWN_WARNING = (
     "Checkpoints may have been trained on these scenes: the figures test the program, not the checkpoints."
 )
 
 
-def _state(result: SuiteResult, files: Iterable[str]) -> dict[str, Any]:
-    """Content of ``state.json``, by which :func:`is_written` recognises the files of ``result``."""
-    return {"revision": _REVISION, "result": sha256_hex(canonical_json(result)), "files": sorted(files)}
+class _State(StrictModel):
+    """Content of ``state.json``: hash of the result that is written, '' while writing, and its files."""
+
+    revision: Literal[6] = 6
+    result: str
+    files: tuple[RelativePath, ...]
+
+
+def _read_state(out: Path) -> _State:
+    try:
+        return read_json(_State, out / STATE_FILE)
+    except InputError:
+        return _State(result="", files=())  # nothing is written, or by another version
+
+
+def _hash_of(result: SuiteResult) -> str:
+    return sha256_hex(canonical_json(result))
 
 
 def is_written(result: SuiteResult, out: Path) -> bool:
     """Whether the folder ``out`` contains the files of ``result``."""
-    try:
-        state = json.loads((out / STATE_FILE).read_bytes())
-    except (OSError, ValueError):
-        return False
-    files = state.get("files", ())
-    return bool(state == _state(result, files) and all((out / file).is_file() for file in files))
+    state = _read_state(out)
+    return state.result == _hash_of(result) and all((out / file).is_file() for file in state.files)
 
 
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
-    """Write the results to the folder ``out`` and return the paths; ``stored`` contains the true views under
-    the scenes' own light, by scene and view."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / STATE_FILE).unlink(missing_ok=True)
+    """Write the results to the folder ``out``, in place of earlier ones, and return the paths; ``stored``
+    contains the true views under the scenes' own light, by scene and view."""
     maps, *others = tables_of(result)
-    further = measure_tables(result)
-    tables = [maps, *(table for table in further if table.rows), *others]
+    tables = [maps, *measure_tables(result), *others]
     rows = {scene.name: scene_rows(scene, stored[scene.name]) for scene in result.scenes}
     content = {
         "evaluation.md": _markdown(result, tables).encode(),
@@ -57,20 +69,22 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
         "index.html": page_html(result, _notes(result), tables, rows, stored).encode(),
         **{f"{table.name}.csv": table.csv().encode() for table in tables},
     }
-    for table in further:  # of an earlier result
-        (out / f"{table.name}.csv").unlink(missing_ok=True)
-    figures = out / "figures"
-    shutil.rmtree(figures, ignore_errors=True)
-    figures.mkdir()
     content["figures/overview.svg"] = standalone(overview_svg(result)).encode()
     if chart := confidence_svg(result):
         content["figures/confidence.svg"] = standalone(chart).encode()
     for name, scene in rows.items():
         content[f"figures/{name}-all.png"] = encode_png(sheet(scene, COLUMNS, is_turned=False))
         content[f"figures/{name}-relighting.png"] = encode_png(sheet(scene, RELIGHTING, is_turned=True))
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    earlier = _read_state(out).files
+    begun = _State(result="", files=tuple(dict.fromkeys((*earlier, *content))))
+    write_bytes_atomically(out / STATE_FILE, canonical_json(begun))
+    for file in set(earlier) - content.keys():
+        (out / file).unlink(missing_ok=True)
     for file, data in content.items():
         write_bytes_atomically(out / file, data)
-    write_bytes_atomically(out / STATE_FILE, canonical_json(_state(result, content)))
+    done = _State(result=_hash_of(result), files=tuple(content))
+    write_bytes_atomically(out / STATE_FILE, canonical_json(done))
     return [out / file for file in content]
 
 

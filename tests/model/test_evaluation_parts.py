@@ -335,9 +335,11 @@ def test_files_of_an_earlier_result_are_replaced(tmp_path: Path) -> None:
     with_cameras = scene.model_copy(update={"methods": (*scene.methods, taken)})
     write_results(result.model_copy(update={"scenes": (with_cameras,)}), scenes, tmp_path)
     assert (tmp_path / "cameras.csv").is_file()
-    (tmp_path / "notes.csv").write_text("mine")
+    own = [tmp_path / "notes.csv", tmp_path / "figures" / "plan.png"]
+    for path in own:
+        path.write_text("mine")
     write_results(result, scenes, tmp_path)
-    assert not (tmp_path / "cameras.csv").exists() and (tmp_path / "notes.csv").is_file()
+    assert not (tmp_path / "cameras.csv").exists() and all(path.read_text() == "mine" for path in own)
     assert is_written(result, tmp_path)
     (tmp_path / "index.html").unlink()
     assert not is_written(result, tmp_path)
