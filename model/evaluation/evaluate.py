@@ -185,7 +185,11 @@ def _judge(
     path = folder / f"result-{key_of(how)}.json"
     done = read_result(path)
     if done is not None:
-        return done
+        # the cache may have been moved, or its renderings removed
+        renders = {light: scene.renderings / Path(kept).name for light, kept in done.renders.items()}
+        if all(kept.is_dir() for kept in renders.values()):
+            places = {light: str(kept) for light, kept in renders.items()}
+            return done.model_copy(update={"folder": str(folder), "renders": places})
     folder.mkdir(parents=True, exist_ok=True)
     forget_peak()
     before_s = processor_s()

@@ -67,6 +67,11 @@ class OpenedScene:
         """Folder of unwrapped meshes, shared by all scenes."""
         return self.root.parents[1] / "geometries"
 
+    @property
+    def renderings(self) -> Path:
+        """Folder of rendered views, with a folder for each rendering."""
+        return self.root / "renders"
+
     def view(self, name: str) -> CaptureView:
         """The view ``name`` of the capture."""
         return next(view for view in self.capture.views if view.name == name)
@@ -106,7 +111,7 @@ class OpenedScene:
         cameras = self.views_of(light)
         seen = scenery.seen_by(cameras).with_seed(seed).configuration
         key = key_of(seen.model_dump(mode="json"), render.model_dump(mode="json"), *stopped_by)
-        return Rendering(seed, cameras if views is None else views, self.root / "renders" / key)
+        return Rendering(seed, cameras if views is None else views, self.renderings / key)
 
     def result(self, methods: tuple[MethodResult, ...]) -> SceneResult:
         """Result of the scene with the results of all methods."""

@@ -19,10 +19,12 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh, joined
 from model.evaluation.baselines import maps_files
+from model.evaluation.evaluate import _judge
 from model.evaluation.lpips import Lpips
 from model.evaluation.measure_tables import measure_tables
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.metrics import common_exposure, image_figures, means, psnr_db, shown, ssim
+from model.evaluation.opened_scene import OpenedScene
 from model.evaluation.overview import overview_svg, standalone
 from model.evaluation.pictures import small
 from model.evaluation.rendering import JudgedView
@@ -275,6 +277,38 @@ def test_all_faults_of_given_maps_are_reported_at_once(geometry: CaptureGeometry
     assert "view-000" not in messages
     for expected in ("view-001.exr", "48 x 32", "view-002.exr", "1.5", "view-003.exr", "view-004"):
         assert expected in messages
+
+
+# ---- cached results
+
+
+def test_a_moved_cache_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Folders are those of the new place; a method whose renderings were removed is measured again."""
+    suite, measured = read_suite(SMALL), []
+
+    def measure(*arguments: object) -> dict[str, object]:
+        rendering = arguments[1].root / "renders" / "key"  # type: ignore[attr-defined]
+        rendering.mkdir(parents=True)
+        measured.append(rendering)
+        return {"renders": {"own": str(rendering)}}
+
+    def judge(root: Path) -> MethodResult:
+        scene = OpenedScene(suite.scenes[0], None, root, None, ("view-000",), (), {})  # type: ignore[arg-type]
+        return _judge(suite, scene, suite.methods[2], None, lpips, lambda *_: None)
+
+    monkeypatch.setattr("model.evaluation.evaluate._measure", measure)
+    lpips = Lpips(tmp_path, layers=[])
+    first = judge(tmp_path / "old")
+    (tmp_path / "old").rename(tmp_path / "new")
+    moved = judge(tmp_path / "new")
+    folders = {"own": str(tmp_path / "new" / "renders" / "key")}
+    assert moved == first.model_copy(
+        update={"folder": first.folder.replace("/old/", "/new/"), "renders": folders}
+    )
+    assert len(measured) == 1
+    Path(folders["own"]).rmdir()
+    judge(tmp_path / "new")
+    assert len(measured) == 2
 
 
 # ---- tables
