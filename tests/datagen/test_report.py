@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from datagen.farm.collect import collect
+from datagen.formats.base import canonical_json
 from datagen.formats.lights import AreaLight, PointLight, SkyLight
-from datagen.formats.shard import Dataset, DatasetIndex, ShardReader
+from datagen.formats.shard import Dataset, DatasetIndex, ShardReader, ShardRecord, write_shard
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
@@ -27,7 +28,7 @@ from datagen.inspection.report.figures import (
     count_view,
     hue_deg,
 )
-from datagen.inspection.report.gather import light_intensity
+from datagen.inspection.report.gather import GatherJob, gather_shard, light_intensity
 from datagen.inspection.report.predictions import parse_methods
 from datagen.inspection.report.sources import NO_VIEW, options_of, source_views
 from datagen.inspection.report.tiles import decode_tile, encode_tile, read_tile, write_tile
@@ -39,6 +40,7 @@ from datagen.inspection.report.writing import (
 )
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsView
+from tests.datagen.small_dataset import make_buffers, make_configuration, make_view_files
 from tests.datagen.small_plan import plan_small
 from tests.datagen.small_rendered import predict, rendered_dataset
 
@@ -382,6 +384,30 @@ def test_a_damaged_shard_is_named_and_omitted(dataset: Path, tmp_path: Path) -> 
     assert result.num_views == 5 and result.num_faults
     assert [file for file, _ in summed["unreadable"]] == [f"shards/{shard.name}"]
     assert summed["findings"]["views"][0]["configuration"] == "small-00000"
+
+
+def _gather(folder: Path, buffers: dict[str, np.ndarray]) -> dict:
+    """Gather a shard with one view of ``buffers``."""
+    configuration = make_configuration(1)
+    (image, path), *record = make_view_files(folder, configuration)
+    path.write_bytes(encode_view(buffers))
+    with (folder / "a.tar").open("wb") as file:
+        write_shard(file, canonical_json(configuration), [(image, path), *record])
+    fields = {"configuration": "small-00000", "split": "train", "num_views": 1, "seed": 1, "assets": ()}
+    entry = ShardRecord(file="a.tar", sha256="0" * 64, num_bytes=1, **fields)
+    return gather_shard(GatherJob(folder / "a.tar", entry, folder / "page", False, False))
+
+
+def test_faulty_views_do_not_end_a_report(tmp_path: Path) -> None:
+    buffers = make_buffers(24, 40, 0)
+    buffers["observation_count"][:] = 4
+    buffers["observation_count"][3, 4] = np.nan
+    (view,) = _gather(tmp_path, buffers)["views"]
+    assert view["mean_count"] == 4
+    shutil.rmtree(tmp_path / "page")
+    del buffers["roughness"]
+    with pytest.raises(InputError, match="view-000: no roughness"):
+        _gather(tmp_path, buffers)
 
 
 def test_wrong_folders_and_options_are_refused(dataset: Path, tmp_path: Path) -> None:

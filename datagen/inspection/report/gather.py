@@ -21,8 +21,9 @@ from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.lights import Light
 from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.formats.view import ViewRecord
-from datagen.foundation.buffers import surface_pixels
+from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.color import clipped_share, luminance, photographic_exposure, srgb_from_linear
+from datagen.foundation.errors import input_error
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
 from datagen.inspection.report.sources import options_of, source_views
@@ -33,6 +34,7 @@ REVISION = 4
 """Part of the key of stored results, to be increased when the format of results or tiles changes."""
 SHOWN_BUFFERS = tuple(name for name, _ in COLUMNS)
 """Buffers offered by the viewer, in this order."""
+_NEEDED = ("beauty", *MATERIAL_MAPS, "normal_world", "depth_z_m", "surface_mask")
 _LOOKED_UP = ("surface_mask", "instance_id", "material_id")
 _THUMBNAIL_WIDTH_PX = 320
 
@@ -70,7 +72,8 @@ def kept_result(path: Path, key: str) -> dict[str, Any] | None:
 def gather_shard(job: GatherJob) -> dict[str, Any]:
     """Measure one shard; returns plain data and writes thumbnails, tiles and the configuration's script.
 
-    A stored result is reused. Raises :class:`InputError` if the shard is damaged.
+    A stored result is reused. Raises :class:`InputError` if the shard is damaged or a view lacks a
+    buffer.
     """
     kept = kept_result(job.kept_path, job.key)
     if kept is not None:
@@ -85,6 +88,9 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
     tile_bytes = 0
     for view in reader:
         record = view.record
+        if lacking := [name for name in _NEEDED if name not in view.buffers]:
+            got = f"no {', '.join(lacking)}"
+            raise input_error(f"{job.shard}:{record.name}", "", got, "a whole view", "make the shard again")
         histograms, cells = count_view(view.buffers)
         for name, found in histograms.items():
             counts[name] += found
@@ -155,7 +161,8 @@ def _view_figures(view: View) -> dict[str, Any]:
     camera = record.camera.camera()
     mask = surface_pixels(buffers)
     forward = camera.forward
-    counts = buffers["observation_count"][..., 0][mask] if "observation_count" in buffers else None
+    counts = buffers.get("observation_count", np.zeros((*mask.shape, 0)))[mask]
+    counts = counts[np.isfinite(counts)]
     beauty = buffers["beauty"].astype(np.float32)
     shown = photographic_exposure(beauty, mask)
     return {
@@ -171,7 +178,7 @@ def _view_figures(view: View) -> dict[str, Any]:
         "heading_deg": round(float(np.degrees(np.arctan2(forward[1], forward[0]))) % 360, 2),
         "fov_x_deg": round(float(np.degrees(camera.fov_x_rad)), 2),
         "surface_share": round(float(mask.mean()), 4),
-        "mean_count": round(float(counts.mean()), 3) if counts is not None and counts.size else None,
+        "mean_count": round(float(counts.mean()), 3) if counts.size else None,
     }
 
 
