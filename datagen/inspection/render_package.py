@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from datagen.foundation.command_line import run_function
+from datagen.foundation.errors import input_error
 
 
 def render_package(
@@ -58,6 +59,10 @@ def main(
     denoise: Annotated[bool, typer.Option("--denoise", help="Denoise the images.")] = False,
 ) -> None:
     """Render environment packages with their own materials, lights and cameras."""
+    names = [package.name for package in packages]
+    if len(set(names)) < len(names):
+        remedy = "render one at a time, each to its own --out"
+        raise input_error("packages", "", ", ".join(names), "different names, as of folders in --out", remedy)
     for package in packages:
         for path in render_package(package, out / package.name, samples, max_depth, denoise):
             typer.echo(path)

@@ -153,6 +153,7 @@ WRONG = [
     ("datagen report rooms --sheets-only --dry-run", ("--sheets-only", "--dry-run")),
     ("datagen verify rooms --recheck 1 --recheck-samples 6", ("--recheck-samples = 6", "a multiple of 4")),
     ("python -m datagen.inspection.render_package nope --out x", ("nope: no such folder",)),
+    ("python -m datagen.inspection.render_package a/room b/room --out x", ("room", "different names")),
     ("python -m datagen.tradeoff nope --out x", ("nope/plan.json: no plan here", "datagen plan")),
     ("python -m datagen.tradeoff rooms --out text.txt", ("text.txt: --out = a file", "choose another")),
     ("python -m datagen.tradeoff rooms --out library", ("a folder with other files", "choose another")),
