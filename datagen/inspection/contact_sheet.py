@@ -120,20 +120,20 @@ def _color_map() -> Callable[[NDArray], NDArray]:
 
 
 def make_contact_sheet(
-    views: Sequence[Mapping[str, NDArray]], names: Sequence[str], title: str, scales: Scales | None = None
+    views: Sequence[Mapping[str, NDArray]], names: Sequence[str], title: str
 ) -> Image.Image:
     """Draw a row per view (arrays by buffer name), labelled by ``names``, under the heading ``title``.
 
-    Buffers that no view has get no column. If ``scales`` is None, scales are chosen from the views, with one
-    exposure per view. Raises :class:`InputError` if there are no views or one lacks ``beauty``.
+    Buffers that no view has get no column. Every view has its own exposure; other scales are common. Raises
+    :class:`InputError` if there are no views or one lacks ``beauty``.
     """
     from PIL import Image, ImageDraw
 
     if not views or any("beauty" not in view for view in views):
         got = "no views" if not views else "a view without beauty"
         raise InputError(Problem("contact sheet", "views", got, "at least one view, each with beauty"))
-    exposures = [scales.exposure if scales is not None else exposure_of(view) for view in views]
-    scales = scales or choose_scales(views)
+    exposures = [exposure_of(view) for view in views]
+    scales = choose_scales(views)
     columns = [(name, label) for name, label in COLUMNS if any(name in view for view in views)]
     heights = [_cell_size(view)[1] for view in views]
     column_width = max(_cell_size(view)[0] for view in views)
