@@ -70,7 +70,7 @@ def page_html(
 def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
     """HTML section of one scene; ``truth`` contains its true views under its own light, by name."""
     methods = [m for m in scene.methods if not m.skipped and m.kind != "truth"]
-    views = {method.label: rendered_views(method, "own") for method in methods}
+    views = {method.label: rendered_views(method) for method in methods}
     cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)
     return (
         f'<section id="{scene.name}"><h2>{html.escape(scene.name)}</h2>{_summary(scene)}'

@@ -68,9 +68,9 @@ def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
     return rows
 
 
-def rendered_views(method: MethodResult, light: str) -> dict[str, JudgedView]:
-    """A method's rendered views under ``light``, by name; empty if there are none."""
-    return _views(Path(method.renders[light])) if light in method.renders else {}
+def rendered_views(method: MethodResult) -> dict[str, JudgedView]:
+    """A method's rendered views under the scene's own light, by name; empty if there are none."""
+    return _views(Path(method.renders["own"])) if "own" in method.renders else {}
 
 
 def _views(folder: Path) -> dict[str, JudgedView]:
