@@ -28,6 +28,7 @@ from datagen.formats.base import NonNegative, Positive, Slug, StrictModel
 from datagen.formats.capture import Capture, ColorImage, ImageSource
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
+from datagen.foundation.errors import input_error
 from datagen.foundation.random import digest
 from model.evaluation.mesh_errors import GeometryError
 from model.reconstruction.captures.photographs import CLIPPED_LEVEL
@@ -140,7 +141,17 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 
 
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
-    """Return ``capture`` with images and poses altered by ``faults``; mesh and true maps are unchanged."""
+    """Return ``capture`` with images and poses altered by ``faults``; mesh and true maps are unchanged.
+
+    Raises :class:`InputError` for barrel distortion that draws two rays of a view to the same pixel.
+    """
+    if faults.distortion < 0:
+        # r + k1 r^3 is at most 2 / sqrt(27 |k1|)
+        least = -4 / (27 * max(_corner_radius(view.camera) for view in capture.views) ** 2)
+        if faults.distortion < least:
+            expected = f"at least {least:.3g} for these fields of view"
+            where, remedy = f"camera {faults.name}", "choose a weaker one"
+            raise input_error(where, "distortion", faults.distortion, expected, remedy)
     scale = 1.0 / _limit(capture, faults.clipped_share)
     views = tuple(
         replace(
@@ -228,6 +239,13 @@ def _radius_squared(camera: Camera) -> NDArray[np.float64]:
     return np.asarray(0.5 * (x[None] ** 2 + y[:, None] ** 2))
 
 
+def _corner_radius(camera: Camera) -> float:
+    """Distance of the image's farthest corner from the principal point, in normalised coordinates."""
+    x = max(camera.cx_px, camera.width_px - camera.cx_px) / camera.fx_px
+    y = max(camera.cy_px, camera.height_px - camera.cy_px) / camera.fy_px
+    return float(np.hypot(x, y))
+
+
 def _distorted(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
     """Distort an image (H, W, 3) by x' = x (1 + k1 r^2), normalised coordinates; repeats border pixels."""
     import cv2
@@ -235,10 +253,12 @@ def _distorted(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
     y = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
     bent_x, bent_y = np.meshgrid(x, y)
-    true_x, true_y = bent_x.copy(), bent_y.copy()
-    for _ in range(10):  # the fixed-point iteration contracts for all strengths that a suite allows
-        factor = 1 + k1 * (true_x**2 + true_y**2)
-        true_x, true_y = bent_x / factor, bent_y / factor
+    bent = np.hypot(bent_x, bent_y)
+    true = bent.copy()
+    for _ in range(10):  # Newton's method, monotonic for both signs of k1
+        true -= (true + k1 * true**3 - bent) / (1 + 3 * k1 * true**2)
+    stretch = np.divide(true, bent, out=np.ones_like(bent), where=bent > 0)
+    true_x, true_y = bent_x * stretch, bent_y * stretch
     columns = (true_x * camera.fx_px + camera.cx_px - 0.5).astype(np.float32)
     rows = (true_y * camera.fy_px + camera.cy_px - 0.5).astype(np.float32)
     image = np.ascontiguousarray(color, np.float32)

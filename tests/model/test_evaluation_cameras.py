@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,16 @@ def test_vignetting_and_distortion_are_applied() -> None:
     middle, edge = ((bent[row] * np.arange(96)).sum() / bent[row].sum() for row in (32, 2))
     assert middle == pytest.approx(48 + 80 * 0.419 * (1 - 0.1 * 0.419**2) - 0.5, abs=0.2)
     assert edge < middle - 0.2
+
+
+def test_distortion_without_an_inverse_is_refused() -> None:
+    capture = _capture(2)
+    assert len(_taken(capture, distortion=-0.2)) == 2
+    wide = replace(CAMERA, fx_px=40.0, fy_px=40.0)  # corners at r = 1.44, but r - 0.2 r^3 is at most 0.86
+    views = (capture.views[0], replace(capture.views[1], camera=wide))
+    with pytest.raises(InputError, match=r"distortion = -0.2; expected at least -0.071"):
+        as_taken(replace(capture, views=views), CameraFaults(name="x", distortion=-0.2))
+    as_taken(replace(capture, views=views), CameraFaults(name="x", distortion=-0.071))
 
 
 def test_pose_errors_have_their_size_and_pixels_are_unchanged() -> None:
