@@ -94,7 +94,7 @@ def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: 
             quality = suite.judging(recipe)
             scene = _opened(quality, planned[recipe.name], tell)
             methods = tuple(
-                _judge(quality, scene, method, camera, lpips, tell)
+                judge(quality, scene, method, camera, lpips, tell)
                 for camera in (None, *suite.cameras)
                 for method in suite.methods
                 if camera is None or not isinstance(method, TruthMethod)
@@ -151,7 +151,7 @@ def _check_maps(suite: Suite, scene: OpenedScene) -> None:
 # ---- a method
 
 
-def _judge(
+def judge(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, lpips: Lpips, tell: Tell
 ) -> MethodResult:
     """Evaluate a method on photographs of a scene with the faults ``camera``, or read the cached result."""
@@ -197,7 +197,7 @@ def _judge(
     def report(stage: str, number: int, total: int) -> None:
         tell(f"{name}, {base.label}: {stage}", number, total)
 
-    measured = _measure(suite, scene, method, camera, folder, lpips, report)
+    measured = measure(suite, scene, method, camera, folder, lpips, report)
     measured |= {
         "folder": str(folder),
         "peak_memory_mb": round(peak_mb(), 1),
@@ -217,7 +217,7 @@ def _maps_identity(method: Method, scene: str) -> list[str]:
     return [f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in files]
 
 
-def _measure(
+def measure(
     suite: Suite,
     scene: OpenedScene,
     method: Method,

@@ -19,7 +19,7 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh, joined
 from model.evaluation.baselines import maps_files
-from model.evaluation.evaluate import _judge
+from model.evaluation.evaluate import judge
 from model.evaluation.lpips import Lpips
 from model.evaluation.measure_tables import measure_tables
 from model.evaluation.mesh_errors import GeometryError, with_errors
@@ -292,22 +292,22 @@ def test_a_moved_cache_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         measured.append(rendering)
         return {"renders": {"own": str(rendering)}}
 
-    def judge(root: Path) -> MethodResult:
+    def found_in(root: Path) -> MethodResult:
         scene = OpenedScene(suite.scenes[0], None, root, None, ("view-000",), (), {})  # type: ignore[arg-type]
-        return _judge(suite, scene, suite.methods[2], None, lpips, lambda *_: None)
+        return judge(suite, scene, suite.methods[2], None, lpips, lambda *_: None)
 
-    monkeypatch.setattr("model.evaluation.evaluate._measure", measure)
+    monkeypatch.setattr("model.evaluation.evaluate.measure", measure)
     lpips = Lpips(tmp_path, layers=[])
-    first = judge(tmp_path / "old")
+    first = found_in(tmp_path / "old")
     (tmp_path / "old").rename(tmp_path / "new")
-    moved = judge(tmp_path / "new")
+    moved = found_in(tmp_path / "new")
     folders = {"own": str(tmp_path / "new" / "renders" / "key")}
     assert moved == first.model_copy(
         update={"folder": first.folder.replace("/old/", "/new/"), "renders": folders}
     )
     assert len(measured) == 1
     Path(folders["own"]).rmdir()
-    judge(tmp_path / "new")
+    found_in(tmp_path / "new")
     assert len(measured) == 2
 
 
