@@ -427,8 +427,9 @@ def test_equally_likely_hypotheses_are_averaged() -> None:
 
 
 def test_segments_share_the_roughness_of_their_region() -> None:
-    """A glossy and a matte dielectric of one region are blended with the region's mean by observations, of
-    which metal is no part; a segment of another region is not."""
+    """A glossy and a matte dielectric of one region are blended with the region's mean by observations and
+    confidence, of which metal is no part, and of which an unexplained segment has all; a segment of another
+    region is not blended."""
     noise, num = 0.005, 4
     dielectric = np.stack([costs_of_levels(noise, 0.05)] * num).astype(np.float32)
     dielectric[1] = costs_of_levels(noise, -0.004)
@@ -447,11 +448,20 @@ def test_segments_share_the_roughness_of_their_region() -> None:
         PriorWeights(),
     )
     assert found.is_metal.tolist() == [False, False, False, True]
-    mean = 0.75 * 0.4 + 0.25 * 1.0
-    blended = [(1 - REGION_SHARE) * own + REGION_SHARE * mean for own in (0.4, 1.0)]
-    shared = shared_roughness(found, group, size)
-    np.testing.assert_allclose(shared[:3], [*blended, 0.4], atol=0.02)
-    assert shared[3] == found.roughness[3]
+    roughness = np.array([0.4, 1.0, 0.4, found.roughness[3]], np.float32)
+    for sure, share in ((1.0, REGION_SHARE), (0.5, 1 - 0.5 * (1 - REGION_SHARE)), (0.0, 1.0)):
+        confidence = np.ones((num, 3), np.float32)
+        confidence[1, 2] = sure
+        given = replace(found, roughness=roughness, confidence=confidence)
+        shared, of_shared = shared_roughness(given, group, size)
+        mean = (3 * 0.4 + sure * 1.0) / (3 + sure)
+        expected = [0.4 + REGION_SHARE * (mean - 0.4), 1.0 + share * (mean - 1.0), 0.4, roughness[3]]
+        np.testing.assert_allclose(shared, expected, atol=1e-6)
+        least = max(sure, share * (3 + sure) / 4)
+        np.testing.assert_allclose(of_shared, [1, least, 1, 1], atol=1e-6)
+    unknown = replace(found, roughness=roughness, confidence=np.zeros((num, 3), np.float32))
+    shared, of_shared = shared_roughness(unknown, group, size)
+    assert (shared == roughness).all() and (of_shared == 0).all()
 
 
 def test_unexplained_segments_have_no_confidence() -> None:

@@ -14,6 +14,7 @@ from model.reconstruction.light.confidence import (
     BLOCK_CELLS,
     D_EVIDENCE,
     DOUBT,
+    S_EVIDENCE,
     ImpossibleShares,
     impossible_shares,
     normal_spread,
@@ -30,10 +31,12 @@ def test_confidence_grows_with_the_evidence() -> None:
     found = surfel_confidence(share, np.zeros(5, bool))
     np.testing.assert_allclose(found[:, 0], [0, 0, 0.5, 1, 1], atol=1e-6)
     assert (found[:, 1] == found[:, 2]).all() and (found[:, 1] >= found[:, 0]).all()
+    share = np.array([S_EVIDENCE[0], np.mean(S_EVIDENCE), S_EVIDENCE[1]])
+    np.testing.assert_allclose(surfel_confidence(share, np.zeros(3, bool))[:, 1], [0, 0.5, 1], atol=1e-6)
 
 
 def test_mirrors_need_no_photographed_hemisphere() -> None:
-    found = surfel_confidence(np.full(2, 0.1), np.array([False, True]))
+    found = surfel_confidence(np.zeros(2), np.array([False, True]))
     np.testing.assert_allclose(found, [[0, 0, 0], [1, 1, 1]], atol=1e-6)
 
 

@@ -47,8 +47,8 @@ NETWORK_VARIANCE = 0.1
 over hypotheses, which omits the errors of light and geometry that all hypotheses share and of which the views
 of a surfel are no independent samples."""
 REGION_SHARE = 0.7
-"""Weight of the mean R of a smooth region's dielectric segments in each. Segments differ in colour, but
-rarely in R."""
+"""Weight of the mean R of a smooth region's dielectric segments in a segment of full confidence. Segments
+differ in colour, but rarely in R."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
@@ -228,17 +228,24 @@ def decide(
     )
 
 
-def shared_roughness(solved: SolvedSegments, group: NDArray, weight: NDArray) -> NDArray[np.float32]:
+def shared_roughness(
+    solved: SolvedSegments, group: NDArray, weight: NDArray
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Blend the R (G,) of dielectrics with its mean over the smooth region ``group`` (G,), weighted by
-    ``weight`` (G,), by :data:`REGION_SHARE`.
+    ``weight`` (G,) times confidence; return it and its confidence (G,).
 
-    It is the best estimate for maps; specular radiance keeps the R that explains a segment's observations.
+    The share of the mean increases from :data:`REGION_SHARE` to 1 as a segment's confidence decreases to 0,
+    and confidence is at least that of the region times this share. It is the best estimate for maps; specular
+    radiance keeps the R that explains a segment's observations.
     """
+    confidence = solved.confidence[:, 2]
     weight = weight * ~solved.is_metal
-    total = np.bincount(group, weight)
-    mean = np.bincount(group, weight * solved.roughness) / np.maximum(total, 1e-12)
-    share = np.where(solved.is_metal, 0.0, REGION_SHARE)
-    return (solved.roughness + share * (mean[group] - solved.roughness)).astype(np.float32)
+    sure = np.bincount(group, weight * confidence)
+    mean = np.bincount(group, weight * confidence * solved.roughness) / np.maximum(sure, 1e-12)
+    of_region = sure / np.maximum(np.bincount(group, weight), 1e-12)
+    share = np.where(solved.is_metal | (sure <= 0)[group], 0.0, 1 - (1 - REGION_SHARE) * confidence)
+    shared = solved.roughness + share * (mean[group] - solved.roughness)
+    return shared.astype(np.float32), np.maximum(confidence, share * of_region[group]).astype(np.float32)
 
 
 def _in_metal_regions(

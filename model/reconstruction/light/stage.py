@@ -185,7 +185,8 @@ def _solved_surfels(
     """Compute the surfels' shading and materials for the views' maps, and their diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
     weight = np.bincount(segment, np.diff(surfels.observations.start))
-    r = shared_roughness(segments, segmentation.region_of_segment(), weight)[segment]
+    shared, sure_of_r = shared_roughness(segments, segmentation.region_of_segment(), weight)
+    r = shared[segment]
     is_metal = segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
     if not options.has_prior:
@@ -194,7 +195,7 @@ def _solved_surfels(
     confidence = surfel_confidence(lit.irradiance.photographed, segments.is_mirror[segment])
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
-    of_segment = segments.confidence[segment]
+    of_segment = np.column_stack([segments.confidence[:, :2], sure_of_r])[segment]
     trust = impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit * sure
     confidence *= trust[:, None] * of_segment
     replaced = trust * of_segment[:, 0]
