@@ -195,18 +195,17 @@ def measure_accuracy(views: list[StatisticsView], scene) -> dict:
     """Mean absolute error of each statistic against the pixel's colour, which is the same in all views."""
     results = {}
     for mode in ("depth", "trace"):
-        for fetch in ("nearest", "bilinear"):
-            options = StatisticsOptions(color_fetch=fetch, visibility=VisibilityOptions(mode))
-            errors = []
-            for view, result in zip(views, compute_statistics(views, options, scene), strict=True):
-                mask = has_surface(view.depth_z_m, view.surface_mask)
-                parts = [np.abs(result[n] - view.color)[mask].mean() for n in ("color_min", "color_median")]
-                parts.append(np.abs(result["color_max"] - view.color)[mask].mean())
-                spread = (result["color_max"] - result["color_min"])[mask].max(axis=-1)
-                count = result["observation_count"][mask]
-                errors.append([*parts, (spread > 0.3).mean(), count.mean()])
-            names = ("minimum", "median", "maximum", "share_with_false_range_over_0.3", "mean_count")
-            results[f"{mode}_{fetch}"] = dict(zip(names, np.mean(errors, axis=0).tolist(), strict=True))
+        options = StatisticsOptions(visibility=VisibilityOptions(mode))
+        errors = []
+        for view, result in zip(views, compute_statistics(views, options, scene), strict=True):
+            mask = has_surface(view.depth_z_m, view.surface_mask)
+            parts = [np.abs(result[n] - view.color)[mask].mean() for n in ("color_min", "color_median")]
+            parts.append(np.abs(result["color_max"] - view.color)[mask].mean())
+            spread = (result["color_max"] - result["color_min"])[mask].max(axis=-1)
+            count = result["observation_count"][mask]
+            errors.append([*parts, (spread > 0.3).mean(), count.mean()])
+        names = ("minimum", "median", "maximum", "share_with_false_range_over_0.3", "mean_count")
+        results[mode] = dict(zip(names, np.mean(errors, axis=0).tolist(), strict=True))
     return results
 
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, Split
-from datagen.formats.shard import Dataset, ShardReader, parse_member
+from datagen.formats.shard import Dataset, ShardReader
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, index_shard, read_member
+from datagen.formats.view_places import ViewPlace, index_shard, read_member, read_record
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
@@ -61,11 +61,7 @@ class Room:
 
     @cached_property
     def views(self) -> tuple[RoomView, ...]:
-        found = []
-        for place in index_shard(self.shard):
-            data = read_member(place, place.record)
-            found.append(RoomView(place, parse_member(ViewRecord, data, f"{place.shard}:{place.name}")))
-        return tuple(found)
+        return tuple(RoomView(place, read_record(place)) for place in index_shard(self.shard))
 
     @cached_property
     def exposure(self) -> float:
