@@ -34,11 +34,8 @@ DOUBT = (0.15, 0.6)
 HIDDEN_LIGHT = (0.25, 0.4)
 """Range of the share of a smooth region's light that comes from unphotographed sources at unknown places,
 over which the confidence of D, S and R decreases from 1 to 0."""
-MOSTLY_INFERRED = (0.3, 0.5)
+INFERRED_LIGHT = (0.4, 1.0)
 """Like :data:`HIDDEN_LIGHT`, for unphotographed lamps that the geometry declares."""
-INFERRED_LIGHT = (0.02, 0.08)
-"""Range of the share of a smooth region's light from unphotographed lamps that the geometry declares, over
-which the confidence of S and R decreases from 1 to 0."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
 """Ranges of the spread of normals around a surfel and of its median over the room, in radians, over which the
 confidence of R decreases to the factor :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere and
@@ -132,15 +129,8 @@ def trust_in_hidden(hidden: NDArray, inferred: NDArray) -> NDArray[np.float32]:
     """Compute the factor (N,) of all confidences from the shares (N,) of light from unphotographed sources:
     ``hidden`` at unknown places, ``inferred`` from lamps that the geometry declares.
     """
-    unknown = np.maximum(_ramp(hidden, HIDDEN_LIGHT), _ramp(inferred, MOSTLY_INFERRED))
+    unknown = np.maximum(_ramp(hidden, HIDDEN_LIGHT), _ramp(inferred, INFERRED_LIGHT))
     return (1 - unknown).astype(np.float32)
-
-
-def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:
-    """Compute the factor (N,) of the confidence of S and R from the ``share`` (N,) of light from
-    unphotographed lamps that the geometry declares.
-    """
-    return (1 - _ramp(share, INFERRED_LIGHT)).astype(np.float32)
 
 
 def normal_spread(surfels: Surfels) -> NDArray[np.float64]:

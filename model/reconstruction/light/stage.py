@@ -32,7 +32,6 @@ from model.reconstruction.light.confidence import (
     sureness,
     surfel_confidence,
     trust_in_hidden,
-    trust_in_inferred,
     trust_in_normals,
 )
 from model.reconstruction.light.metal_texture import textured_specular_albedo
@@ -200,7 +199,6 @@ def _solved_surfels(
     confidence *= trust[:, None] * of_segment
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
-    confidence[:, 1:] *= trust_in_inferred(inferred)[:, None]
     confidence[:, 2] *= trust_in_normals(normal_spread(surfels))
     diffuse, prior_scale = lit.diffuse, np.ones_like(albedo)
     if options.is_corrected:
