@@ -193,9 +193,13 @@ _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$")
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+0123456789"))
 
 
+def _parsed(text: str) -> Any:
+    return _Loader(text).get_single_data()
+
+
 def _read_mapping(path: Path) -> dict[str, Any]:
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+        data = _parsed(path.read_text(encoding="utf-8"))
     except OSError as error:
         got = (error.strerror or str(error)).lower()
         raise input_error(path, "", got, "a readable YAML file", "check the path") from None
@@ -243,7 +247,7 @@ def parse_overrides(items: list[str]) -> dict[str, Any]:
         if not separator or not all(key.split(".")):
             raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2", "write it in this form")
         try:
-            value = yaml.load(text, _Loader)
+            value = _parsed(text)
         except (yaml.YAMLError, ValueError) as error:
             raise input_error("--set", key, str(error), "a YAML value") from None
         nested: dict[str, Any] = {key.split(".")[-1]: value}

@@ -125,6 +125,8 @@ def triangulated(points: Floats) -> Ints:
 @compiled
 def _clip_ears(points: Floats) -> Ints:
     """Triangulate a counter-clockwise polygon (N, 2); if no ear is left, clip the most convex corner."""
+    size = points.max() - points.min()
+    rounding = 1e-12 * size * size  # of turns; without it, ears over a corner on their edge leave no area
     rest = list(range(len(points)))
     found = np.empty((len(points) - 2, 3), np.int64)
     for step in range(len(found)):
@@ -132,11 +134,13 @@ def _clip_ears(points: Floats) -> Ints:
         for k in range(len(rest)):
             a, b, c = rest[k - 1], rest[k], rest[(k + 1) % len(rest)]
             turn = _turn(points, a, b, c)
-            is_free = turn > 0
+            is_free = turn > rounding
             for other in rest:
                 if other != a and other != b and other != c:
-                    is_left = _turn(points, a, b, other) >= 0 and _turn(points, b, c, other) >= 0
-                    is_free &= not (is_left and _turn(points, c, a, other) >= 0)
+                    is_left = (
+                        _turn(points, a, b, other) >= -rounding and _turn(points, b, c, other) >= -rounding
+                    )
+                    is_free &= not (is_left and _turn(points, c, a, other) >= -rounding)
             if is_free > best_is_free or (is_free == best_is_free and turn > best_turn):
                 best, best_turn, best_is_free = k, turn, is_free
         found[step, 0] = rest[best - 1]
