@@ -23,7 +23,7 @@ from datagen.formats.asset import (
     Texture,
 )
 from datagen.formats.category_sizes import size_fault
-from datagen.formats.flat_shapes import flat_problems, has_area
+from datagen.formats.degenerate_shapes import degenerate_problems, has_area
 from datagen.formats.lights import DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
 from datagen.foundation.errors import InputError, Problem, raise_problems
@@ -219,7 +219,7 @@ class _Checker:
                 self.check_part(k, part, meshes[part.mesh], asset.materials[part.material])
             for k, light in enumerate(asset.lights):
                 self.check_light(k, light)
-            self.errors += flat_problems(asset, self.where)
+            self.errors += degenerate_problems(asset, self.where)
             if isinstance(asset, ObjectAsset):
                 self.check_bounds(asset, meshes)
             else:

@@ -25,10 +25,9 @@ from torch.utils.data import IterableDataset, get_worker_info
 from datagen.formats.configuration import Split
 from datagen.formats.shard import Dataset
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, index_shard, read_member, read_record
+from datagen.formats.view_places import ViewPlace, index_shard, read_buffers, read_record
 from datagen.foundation.buffers import BUFFERS
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from datagen.foundation.exr import decode_view
+from datagen.foundation.errors import Problem, input_error, raise_problems
 
 _BLOCK_VIEWS = 8
 _ORDER, _CROPS, _MIXING = 0x51, 0x52, 0x53
@@ -132,12 +131,7 @@ def read_view(place: ViewPlace, names: Sequence[str]) -> tuple[ViewRecord, dict[
     """
     where = f"{place.shard}:{place.name}"
     record = read_record(place)
-    try:
-        buffers = decode_view(read_member(place, place.exr), names, num_threads=1)
-    except InputError as error:
-        raise InputError(
-            *(Problem(where, p.field, p.got, p.expected, p.remedy) for p in error.problems)
-        ) from None
+    buffers = read_buffers(place, names)
     expected = (record.camera.height_px, record.camera.width_px)
     for name, values in buffers.items():
         if values.shape[:2] != expected:

@@ -22,7 +22,7 @@ from datagen.assembly.panoramas import panoramas_of
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
-from datagen.formats.flat_shapes import flat_problems
+from datagen.formats.degenerate_shapes import degenerate_problems
 from datagen.formats.package import Package
 from datagen.formats.recipe import AssetFilter, Recipe
 from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
@@ -261,7 +261,7 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
         )
     for package in (*pools.environments, *pools.objects):
         assert isinstance(package.asset, ObjectAsset | EnvironmentAsset)
-        problems += flat_problems(package.asset, f"{package.path}/asset.json")
+        problems += degenerate_problems(package.asset, f"{package.path}/asset.json")
     counts = split_counts(recipe)
     for split in SPLITS:
         share = getattr(recipe.splits, split)

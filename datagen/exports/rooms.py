@@ -20,11 +20,10 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, Split
 from datagen.formats.shard import Dataset, ShardReader
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, index_shard, read_member, read_record
+from datagen.formats.view_places import ViewPlace, index_shard, read_buffers, read_record
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
-from datagen.foundation.exr import decode_view
 from datagen.foundation.images import encode_png
 from datagen.library import Library
 
@@ -44,8 +43,7 @@ class RoomView:
 
     def read(self, *names: str) -> dict[str, NDArray]:
         """Return buffers (H, W, C) as stored, by name."""
-        data, where = read_member(self.place, self.place.exr), f"{self.place.shard}:{self.place.name}"
-        return decode_view(data, names, num_threads=1, where=where)
+        return read_buffers(self.place, names)
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,17 @@
 from __future__ import annotations
 
 import tarfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from datagen.formats.shard import CONFIGURATION_MEMBERS, parse_member
 from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import Problem, input_error, raise_problems
+from datagen.foundation.exr import decode_view
 
 _REMEDY = "make the shard again"
 
@@ -54,6 +59,14 @@ def index_shard(path: Path) -> list[ViewPlace]:
 def read_record(place: ViewPlace) -> ViewRecord:
     """Read a view's record. Raises :class:`InputError` if it is damaged."""
     return parse_member(ViewRecord, read_member(place, place.record), f"{place.shard}:{place.name}")
+
+
+def read_buffers(place: ViewPlace, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """Read a view's buffers ``names``, (H, W, C) each, as stored. Raises :class:`InputError` if the view is
+    damaged or lacks one.
+    """
+    data = read_member(place, place.exr)
+    return decode_view(data, names, num_threads=1, where=f"{place.shard}:{place.name}")
 
 
 def read_member(place: ViewPlace, part: tuple[int, int]) -> bytes:

@@ -47,15 +47,13 @@ def bundled_names(kind: BundledKind) -> list[str]:
 
 
 def resolve_bundled(path: Path, kind: BundledKind) -> Path:
-    """Return ``path`` if it is a file, else the bundled recipe or suite of that name.
+    """Return ``path``, or the bundled recipe or suite of that name unless a file has it.
 
-    A folder of that name, such as the dataset of ``datagen run smoke --out smoke``, does not count. Raises
+    A folder may have it, such as the dataset of ``datagen run smoke --out smoke``. Raises
     :class:`InputError`, which lists the bundled names, if ``path`` neither is one nor exists.
     """
-    if path.exists() and not path.is_dir():
-        return path
     names = bundled_names(kind)
-    if str(path) in names:
+    if str(path) in names and not path.is_file():
         return bundled_folder() / kind / f"{path}.yaml"
     if path.exists():
         return path

@@ -30,10 +30,9 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, read_member, read_record
+from datagen.formats.view_places import ViewPlace, read_buffers, read_record
 from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS, get_buffer
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from datagen.foundation.exr import decode_view
 from model.networks import COLOR_STATISTICS, NetworkConfig, input_channels
 from model.own_network import network_inputs
 from model.training.conditions import generator_for
@@ -74,7 +73,7 @@ def load_view(
     """
     where, record = f"{place.shard}:{place.name}", read_record(place)
     try:
-        buffers = decode_view(read_member(place, place.exr), names, num_threads=1)
+        buffers = read_buffers(place, names)
     except InputError as error:
         renamed = [Problem(where, p.field, p.got, p.expected, _REMEDY) for p in error.problems]
         raise InputError(*renamed) from None

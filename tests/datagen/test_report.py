@@ -538,8 +538,8 @@ def test_options_for_predictions_are_checked(tmp_path: Path) -> None:
     folders = [tmp_path / "a" / "x", tmp_path / "b" / "x"]
     with pytest.raises(InputError, match="a distinct name"):
         parse_methods(folders, [])
-    assert [m.slug for m in parse_methods(folders, ["A+", "A-"])] == ["a", "a-1"]
-    slugs = [m.slug for m in parse_methods([*folders, tmp_path], ["a-2", "a", "A"])]
+    assert [m.slug for m in parse_methods(folders, ["A+", "A-"])] == ["a", "a_2"]
+    slugs = [m.slug for m in parse_methods([*folders, tmp_path], ["a_2", "a", "A"])]
     assert len(set(slugs)) == 3
     with pytest.raises(InputError) as caught:
         parse_methods([tmp_path / "none"], ["x", "y"])

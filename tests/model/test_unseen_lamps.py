@@ -46,7 +46,7 @@ def test_albedo_in_the_light_of_an_unseen_lamp_is_found() -> None:
 
 
 def test_network_replaces_materials_where_estimated_light_prevails(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a lamp that emits four tenths of the light nothing is replaced; beyond the range everything is."""
+    """A lamp that provides 40 % of the light reduces no confidence; above the range, all confidence is 0."""
     assert room().solved.replaced.max() > 0.9 and room().solved.confidence[:, 1:].max() > 0.9
     monkeypatch.setattr(confidence, "INFERRED_LIGHT", (0.1, 0.3))
     found = solved(without_lamp(), predicted(without_lamp()))

@@ -14,7 +14,6 @@ Errors are mean squared errors of linear values over a view's surface pixels and
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,6 +29,7 @@ from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
+from datagen.foundation.naming import unique
 from datagen.foundation.transliteration import transliterated
 from datagen.inspection.report.gather import kept_result
 from datagen.inspection.report.tiles import write_tile
@@ -93,8 +93,7 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
     slugs: list[str] = []
     for name in names:
         base = re.sub(r"[^a-z0-9]+", "-", transliterated(name).lower()).strip("-") or "method"
-        numbered = (f"{base}-{number}" for number in itertools.count(1))
-        slugs.append(next(slug for slug in itertools.chain([base], numbered) if slug not in slugs))
+        slugs.append(unique(base, set(slugs)))
     return tuple(Method(*parts) for parts in zip(names, slugs, folders, strict=True))
 
 

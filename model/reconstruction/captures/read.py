@@ -89,7 +89,8 @@ FORMS = (
 """Calibration formats in the order in which they are tried."""
 
 
-_UNUSED = {
+_Kind = Literal["a shard", "capture.json", "an environment package", "cameras with photographs"]
+_UNUSED: dict[_Kind, tuple[str, ...]] = {
     "a shard": ("images", "mesh", "mesh_up", "up", "unit_m", "encoding", "exposure"),
     "capture.json": ("library", "mesh_up", "up", "unit_m", "encoding"),
     "an environment package": ("library", "mesh", "mesh_up", "up", "unit_m"),
@@ -114,7 +115,7 @@ def refuse_unused(path: Path, options: CaptureOptions) -> None:
     )
 
 
-def _kind_of(path: Path) -> str | None:
+def _kind_of(path: Path) -> _Kind | None:
     """Return the key of ``_UNUSED`` for a capture in a format of this project, else None."""
     if path.suffix == ".tar" or (path / "shards").is_dir():
         return "a shard"

@@ -15,7 +15,7 @@ from datagen.formats.capture import Capture, CaptureView, ColorImage
 from datagen.formats.shard import ShardReader
 from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.errors import input_error
 from datagen.foundation.exr import decode_view
 from datagen.library import Library
 from datagen.rendering.capture_geometry import configuration_geometry, without_lamps
@@ -48,12 +48,7 @@ class ShardSource:
         with self.shard.open("rb") as file:
             file.seek(self.offset)
             data = file.read(self.num_bytes)
-        try:
-            return decode_view(data, names)
-        except InputError as error:
-            problem = error.problems[0]
-            where = f"{self.shard}:{self.member}"
-            raise input_error(where, problem.field, problem.got, problem.expected, problem.remedy) from None
+        return decode_view(data, names, where=f"{self.shard}:{self.member}")
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:

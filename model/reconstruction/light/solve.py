@@ -240,10 +240,10 @@ def shared_roughness(
     """
     confidence = solved.confidence[:, 2]
     weight = weight * ~solved.is_metal
-    sure = np.bincount(group, weight * confidence)
-    mean = np.bincount(group, weight * confidence * solved.roughness) / np.maximum(sure, 1e-12)
-    of_region = sure / np.maximum(np.bincount(group, weight), 1e-12)
-    share = np.where(solved.is_metal | (sure <= 0)[group], 0.0, 1 - (1 - REGION_SHARE) * confidence)
+    total = np.bincount(group, weight * confidence)
+    mean = np.bincount(group, weight * confidence * solved.roughness) / np.maximum(total, 1e-12)
+    of_region = total / np.maximum(np.bincount(group, weight), 1e-12)
+    share = np.where(solved.is_metal | (total <= 0)[group], 0.0, 1 - (1 - REGION_SHARE) * confidence)
     shared = solved.roughness + share * (mean[group] - solved.roughness)
     return shared.astype(np.float32), np.maximum(confidence, share * of_region[group]).astype(np.float32)
 

@@ -137,10 +137,8 @@ def _clip_ears(points: Floats) -> Ints:
             is_free = turn > rounding
             for other in rest:
                 if other != a and other != b and other != c:
-                    is_left = (
-                        _turn(points, a, b, other) >= -rounding and _turn(points, b, c, other) >= -rounding
-                    )
-                    is_free &= not (is_left and _turn(points, c, a, other) >= -rounding)
+                    least = min(_turn(points, a, b, other), _turn(points, b, c, other))
+                    is_free &= min(least, _turn(points, c, a, other)) < -rounding
             if is_free > best_is_free or (is_free == best_is_free and turn > best_turn):
                 best, best_turn, best_is_free = k, turn, is_free
         found[step, 0] = rest[best - 1]

@@ -28,7 +28,7 @@ from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance, photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png, quantized_bytes, read_image
+from datagen.foundation.images import encode_png, quantized_bytes, read_radiance
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.progress import Progress
@@ -179,11 +179,9 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Pack
     if not isinstance(sky, Path):
         yield None
         return
-    if sky.suffix.lower() != ".exr" or not sky.is_file():
-        raise input_error(sky, "", "no linear EXR image", "an environment map (.exr)", "convert it")
-    pixels = read_image(sky)  # errors of the renderer would name the temporary copy
-    if not np.isfinite(pixels).all() or (pixels < 0).any():
-        raise input_error(sky, "", "NaN, Inf or negative values", "radiance", "repair the image")
+    if not sky.is_file():
+        raise input_error(sky, "", "no such file", "an environment map (.exr)", "check the path")
+    read_radiance(sky)  # errors of the renderer would name the temporary copy
     speck = Mesh(np.eye(3, dtype=np.float32) * 1e-3, np.array([[0, 1, 2]], np.int32))
     asset = EnvironmentAsset(
         id=SKY_ID,
@@ -254,8 +252,7 @@ def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
 @lru_cache(maxsize=4)
 def _sky_luminance(sky: Path | tuple[float, float, float]) -> float:
     if isinstance(sky, Path):
-        mean = read_image(sky).mean(axis=(0, 1), dtype=np.float64)
-        return float(luminance(mean[:3] if len(mean) >= 3 else np.repeat(mean[:1], 3)))
+        return float(luminance(read_radiance(sky).mean(axis=(0, 1), dtype=np.float64)))
     return float(luminance(np.array(sky, dtype=np.float64)))
 
 

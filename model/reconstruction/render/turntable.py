@@ -58,9 +58,8 @@ def write_turntable(
         if progress is not None:
             progress("render", len(frames), len(made))
     out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.absolute().with_name(
-        f".partial-{out.name}"
-    )  # FFmpeg takes "a:" of "a:b.mp4" for a protocol
+    # absolute, since FFmpeg takes "a:" of "a:b.mp4" for a protocol
+    partial = out.absolute().with_name(f".partial-{out.name}")
     try:
         write = _write_gif if out.suffix.lower() == ".gif" else _write_video
         write(partial, frames, options.frames_per_second)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Faults of lights, light slots, openings and supports that have no area or direction."""
+"""Degenerate lights, light slots, openings and supports: rectangles without area, directions of length 0."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from datagen.foundation.errors import Problems
 _REMEDY = "re-export the asset"
 
 
-def flat_problems(asset: ObjectAsset | EnvironmentAsset, where: str) -> Problems:
-    """List the rectangles without area and the directions of length 0 in the ``asset.json`` at ``where``."""
+def degenerate_problems(asset: ObjectAsset | EnvironmentAsset, where: str) -> Problems:
+    """List the degenerate rectangles and directions of an asset; ``where`` names its ``asset.json``."""
     lights, problems = list(enumerate(asset.lights)), Problems(where)
     rectangles: list[tuple[str, AreaLight | LightSlot | Opening | SupportSurface]] = []
     rectangles += [(f"lights[{k}]", light) for k, light in lights if isinstance(light, AreaLight)]
@@ -34,6 +34,6 @@ def flat_problems(asset: ObjectAsset | EnvironmentAsset, where: str) -> Problems
 
 
 def has_area(edge_u: Vector3, edge_v: Vector3) -> bool:
-    """Whether a rectangle has an area, and its edges are not nearly parallel."""
+    """Return whether the edges (3,), in metres, span more than 1e-10 m² at an angle of more than 1e-6 rad."""
     area = float(np.linalg.norm(np.cross(edge_u, edge_v)))
     return area > 1e-10 and area >= 1e-6 * float(np.linalg.norm(edge_u) * np.linalg.norm(edge_v))
