@@ -282,7 +282,7 @@ def test_views_in_memory_are_decoded_once_for_all_workers(shard, monkeypatch):
         for batch, other in zip(loader, expected, strict=True):
             assert batch.keys() == other.keys()
             assert all(torch.equal(batch[name], other[name]) for name in batch)
-        monkeypatch.setattr("model.training.dataset.decode_view", None)
+        monkeypatch.setattr("model.training.dataset.read_buffers", None)
     shared[1] = None  # an invalid view, which is skipped
     assert dataset[3]["is_skipped"] and not dataset[0]["is_skipped"]
     monkeypatch.setattr("model.training.dataset.shutil.disk_usage", lambda path: SimpleNamespace(free=10**6))

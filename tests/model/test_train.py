@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -318,19 +319,22 @@ def test_ranks_communicate_on_the_device_of_training(monkeypatch, device, expect
     assert chosen == expected
 
 
-def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
-    out = tmp_path / "run"
-    trainer = Trainer(_config("phases=[{name: diffuse, steps: 3}]"), [dataset], out, device=CPU)
-    original = trainer.context.loss.forward
-    calls = []
+def _predict_nan(trainer: Trainer, call: int) -> None:
+    """Replace the predictions in the loss's call number ``call`` by NaN."""
+    original, calls = trainer.context.loss.forward, itertools.count(1)
 
     def forward(predicted, *args):
-        calls.append(1)
-        if len(calls) == 2:
+        if next(calls) == call:
             predicted = {n: v * float("nan") for n, v in predicted.items()}
         return original(predicted, *args)
 
     trainer.context.loss.forward = forward
+
+
+def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
+    out = tmp_path / "run"
+    trainer = Trainer(_config("phases=[{name: diffuse, steps: 3}]"), [dataset], out, device=CPU)
+    _predict_nan(trainer, call=2)
     with pytest.raises(NonFiniteError, match=r"diffuse, step 1: .*total = nan"):
         trainer.run()
     (saved,) = out.glob("bad_batch_step1_rank0.safetensors")
@@ -341,16 +345,7 @@ def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
 def test_the_batch_of_a_non_finite_loss_has_all_micro_batches(dataset, tmp_path):
     config = _config("phases=[{name: diffuse, steps: 1}]", "accumulation=2")
     trainer = Trainer(config, [dataset], tmp_path / "run", device=CPU)
-    original = trainer.context.loss.forward
-    calls = []
-
-    def forward(predicted, *args):
-        calls.append(1)
-        if len(calls) == 1:
-            predicted = {n: v * float("nan") for n, v in predicted.items()}
-        return original(predicted, *args)
-
-    trainer.context.loss.forward = forward
+    _predict_nan(trainer, call=1)
     with pytest.raises(NonFiniteError, match="total = nan"):
         trainer.run()
     batch = load_file(tmp_path / "run" / "bad_batch_step0_rank0.safetensors")

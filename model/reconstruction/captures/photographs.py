@@ -130,7 +130,7 @@ def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
 
 
 def upright_pose(camera: Camera, path: Path) -> NDArray[np.float64]:
-    """Compute world_from_camera (4, 4) of ``camera`` with the photograph ``path`` held upright.
+    """Compute world_from_camera (4, 4) of ``camera`` with the photograph ``path`` turned upright.
 
     It differs from the camera's if EXIF turns the photograph and the camera was calibrated on stored pixels.
     """

@@ -246,8 +246,8 @@ def _calibrated(
 def _rotation(
     up: Literal["auto", "cameras", Axis], cameras: Sequence[Camera], files: Sequence[Path | None]
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Return the rotation (3, 3) that maps ``up`` to +z, if required estimated from the poses in which
-    ``cameras`` hold their photographs ``files`` upright, and notes about the estimate.
+    """Return the rotation (3, 3) that maps ``up`` to +z, and notes if it is estimated from the poses of
+    ``cameras`` with their photographs ``files`` turned upright.
     """
     if up != "auto" and up != "cameras":
         return z_up_from(up), []
