@@ -52,8 +52,10 @@ def resolve_bundled(path: Path, kind: BundledKind) -> Path:
     A folder may have it, such as the dataset of ``datagen run smoke --out smoke``. Raises
     :class:`InputError`, which lists the bundled names, if ``path`` neither is one nor exists.
     """
+    if path.is_file():
+        return path
     names = bundled_names(kind)
-    if str(path) in names and not path.is_file():
+    if str(path) in names:
         return bundled_folder() / kind / f"{path}.yaml"
     if path.exists():
         return path
