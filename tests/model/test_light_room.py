@@ -159,17 +159,18 @@ def test_predicted_diffuse_albedo_is_ignored_where_light_is_known() -> None:
         np.testing.assert_allclose(median_albedo(other, name), median_albedo(room(), name), rtol=0.03)
 
 
-def test_a_ten_per_cent_irradiance_error_is_detected() -> None:
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_a_five_per_cent_irradiance_error_is_detected(factor: float) -> None:
     """Injected fault for the test of coloured walls."""
     found = room()
     wrong = surfel_albedo(
         found.lit.surfels,
-        found.lit.diffuse * np.float32(1.1),
+        found.lit.diffuse * np.float32(factor),
         found.solved.specular,
         found.solved.specular_albedo,
         found.solved.is_metal,
     )
-    assert wall_error(replace(found, albedo=wrong)) > 0.07
+    assert wall_error(replace(found, albedo=wrong)) > 0.045
 
 
 @pytest.mark.parametrize("name", ["west", "south", "north", "east-low", "glossy"])
@@ -250,10 +251,11 @@ def test_unseen_surface_reflects_light() -> None:
 
 
 def test_albedo_is_found_with_a_third_of_the_room_unseen() -> None:
+    """The error is the unknown colour of the unseen wall, whose light is assumed to be of the room's."""
     found = cropped_room()
     for quad in quads():
         if quad.name in ("south", "north", "ceiling", "east-low"):
-            np.testing.assert_allclose(median_albedo(found, quad.name), quad.diffuse, rtol=0.045)
+            np.testing.assert_allclose(median_albedo(found, quad.name), quad.diffuse, rtol=0.04)
 
 
 @pytest.mark.parametrize(("roughness", "shows_detail"), [(0.5, True), (0.1, False)])

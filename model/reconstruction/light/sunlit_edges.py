@@ -22,8 +22,10 @@ from model.reconstruction.light.view_maps import packed_maps
 EDGE_NEIGHBOURS, EDGE_RANGE = 25, 0.1
 """Number of neighbouring surfels whose shares of visible sun differ by more than the second value at an
 edge."""
-NEIGHBOURS, MAX_DISTANCE_CELLS = 16, 20
+NUM_AVERAGED, MAX_DISTANCE_CELLS = 16, 20
 """Number of surrounding surfels that are averaged, and maximum distance to the nearest in cells."""
+NORMAL_SCALE_CELLS = 16
+"""Distance in cells that counts like a difference of 1 between two normals."""
 
 
 def without_sunlit_edges(
@@ -36,13 +38,13 @@ def without_sunlit_edges(
     surfels = lit.surfels
     is_replaced = _at_edge(lit) | (is_clipped & (lit.sunlight.max(axis=1) > 0))
     means = surfel_means(surfels, [packed_maps(view_maps) for view_maps in maps])
-    place = np.column_stack([surfels.position_m, surfels.normal * surfels.grid.cell_m * NEIGHBOURS])
+    place = np.column_stack([surfels.position_m, surfels.normal * surfels.grid.cell_m * NORMAL_SCALE_CELLS])
     far = 10 * float(np.ptp(place, axis=0).max()) + 1.0
     place = np.column_stack([place, far * np.unique(region, return_inverse=True)[1]])
     rows, others = np.flatnonzero(is_replaced), np.flatnonzero(~is_replaced)
     if not len(rows) or not len(others):
         return list(maps)
-    distance, index = cKDTree(place[others]).query(place[rows], k=np.arange(NEIGHBOURS) + 1, workers=-1)
+    distance, index = cKDTree(place[others]).query(place[rows], k=np.arange(NUM_AVERAGED) + 1, workers=-1)
     is_near = distance[:, 0] <= MAX_DISTANCE_CELLS * surfels.grid.cell_m
     rows, distance, index = rows[is_near], distance[is_near], index[is_near]
     weight = np.where(distance < far, 1 / np.maximum(distance, surfels.grid.cell_m) ** 2, 0)
