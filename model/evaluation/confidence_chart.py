@@ -16,7 +16,7 @@ from model.evaluation.tables import LETTERS
 RMSE = (5e-3, 1.0)
 """Range of the logarithmic axis; values outside are drawn at its ends."""
 _TICKS = (0.01, 0.1, 1.0)
-_PANEL_PX, _HEIGHT_PX, _GAP_PX, _LEFT_PX, _TOP_PX, _BOTTOM_PX = 190, 120, 40, 34, 48, 26
+_PANEL_PX, _HEIGHT_PX, _GAP_PX, _LEFT_PX, _TOP_PX, _BOTTOM_PX = 290, 140, 40, 34, 48, 26
 
 
 def confidence_svg(result: SuiteResult) -> str:

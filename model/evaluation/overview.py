@@ -20,6 +20,7 @@ PSNR_DB = (10.0, 45.0)
 MSE = (1e-4, 1.0)
 """Range of the logarithmic panels of maps."""
 _LABEL_PX, _PANEL_PX, _GAP_PX, _LINE_PX, _TOP_PX = 104, 148, 36, 9, 52
+_LABEL_LINES_PX = 28  # name of the scene and of the camera
 _INK = "#1d2127"
 
 
@@ -72,15 +73,19 @@ def _panels() -> list[Panel]:
 
 
 def overview_svg(result: SuiteResult) -> str:
-    """SVG with a block per scene, in it a line per method, and a column per measure.
+    """SVG with a block per scene and camera, in it a line per method, and a column per measure.
 
     Text is in the current colour, so the chart follows the theme of a page that embeds it.
     """
-    judged = [(scene.name, [m for m in scene.methods if not m.skipped]) for scene in result.scenes]
-    labels = list(dict.fromkeys(m.label for _, methods in judged for m in methods))
+    judged = [
+        (scene.name, camera, [m.model_copy(update={"camera": ""}) for m in part.methods if not m.skipped])
+        for scene in result.scenes
+        for camera, part in scene.by_camera()
+    ]
+    labels = list(dict.fromkeys(m.label for _, _, methods in judged for m in methods))
     panels = _panels()
     width = _LABEL_PX + len(panels) * (_PANEL_PX + _GAP_PX)
-    block = _LINE_PX * len(labels) + 14
+    block = max(_LINE_PX * len(labels), _LABEL_LINES_PX) + 14
     height = _TOP_PX + block * len(judged) + 6
     parts = _legend(labels, width)
     for column, panel in enumerate(panels):
@@ -94,15 +99,16 @@ def overview_svg(result: SuiteResult) -> str:
             parts.append(
                 f'<text x="{x:.1f}" y="{_TOP_PX - 4}" text-anchor="middle" opacity=".65">{tick:g}</text>'
             )
-        for row, (_, methods) in enumerate(judged):
+        for row, (_, _, methods) in enumerate(judged):
             for method in methods:
                 place = labels.index(method.label)
                 y = _TOP_PX + row * block + 12 + place * _LINE_PX
                 parts += [_mark(mark, panel, left, y, hue(place)) for mark in panel.marks(method)]
-    for row, (name, _) in enumerate(judged):
+    for row, (name, camera, _) in enumerate(judged):
         y = _TOP_PX + row * block
         parts.append(f'<line x1="0" x2="{width}" y1="{y}" y2="{y}" stroke="{GRID}"/>')
         parts.append(f'<text x="0" y="{y + block / 2 + 4}" font-weight="600">{html.escape(name)}</text>')
+        parts.append(f'<text x="0" y="{y + block / 2 + 18}" opacity=".65">{html.escape(camera)}</text>')
     return (
         f'<svg viewBox="0 0 {width} {height}" role="img" '
         'font-family="system-ui, sans-serif" font-size="11" fill="currentColor"><title>Errors of maps and '

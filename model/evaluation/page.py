@@ -21,7 +21,7 @@ from model.evaluation.measure_tables import image_noise
 from model.evaluation.metrics import shown
 from model.evaluation.overview import overview_svg
 from model.evaluation.page_style import SCRIPT, STYLE, hue
-from model.evaluation.pictures import COLUMNS, Row, map_pixels, rendered_views, small
+from model.evaluation.pictures import COLUMNS, TRUTH, Row, map_pixels, rendered_views, small
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
@@ -47,8 +47,13 @@ def page_html(
     """The page as HTML; ``rows`` and ``truths`` (true views under the scene's own light) are by scene."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
-    links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)
-    scenes = [scene_html(scene, rows[scene.name], truths[scene.name]) for scene in result.scenes]
+    sections = [(*part, scene.name) for scene in result.scenes for part in scene.by_camera()]
+    names = [", ".join(filter(None, (name, camera))) for camera, _, name in sections]
+    links = "".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name in names)
+    scenes = [
+        scene_html(title, scene, rows[name], truths[name])
+        for title, (_, scene, name) in zip(names, sections, strict=True)
+    ]
     parts = [
         f"<h1>{html.escape(title)}</h1>"
         "<p>Each method recovers the materials of rooms from rendered photographs; the recovered rooms are "
@@ -67,18 +72,25 @@ def page_html(
     )
 
 
-def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
-    """HTML section of one scene; ``truth`` contains its true views under its own light, by name."""
+def scene_html(title: str, scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
+    """HTML section of one scene and camera; ``truth`` contains the scene's true views under its own light,
+    by name.
+    """
     methods = [m for m in scene.methods if not m.skipped and m.kind != "truth"]
     views = {method.label: rendered_views(method) for method in methods}
     cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)
+    rows = [row for row in rows if row.label in (TRUTH, *views)]
     return (
-        f'<section id="{scene.name}"><h2>{html.escape(scene.name)}</h2>{_summary(scene)}'
+        f'<section id="{_anchor(title)}"><h2>{html.escape(title)}</h2>{_summary(scene)}'
         "<h3>Best and worst view of each method</h3><p>Truth on the left, the recovered room on the right, "
         f'under the scene\'s own light; drag the line.</p><div class="cards">{cards}</div>'
         f"{_error_maps(scene, methods, views, truth)}{_charts(methods)}"
         f"<details><summary>All pictures</summary>{_all_pictures(scene, rows)}</details></section>"
     )
+
+
+def _anchor(title: str) -> str:
+    return title.replace(", ", "-")
 
 
 def _summary(scene: SceneResult) -> str:

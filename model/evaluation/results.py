@@ -91,6 +91,12 @@ class SceneResult(StrictModel):
     renders: dict[str, str]
     methods: tuple[MethodResult, ...]
 
+    def by_camera(self) -> list[tuple[str, SceneResult]]:
+        """Each name of camera faults, '' for none, with the results on these photographs."""
+        cameras = dict.fromkeys(method.camera for method in self.methods)
+        chosen = ((c, tuple(m for m in self.methods if m.camera == c)) for c in cameras)
+        return [(camera, self.model_copy(update={"methods": methods})) for camera, methods in chosen]
+
 
 class SuiteResult(StrictModel):
     """Contents of ``evaluation.json``; ``failures`` are the reasons for missing figures, by scene."""

@@ -50,14 +50,16 @@ def _result(folder: Path) -> SuiteResult:
     return SuiteResult(suite="s", may_be_known=True, lpips_absence="", scenes=(scene,))
 
 
-def _page(tmp_path: Path) -> Path:
-    result = _result(tmp_path)
+def _truth() -> dict[str, JudgedView]:
     maps = {n: np.full((*SIZE, c), 0.5, np.float32) for n, c in (("diffuse_albedo", 3), ("roughness", 1))}
     maps["specular_albedo"] = maps["diffuse_albedo"]
     mask = np.ones(SIZE, bool)
-    view = JudgedView(np.full((*SIZE, 3), 0.8, np.float32), maps, mask, ~mask)
+    return dict.fromkeys(VIEWS, JudgedView(np.full((*SIZE, 3), 0.8, np.float32), maps, mask, ~mask))
+
+
+def _page(tmp_path: Path) -> Path:
     path = tmp_path / "index.html"
-    path.write_text(page_html(result, ["a note"], [], {"room": []}, {"room": dict.fromkeys(VIEWS, view)}))
+    path.write_text(page_html(_result(tmp_path), ["a note"], [], {"room": []}, {"room": _truth()}))
     return path
 
 
@@ -67,6 +69,18 @@ def test_best_and_worst_views_are_shown(tmp_path: Path) -> None:
     page = _page(tmp_path).read_text()
     assert "best view (view-000): 20.0 dB" in page and "worst view (view-001): 14.0 dB" in page
     assert "17.0 ± " in page and "<b>0.0400</b>" in page
+
+
+def test_a_camera_has_a_section_of_its_own(tmp_path: Path) -> None:
+    result = _result(tmp_path)
+    (scene,) = result.scenes
+    (method,) = scene.methods
+    worse = {name: 2 * error for name, error in method.maps_merged.items()}
+    phone = method.model_copy(update={"camera": "phone", "maps_merged": worse})
+    both = result.model_copy(update={"scenes": (scene.model_copy(update={"methods": (method, phone)}),)})
+    page = page_html(both, [], [], {"room": []}, {"room": _truth()})
+    assert '<a href="#room-phone">room, phone</a>' in page and '<section id="room-phone">' in page
+    assert "<b>0.0400</b>" in page and "<b>0.0800</b>" in page
 
 
 def test_errors_have_one_scale() -> None:

@@ -62,12 +62,12 @@ def result(calibration: dict[str, list[float]]) -> SuiteResult:
 
 
 def test_chart_shows_the_errors_of_the_quarters() -> None:
-    """Of the first panel, at x = 34 to 224; 0.005 to 1 are at y = 168 to 48."""
+    """Of the first panel, at x = 34 to 324; 0.005 to 1 are at y = 188 to 48."""
     chart = standalone(confidence_svg(result({name: [0.5, 1.0, 0.1, 0.05, 0.01] for name in MATERIAL_MAPS})))
     root = ElementTree.fromstring(chart)
     circles = [(float(c.get("cx", 0)), float(c.get("cy", 0))) for c in root.findall(".//{*}circle")][1:5]
-    assert [x for x, _ in circles] == pytest.approx([34 + 190 * (k + 0.5) / 4 for k in range(4)], abs=0.06)
+    assert [x for x, _ in circles] == pytest.approx([34 + 290 * (k + 0.5) / 4 for k in range(4)], abs=0.06)
     decades = np.log10(1 / 5e-3)
-    expected = [48 + 120 * -np.log10(rmse) / decades for rmse in (1.0, 0.1, 0.05, 0.01)]
+    expected = [48 + 140 * -np.log10(rmse) / decades for rmse in (1.0, 0.1, 0.05, 0.01)]
     assert [y for _, y in circles] == pytest.approx(expected, abs=0.06)
     assert confidence_svg(result({})) == ""

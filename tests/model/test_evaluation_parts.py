@@ -398,6 +398,25 @@ def test_a_long_view_keeps_a_row_in_pictures() -> None:
     assert small(np.zeros((16, 16384, 3))).shape == (1, 320, 3)
 
 
+def test_chart_has_a_block_for_each_camera() -> None:
+    """A method has one colour whatever the camera, and the truth, without faults, is in the first block."""
+    result = _result()
+    (scene,) = result.scenes[:1]
+    method = scene.methods[0]
+    truth = method.model_copy(update={"method": "truth", "kind": "truth"})
+    labels = [method.label, truth.label]
+    methods = (method, truth, method.model_copy(update={"camera": "phone"}))
+    scene = scene.model_copy(update={"methods": methods})
+    assert [(c, len(s.methods)) for c, s in scene.by_camera()] == [("", 2), ("phone", 1)]
+    root = ElementTree.fromstring(standalone(overview_svg(result.model_copy(update={"scenes": (scene,)}))))
+    texts = [text.text for text in root.findall(".//{*}text")]
+    assert texts.count(scene.name) == 2 and "phone" in texts
+    assert [t for t in texts if t in labels] == labels
+    marks = [(float(c.get("cy", 0)), c.get("stroke")) for c in root.findall(".//{*}circle")][2:]
+    height = {color: {y for y, c in marks if c == color} for _, color in marks}
+    assert [len(y) for y in height.values()] == [2, 1]
+
+
 def test_chart_of_methods_has_their_figures() -> None:
     """Panels begin at x = 104, 288, 472 (maps, 1e-4 to 1) and 656 (10 to 45 dB), and are 148 wide."""
     views = {"path-000": {"psnr_srgb_db": 27.5}, "path-001": {"psnr_srgb_db": 27.5}}
