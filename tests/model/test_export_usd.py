@@ -275,7 +275,10 @@ def test_infer_writes_it_on_demand(
     assert not (tmp_path / "without" / "views").exists()
     if importlib.util.find_spec("pxr") is not None:
         infer(capture, tmp_path / "with", TRUTH, InferOptions(atlas=64, has_usd=True, is_checked=False))
-        assert zipfile.is_zipfile(tmp_path / "with" / f"{capture.name}.usdz")
+        usdz = tmp_path / "with" / f"{capture.name}.usdz"
+        assert zipfile.is_zipfile(usdz)
+        infer(capture, tmp_path / "with", TRUTH, InferOptions(atlas=32, is_checked=False))
+        assert not usdz.exists()
 
 
 @needs_usd

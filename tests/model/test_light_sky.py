@@ -325,12 +325,14 @@ def test_a_full_disk_leaves_no_part_of_a_texture(tmp_path: Path) -> None:
     assert not list((tmp_path / "mitsuba" / "textures").iterdir())
 
 
-def test_later_maps_without_confidence_remove_the_earlier_one(tmp_path: Path) -> None:
-    """The page of an asset would show it, or refuse its size."""
+def test_images_of_earlier_maps_that_are_not_replaced_are_removed(tmp_path: Path) -> None:
+    """The page of an asset would show an earlier confidence, or refuse its size."""
     for has_confidence in (True, False):
         write_atlas_images(tmp_path, empty_atlas(16, has_confidence=has_confidence))
         names = {path.stem for path in tmp_path.iterdir()}
         assert ("confidence" in names) == has_confidence and {"roughness", "mask"} <= names
+    write_atlas_images(tmp_path, empty_atlas(16), has_exr=False)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
 
 
 def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) -> None:

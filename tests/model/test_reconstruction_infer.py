@@ -308,7 +308,10 @@ def test_assets_can_be_relit_and_get_inserted_objects(
     files = write_renders(out / "asset", tmp_path / "r", RelightOptions(views=("view-002",), samples=1))
     assert [file.name for file in files] == ["view-002.exr", "view-002.png"]
     with pytest.raises(InputError, match="views = nowhere"):
-        next(iter(render_asset(out / "asset", RelightOptions(views=("nowhere",)))))
+        write_renders(out / "asset", tmp_path / "none", RelightOptions(views=("nowhere",)))
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(InputError, match=r"view-002\.png.*a file; expected a folder"):
+        write_renders(out / "asset", files[1])
 
 
 def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:

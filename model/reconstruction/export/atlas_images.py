@@ -78,12 +78,10 @@ def write_atlas_images(
 ) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; return the paths.
 
-    Any confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B. That of earlier
-    maps in the folder is removed.
+    Any confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B. Images of
+    earlier maps that are not replaced are removed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for suffix in ("png", "exr"):
-        (folder / f"{CONFIDENCE}.{suffix}").unlink(missing_ok=True)
 
     def write(name: str) -> Path:
         path = folder / name
@@ -102,6 +100,9 @@ def write_atlas_images(
     names = [f"{name}.png" for name in (*values, "mask")]
     if has_exr:
         names += [f"{name}.exr" for name in values]
+    earlier = {f"{name}.{suffix}" for name in (*atlas.maps, CONFIDENCE) for suffix in ("png", "exr")}
+    for name in earlier - set(names):
+        (folder / name).unlink(missing_ok=True)
     with ThreadPoolExecutor(num_threads()) as pool:
         paths = []
         for path in pool.map(write, names):

@@ -267,12 +267,13 @@ def write_renders(
     folder ``out``; return the paths. ``warn`` is called if lights are replaced (:func:`lit_images`).
     """
     options = options or RelightOptions()
-    cameras = environment_of(path).cameras  # an unusable package raises before the folder is made
-    total = len(set(options.views) or cameras)
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
+    if out.is_file():
+        raise input_error(out, "--out", "a file", "a folder", "choose another --out")
+    total = len(set(options.views) or environment_of(path).cameras)
+    written: list[Path] = []
     exposure = 0.0
     for image in lit_images(path, options, warn):
+        out.mkdir(parents=True, exist_ok=True)
         exposure = exposure or options.compensation * photographic_exposure(image.color)
         file, stream = out / f"{image.name}.exr", io.BytesIO()
         with OpenEXR.File(
