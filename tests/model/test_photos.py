@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
 import struct
+import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +30,7 @@ from datagen.foundation.meshes.ply import encode_ply, read_ply
 from datagen.geometry.traced import TracedGeometry
 from model.cli import app
 from model.reconstruction.photos import pipeline
-from model.reconstruction.photos.colmap_run import ColmapRun
+from model.reconstruction.photos.colmap_run import ColmapRun, lists_by_size, missing_program
 from model.reconstruction.photos.options import PhotosOptions
 from tests.model.lit_box import SIDES, SIZE, box_capture
 from tests.model.test_light_infer import untrained
@@ -193,6 +196,39 @@ def test_options_have_the_names_of_the_installed_version(tmp_path: Path) -> None
     run = ColmapRun(str(program), images, tmp_path / "work", lambda step: None)
     assert run.cameras() == run.model and run.has_cameras
     assert "mapper" in (truth / "calls").read_text()
+
+
+def test_photographs_of_each_size_share_a_camera(tmp_path: Path) -> None:
+    images, program, truth = photographed(tmp_path)
+    files = sorted(images.iterdir())
+    assert lists_by_size(files, tmp_path) == {}
+    with Image.open(files[1]) as image:
+        image.transpose(Image.Transpose.ROTATE_90).save(files[1])
+    lists = lists_by_size(files, tmp_path / "work")
+    assert sorted(map(len, lists.values())) == [1, len(files) - 1]
+    run = ColmapRun(str(program), images, tmp_path / "work", lambda step: None, lists)
+    assert run.cameras() == run.model
+    assert (truth / "calls").read_text().split().count("feature_extractor") == 2
+    assert [path.read_text().split() for path in lists] == list(lists.values())
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="no COLMAP: apt-get install colmap")
+def test_colmap_finds_features_of_upright_photographs_too(tmp_path: Path) -> None:
+    """By the commands that are printed where COLMAP is missing, in a folder whose name has a space."""
+    images, work = tmp_path / "my room", tmp_path / "the work"
+    images.mkdir()
+    noise = np.random.default_rng(0).integers(0, 256, (12, 16, 3)).astype(np.uint8)
+    files = [images / name for name in ("a b.png", "upright.png", "c.png")]
+    for file in files:
+        shown = cv2.resize(noise, (320, 240), interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(file), shown.transpose(1, 0, 2) if file.stem == "upright" else shown)
+    text = missing_program("colmap", images, work, lists_by_size(files, work))
+    commands = text.partition("colmap exhaustive_matcher")[0].splitlines()[1:]
+    subprocess.run(["bash", "-euc", "\n".join(commands)], check=True, capture_output=True)
+    with closing(sqlite3.connect(work / "database.db")) as database:
+        cameras = dict(database.execute("SELECT name, camera_id FROM images"))
+    assert set(cameras) == {file.name for file in files}
+    assert cameras["a b.png"] == cameras["c.png"] != cameras["upright.png"]
 
 
 def test_a_changed_capture_is_inferred_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Runs COLMAP to compute cameras and a mesh from a folder of photographs; each step runs only once.
 
+WORK/size-K.txt     photographs of one size, if there are several sizes
 WORK/database.db    features and matches
 WORK/found/         all models of the mapper
 WORK/sparse/0/      the largest model
@@ -14,13 +15,14 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
+from datagen.foundation.images import image_size
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.captures.colmap import read_sights
 from model.reconstruction.photos.sparse_mesh import sparse_surface
@@ -44,8 +46,24 @@ class Step:
     clears: tuple[str, ...] = ()
 
 
-def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...]:
-    """Return the steps that compute features, matches and cameras on the CPU with COLMAP's ``program``."""
+def lists_by_size(photographs: Sequence[Path], work: Path) -> dict[Path, list[str]]:
+    """Return the names of the photographs of each size by path of their list; {} for a single size.
+
+    Photographs of different sizes, such as those held upright, cannot share a camera in COLMAP.
+    """
+    names: dict[tuple[int, int], list[str]] = {}
+    for file in photographs:
+        names.setdefault(image_size(file), []).append(file.name)
+    if len(names) < 2:
+        return {}
+    return {work / f"size-{k}.txt": of_size for k, of_size in enumerate(names.values(), start=1)}
+
+
+def camera_steps(program: str, photographs: Path, work: Path, lists: Sequence[Path]) -> tuple[Step, ...]:
+    """Return the steps that compute features, matches and cameras on the CPU with COLMAP's ``program``.
+
+    Each of the ``lists`` (:func:`lists_by_size`) has a camera; without lists, all photographs share one.
+    """
     database = ("--database_path", str(work / "database.db"))
     images = ("--image_path", str(photographs))
     features = (
@@ -53,13 +71,14 @@ def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...
         "--ImageReader.camera_model", "SIMPLE_RADIAL", "--SiftExtraction.use_gpu", "0",
         "--SiftExtraction.max_image_size", str(MAX_IMAGE_PX), "--SiftExtraction.peak_threshold", "0.003",
     )  # fmt: skip
+    of_lists = tuple((*features, "--image_list_path", str(path)) for path in lists) or (features,)
     matches = (
         program, "exhaustive_matcher", *database, "--SiftMatching.use_gpu", "0",
         "--SiftMatching.guided_matching", "1",
     )  # fmt: skip
     mapper = (program, "mapper", *database, *images, "--output_path", str(work / "found"))
     return (
-        Step("features", (features,), ("database.db",)),
+        Step("features", of_lists, ("database.db",)),
         Step("matches", (matches,)),
         Step("cameras", (mapper,), ("found",)),
     )
@@ -81,14 +100,16 @@ def dense_step(program: str, photographs: Path, work: Path) -> Step:
     )  # fmt: skip
 
 
-def missing_program(program: str, photographs: Path, work: Path) -> str:
+def missing_program(program: str, photographs: Path, work: Path, lists: Mapping[Path, list[str]]) -> str:
     """Return the shell commands that install and run COLMAP."""
     found, largest = work / "found", work / "sparse" / "0"
+    steps = camera_steps(program, photographs, work, list(lists))
     return "\n".join(
         [
             "apt-get install colmap    # or https://colmap.github.io/install.html",
             f"mkdir -p {shlex.quote(str(found))}",
-            *(shlex.join(c) for step in camera_steps(program, photographs, work) for c in step.commands),
+            *(f"{_printed(names)} > {shlex.quote(str(path))}" for path, names in lists.items()),
+            *(shlex.join(command) for step in steps for command in step.commands),
             f"mkdir -p {shlex.quote(str(largest.parent))}",
             f"cp -r {shlex.quote(str(found / '0'))} {shlex.quote(str(largest))}    # the largest model",
             "# then the same command again",
@@ -96,11 +117,24 @@ def missing_program(program: str, photographs: Path, work: Path) -> str:
     )
 
 
+def _printed(lines: Sequence[str]) -> str:
+    """Return a shell command that prints ``lines``."""
+    return shlex.join(["printf", r"%s\n", *lines])
+
+
 class ColmapRun:
     """Runs unfinished steps in the folder ``work``; ``tell`` is called with the name of each step."""
 
-    def __init__(self, program: str, photographs: Path, work: Path, tell: Callable[[str], None]):
+    def __init__(
+        self,
+        program: str,
+        photographs: Path,
+        work: Path,
+        tell: Callable[[str], None],
+        lists: Mapping[Path, list[str]] | None = None,
+    ):
         self.program, self.photographs, self.work, self.tell = program, photographs, work, tell
+        self.lists = lists or {}
 
     @property
     def has_cameras(self) -> bool:
@@ -117,7 +151,9 @@ class ColmapRun:
         if self.has_cameras:
             return self.model
         (self.work / "found").mkdir(parents=True, exist_ok=True)
-        for step in camera_steps(self.program, self.photographs, self.work):
+        for path, names in self.lists.items():
+            write_bytes_atomically(path, "".join(f"{name}\n" for name in names).encode())
+        for step in camera_steps(self.program, self.photographs, self.work, list(self.lists)):
             self._do(step)
         models = [folder for folder in (self.work / "found").iterdir() if _size(folder)]
         if not models:
