@@ -80,7 +80,7 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
     cells = []
     for chosen in kinds.values():
         parts = [error[chosen].mean() if chosen.any() else np.nan for error in errors]
-        cells.append(" ".join(f"{part:.4f}" for part in parts))
+        cells.append(" ".join(f"{part:.5f}" for part in parts))
     return " | ".join(cells)
 
 
