@@ -47,13 +47,13 @@ def page_html(
     """The page as HTML; ``rows`` and ``truths`` (true views under the scene's own light) are by scene."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
-    sections = [(*part, scene.name) for scene in result.scenes for part in scene.by_camera()]
-    names = [", ".join(filter(None, (name, camera))) for camera, _, name in sections]
-    links = "".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name in names)
-    scenes = [
-        scene_html(title, scene, rows[name], truths[name])
-        for title, (_, scene, name) in zip(names, sections, strict=True)
+    sections = [
+        (", ".join(filter(None, (scene.name, camera))), part)
+        for scene in result.scenes
+        for camera, part in scene.by_camera()
     ]
+    links = "".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name, _ in sections)
+    scenes = [scene_html(name, part, rows[part.name], truths[part.name]) for name, part in sections]
     parts = [
         f"<h1>{html.escape(title)}</h1>"
         "<p>Each method recovers the materials of rooms from rendered photographs; the recovered rooms are "

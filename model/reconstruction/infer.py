@@ -316,7 +316,8 @@ def _export(capture: Capture, merged: Merged, run: Run) -> None:
         write_mitsuba_scene(out / "mitsuba", reconstruction)
         advance(3, 4)
         usdz = out / f"{capture.name}.usdz"
-        usdz.unlink(missing_ok=True)  # of earlier maps
         if run.options.has_usd:
             write_usdz(usdz, reconstruction)
+        else:
+            usdz.unlink(missing_ok=True)  # of earlier maps
     run.report.gltf_error = asdict(error)

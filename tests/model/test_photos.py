@@ -30,7 +30,7 @@ from datagen.foundation.meshes.ply import encode_ply, read_ply
 from datagen.geometry.traced import TracedGeometry
 from model.cli import app
 from model.reconstruction.photos import pipeline
-from model.reconstruction.photos.colmap_run import ColmapRun, lists_by_size, missing_program
+from model.reconstruction.photos.colmap_run import ColmapRun, lists_by_size
 from model.reconstruction.photos.options import PhotosOptions
 from tests.model.lit_box import SIDES, SIZE, box_capture
 from tests.model.test_light_infer import untrained
@@ -176,7 +176,7 @@ def test_given_cameras_need_no_program(tmp_path: Path) -> None:
     """A model from the printed commands is used unchanged; points without a surface are an error."""
     images, _, truth = photographed(tmp_path)
     steps: list[str] = []
-    run = ColmapRun("no-such-colmap", images, tmp_path / "work", steps.append)
+    run = ColmapRun("no-such-colmap", images, [], tmp_path / "work", steps.append)
     assert not run.has_cameras
     shutil.copytree(truth / "model", run.model)
     assert run.cameras() == run.model and steps == []
@@ -193,7 +193,7 @@ def test_given_cameras_need_no_program(tmp_path: Path) -> None:
 def test_options_have_the_names_of_the_installed_version(tmp_path: Path) -> None:
     images, program, truth = photographed(tmp_path)
     (truth / "options").write_text(_OPTIONS_SINCE_3_13)
-    run = ColmapRun(str(program), images, tmp_path / "work", lambda step: None)
+    run = ColmapRun(str(program), images, [], tmp_path / "work", lambda step: None)
     assert run.cameras() == run.model and run.has_cameras
     assert "mapper" in (truth / "calls").read_text()
 
@@ -206,7 +206,7 @@ def test_photographs_of_each_size_share_a_camera(tmp_path: Path) -> None:
         image.transpose(Image.Transpose.ROTATE_90).save(files[1])
     lists = lists_by_size(files, tmp_path / "work")
     assert sorted(map(len, lists.values())) == [1, len(files) - 1]
-    run = ColmapRun(str(program), images, tmp_path / "work", lambda step: None, lists)
+    run = ColmapRun(str(program), images, files, tmp_path / "work", lambda step: None)
     assert run.cameras() == run.model
     assert (truth / "calls").read_text().split().count("feature_extractor") == 2
     assert [path.read_text().split() for path in lists] == list(lists.values())
@@ -222,7 +222,7 @@ def test_colmap_finds_features_of_upright_photographs_too(tmp_path: Path) -> Non
     for file in files:
         shown = cv2.resize(noise, (320, 240), interpolation=cv2.INTER_CUBIC)
         cv2.imwrite(str(file), shown.transpose(1, 0, 2) if file.stem == "upright" else shown)
-    text = missing_program("colmap", images, work, lists_by_size(files, work))
+    text = ColmapRun("colmap", images, files, work, lambda step: None).commands()
     commands = text.partition("colmap exhaustive_matcher")[0].splitlines()[1:]
     subprocess.run(["bash", "-euc", "\n".join(commands)], check=True, capture_output=True)
     with closing(sqlite3.connect(work / "database.db")) as database:

@@ -51,9 +51,9 @@ def surfel_confidence(photographed: NDArray, is_mirror: NDArray[np.bool_]) -> ND
     """Compute the confidence (N, 3) of D, S and R from the ``photographed`` share (N,) of each hemisphere.
 
     The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose prior
-    already has more weight where evidence is weak: below a share of 0.3, R from light has 0.03
-    to 0.9 times the network's squared error in the development rooms. Mirrors (``is_mirror`` (N,)) are known
-    by their images.
+    already has more weight where evidence is weak: below a share of 0.3, R from light has 0.03 to
+    0.9 times the network's squared error in the development rooms. Mirrors (``is_mirror`` (N,)) are known by
+    their images.
     """
     photographed = np.where(is_mirror, 1.0, photographed)
     of_d = _ramp(photographed, D_EVIDENCE)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,41 +100,38 @@ def dense_step(program: str, photographs: Path, work: Path) -> Step:
     )  # fmt: skip
 
 
-def missing_program(program: str, photographs: Path, work: Path, lists: Mapping[Path, list[str]]) -> str:
-    """Return the shell commands that install and run COLMAP."""
-    found, largest = work / "found", work / "sparse" / "0"
-    steps = camera_steps(program, photographs, work, list(lists))
-    return "\n".join(
-        [
-            "apt-get install colmap    # or https://colmap.github.io/install.html",
-            f"mkdir -p {shlex.quote(str(found))}",
-            *(f"{_printed(names)} > {shlex.quote(str(path))}" for path, names in lists.items()),
-            *(shlex.join(command) for step in steps for command in step.commands),
-            f"mkdir -p {shlex.quote(str(largest.parent))}",
-            f"cp -r {shlex.quote(str(found / '0'))} {shlex.quote(str(largest))}    # the largest model",
-            "# then the same command again",
-        ]
-    )
-
-
 def _printed(lines: Sequence[str]) -> str:
     """Return a shell command that prints ``lines``."""
     return shlex.join(["printf", r"%s\n", *lines])
 
 
 class ColmapRun:
-    """Runs unfinished steps in the folder ``work``; ``tell`` is called with the name of each step."""
+    """Runs unfinished steps on the photographs ``files`` of ``folder``, in the folder ``work``.
+
+    ``tell`` is called with the name of each step.
+    """
 
     def __init__(
-        self,
-        program: str,
-        photographs: Path,
-        work: Path,
-        tell: Callable[[str], None],
-        lists: Mapping[Path, list[str]] | None = None,
+        self, program: str, folder: Path, files: Sequence[Path], work: Path, tell: Callable[[str], None]
     ):
-        self.program, self.photographs, self.work, self.tell = program, photographs, work, tell
-        self.lists = lists or {}
+        self.program, self.photographs, self.work, self.tell = program, folder, work, tell
+        self._lists = lists_by_size(files, work)
+
+    def commands(self) -> str:
+        """Return the shell commands that install COLMAP and compute the cameras."""
+        found, largest = self.work / "found", shlex.quote(str(self.model))
+        steps = camera_steps(self.program, self.photographs, self.work, list(self._lists))
+        return "\n".join(
+            [
+                "apt-get install colmap    # or https://colmap.github.io/install.html",
+                f"mkdir -p {shlex.quote(str(found))}",
+                *(f"{_printed(names)} > {shlex.quote(str(path))}" for path, names in self._lists.items()),
+                *(shlex.join(command) for step in steps for command in step.commands),
+                f"mkdir -p {shlex.quote(str(self.model.parent))}",
+                f"cp -r {shlex.quote(str(found / '0'))} {largest}    # the largest model",
+                "# then the same command again",
+            ]
+        )
 
     @property
     def has_cameras(self) -> bool:
@@ -151,9 +148,9 @@ class ColmapRun:
         if self.has_cameras:
             return self.model
         (self.work / "found").mkdir(parents=True, exist_ok=True)
-        for path, names in self.lists.items():
+        for path, names in self._lists.items():
             write_bytes_atomically(path, "".join(f"{name}\n" for name in names).encode())
-        for step in camera_steps(self.program, self.photographs, self.work, list(self.lists)):
+        for step in camera_steps(self.program, self.photographs, self.work, list(self._lists)):
             self._do(step)
         models = [folder for folder in (self.work / "found").iterdir() if _size(folder)]
         if not models:

@@ -32,7 +32,7 @@ from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.read import has_cameras, read_capture, refuse_unused
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferReport, Progress
-from model.reconstruction.photos.colmap_run import ColmapRun, lists_by_size, missing_program
+from model.reconstruction.photos.colmap_run import ColmapRun
 from model.reconstruction.photos.options import PhotosOptions
 from model.reconstruction.render.relight import RelightOptions
 from model.reconstruction.render.turntable import TurntableOptions, write_turntable
@@ -92,10 +92,9 @@ def make_asset(
         refuse_unused(folder, options.reading)
         given = read_capture(folder, options.reading)
     photographs = [] if given else photographs_in(folder)
-    lists = lists_by_size(photographs, out / "colmap")
-    run = ColmapRun(options.program, folder, out / "colmap", say, lists)
+    run = ColmapRun(options.program, folder, photographs, out / "colmap", say)
     if not given and not run.has_cameras and shutil.which(options.program) is None:
-        say(missing_program(options.program, folder, out / "colmap", lists))
+        say(run.commands())
         remedy = "install it and give the same command again, or run the commands above"
         raise InputError(Problem(options.program, "", "no such program", "COLMAP 3.7 or later", remedy))
     own_mesh = options.reading.mesh
