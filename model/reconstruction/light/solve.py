@@ -57,9 +57,9 @@ MATTE_TEMPERATURE, MATTE_ALLOWANCE = (0.06, 0.018), 0.01
 """Like :data:`GLOSSY_TEMPERATURE`, in an inexact and an exact capture, for matte (S = 0, R = 1) against the
 best glossy hypothesis; and the excess cost, relative to the residual, at which matte is as likely as glossy,
 since glossy hypotheses fit noise slightly better."""
-MATTE_ALBEDO = (0.02, 0.06)
+MATTE_ALBEDO, MATTE_DIELECTRIC = (0.02, 0.06), 0.75
 """Bounds on the network's S of matte segments in an inexact capture, where S = 0 cannot be distinguished from
-that of a rough dielectric."""
+that of a rough dielectric; and the probability of the dielectric."""
 REFERENCE_OBSERVATIONS, COOLING, MAX_HEAT = 3000.0, 0.75, 10.0
 """In an exact capture, temperatures are multiplied by (observations of the segment / the first value) to the
 power of minus the second, at most by the third. Errors of independent observations would give the power 1."""
@@ -166,7 +166,7 @@ def decide(
     the weights of priors, as at least :data:`MIN_EVIDENCE`; ``views`` (G,): mean number of views of a surfel;
     ``group`` (G,): smooth region; ``size`` (G,): number of surfels; ``brightness`` (G,): typical radiance
     relative to white in the same light. A dielectric is the mean of the matte (R = 1; S = 0 or, in an inexact
-    capture, the network's) and glossy hypotheses, weighted by likelihood.
+    capture, by the network's) and glossy hypotheses, weighted by likelihood.
 
     Mirrors need no evidence. Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if
     :data:`METAL_SHARE` of it is metal or its residuals as metal are below those as dielectric by
@@ -191,7 +191,7 @@ def decide(
     found_s, found_r, square_r = _expected(glossy / (GLOSSY_TEMPERATURE * heat)[:, None, None])
     matte_heat = _blended(MATTE_TEMPERATURE, exactness) * heat
     matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / matte_heat)
-    matte_s = (1 - exactness) * np.clip(root**2, *MATTE_ALBEDO)
+    matte_s = (1 - exactness) * MATTE_DIELECTRIC * np.clip(root**2, *MATTE_ALBEDO)
     found_s, found_r = matte * matte_s + (1 - matte) * found_s, matte + (1 - matte) * found_r
     variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
