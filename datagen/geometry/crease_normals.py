@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
@@ -40,9 +42,4 @@ def with_normals(mesh: Mesh) -> Mesh:
     keys = (mesh.faces.ravel().astype(np.int64) << 30) | (coded @ [1 << 20, 1 << 10, 1])
     _, first, split = np.unique(keys, return_index=True, return_inverse=True)
     source = mesh.faces.ravel()[first]
-    return Mesh(
-        mesh.positions[source],
-        split.reshape(-1, 3).astype(np.int32),
-        normals[first].astype(np.float32),
-        None if mesh.uv is None else mesh.uv[source],
-    )
+    return replace(mesh.picked(source, split), normals=normals[first].astype(np.float32))

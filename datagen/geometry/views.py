@@ -52,7 +52,6 @@ class TracedCapture:
 
     @property
     def statistics(self) -> list[StatisticsView]:
-        """The views as input of the multi-view statistics."""
         return [view.statistics for view in self.views]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, compacted
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, compacted, unit_vectors
 from datagen.foundation.meshes.obj import corner_indices, number_table
 
 CREASE_COSINE = 0.5
@@ -68,9 +68,7 @@ def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
         positions, uvs, normals = (number_table(lines, width, is_padded=True) for lines, width in tables)
         indices = corner_indices(found.corners, (len(positions), len(uvs), len(normals)))
     except (ValueError, IndexError, OverflowError) as error:
-        raise input_error(
-            where, got=str(error)[:200], expected="an intact OBJ file", remedy="export it again"
-        ) from None
+        raise input_error(where, "", str(error)[:200], "an intact OBJ file", "export it again") from None
     if not len(indices):
         raise input_error(where, got="no faces", expected="a model with a surface", remedy="export it again")
     if not np.isfinite(positions[indices[:, 0]]).all():
@@ -211,9 +209,7 @@ def _corner_normals(
     positions: Floats, normals: Floats, corner: Ints, smoothing: Ints, budget: Budget
 ) -> Floats:
     """Return corner normals (M, 3 corners, 3), from the file if valid, else from :func:`creased`."""
-    cross = area_vectors(positions[corner[:, :, 0]])
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
+    unit = unit_vectors(area_vectors(positions[corner[:, :, 0]]))
     named = corner[:, :, 2]
     if len(normals):
         given = normals[np.maximum(named, 0)]

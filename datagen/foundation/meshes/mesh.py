@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 SINGULAR = 1e-15  # transforms with smaller determinants flatten the mesh
 LYING_COSINE = 0.01  # a normal within 0.6 degrees of its triangle's plane cannot be used for shading
@@ -19,6 +20,13 @@ LYING_COSINE = 0.01  # a normal within 0.6 degrees of its triangle's plane canno
 def area_vectors(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the normals (M, 3), with a length of twice the area, of triangles with corners (M, 3, 3)."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def unit_vectors(vectors: NDArray[np.float64], otherwise: ArrayLike = 0.0) -> NDArray[np.float64]:
+    """Return vectors (..., 3) divided by their lengths, and ``otherwise`` in place of zero vectors."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    unit: NDArray[np.float64] = np.where(length > 0, vectors / np.maximum(length, 1e-300), otherwise)
+    return unit
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,15 @@ class Mesh:
         if np.linalg.det(target_from_source[:3, :3]) < 0:
             return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, [0, 2, 1]]))
         return mesh
+
+    def picked(self, vertices: NDArray[np.integer[Any]], corners: NDArray[np.integer[Any]]) -> Mesh:
+        """Return a mesh of the vertices with indices ``vertices`` (K,), to which ``corners`` (3 M,) refer."""
+        normals, uv = (None if array is None else array[vertices] for array in (self.normals, self.uv))
+        return Mesh(self.positions[vertices], corners.reshape(-1, 3).astype(np.int32), normals, uv)
+
+    def submesh(self, chosen: NDArray[np.bool_]) -> Mesh:
+        """Return the triangles in the mask ``chosen`` (M,) with their vertices."""
+        return self.picked(*np.unique(self.faces[chosen], return_inverse=True))
 
     def triangles(self) -> NDArray[np.float64]:
         """Return the positions of the triangles' corners, (M, 3 corners, 3)."""
@@ -128,9 +145,7 @@ def inspect_mesh(mesh: Mesh) -> MeshFaults:
     if non_finite or bad:
         return MeshFaults(non_finite=non_finite, bad_indices=bad, total=num_faces)
     faces = welded(mesh)[1][mesh.faces]
-    collapsed = (
-        (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    ) | (mesh.areas() == 0)
+    collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1) | (mesh.areas() == 0)
     faces = faces[~collapsed]
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     base = int(faces.max()) + 1 if len(faces) else 1
@@ -243,16 +258,9 @@ def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
 
 def flat_shaded(mesh: Mesh) -> Mesh:
     """Return the mesh with separate vertices for each triangle, which have the triangle's normal."""
-    cross = area_vectors(mesh.triangles())
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normal = np.where(length > 0, cross / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
-    index = mesh.faces.ravel()
-    return Mesh(
-        mesh.positions[index],
-        np.arange(len(index), dtype=np.int32).reshape(-1, 3),
-        np.repeat(normal, 3, axis=0).astype(np.float32),
-        None if mesh.uv is None else mesh.uv[index],
-    )
+    normal = unit_vectors(area_vectors(mesh.triangles()), [0.0, 0.0, 1.0])
+    split = mesh.picked(mesh.faces.ravel(), np.arange(mesh.faces.size))
+    return replace(split, normals=np.repeat(normal, 3, axis=0).astype(np.float32))
 
 
 def compacted(mesh: Mesh) -> Mesh:
@@ -261,28 +269,13 @@ def compacted(mesh: Mesh) -> Mesh:
     table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)
     keys = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    rows = mesh.faces.ravel()[first]
-    return Mesh(
-        mesh.positions[rows],
-        inverse.reshape(-1, 3).astype(np.int32),
-        None if mesh.normals is None else mesh.normals[rows],
-        None if mesh.uv is None else mesh.uv[rows],
-    )
+    return mesh.picked(mesh.faces.ravel()[first], inverse)
 
 
 def without_degenerate(mesh: Mesh) -> Mesh:
     """Return the mesh without triangles of zero area and the vertices that only they use."""
     keep = mesh.areas() > 0
-    if keep.all():
-        return mesh
-    faces = mesh.faces[keep]
-    used, compact = np.unique(faces, return_inverse=True)
-    return Mesh(
-        mesh.positions[used],
-        compact.reshape(-1, 3).astype(np.int32),
-        None if mesh.normals is None else mesh.normals[used],
-        None if mesh.uv is None else mesh.uv[used],
-    )
+    return mesh if keep.all() else mesh.submesh(keep)
 
 
 def joined(meshes: list[Mesh]) -> Mesh:

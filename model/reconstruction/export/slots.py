@@ -61,20 +61,6 @@ class Slot:
     has_material: bool
 
 
-def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
-    """Return the triangles in the mask ``chosen`` (M,) with their vertices; missing normals are computed."""
-    mesh = with_normals(mesh)
-    assert mesh.normals is not None
-    faces = mesh.faces[chosen]
-    used, compact = np.unique(faces, return_inverse=True)
-    return Mesh(
-        mesh.positions[used],
-        compact.reshape(-1, 3).astype(np.int32),
-        mesh.normals[used],
-        None if mesh.uv is None else mesh.uv[used],
-    )
-
-
 def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
     """Return slots by name: ``surface``; ``lamp-0``, ... for emissive parts of the geometry, with recovered
     radiance if any light was recovered; and ``found-0``, ... for other surfaces that were found to emit.
@@ -88,17 +74,17 @@ def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
             if part.emission is not None:
                 chosen = np.zeros(len(mesh.faces), dtype=bool)
                 chosen[part.first_face : part.first_face + part.num_faces] = True
-                lamps[f"lamp-{len(lamps)}"] = Slot(submesh(mesh, chosen), part.emission, False)
+                lamps[f"lamp-{len(lamps)}"] = Slot(mesh.submesh(chosen), part.emission, False)
     else:
         for lamp in found.lamps:
             chosen = np.zeros(len(mesh.faces), dtype=bool)
             chosen[lamp.faces] = True
             is_surface &= ~chosen
-            shape = submesh(mesh, chosen)
+            shape = mesh.submesh(chosen)
             lamps[lamp.slot] = Slot(
                 turned(shape) if lamp.side < 0 else shape, lamp.radiance, not lamp.is_named
             )
-    slots = {SURFACE: Slot(submesh(mesh, is_surface), None, True)} if is_surface.any() else {}
+    slots = {SURFACE: Slot(mesh.submesh(is_surface), None, True)} if is_surface.any() else {}
     return {**slots, **lamps}
 
 
