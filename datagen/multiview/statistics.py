@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import MIN_COVERAGE, STATISTICS_BUFFERS
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import Problem, Problems, input_error, raise_problems
-from datagen.multiview.view_selection import OwnView, Selection, select_views
+from datagen.multiview.view_selection import Selection, select_views
 from datagen.multiview.visibility import (
     PackedViews,
     VisibilityOptions,
@@ -206,7 +206,7 @@ def choose_for_pixels(
     import drjit as dr
     import mitsuba as mi
 
-    own = OwnView(dr.opaque(mi.UInt32, index), options.include_self)
+    own = dr.opaque(mi.UInt32, index)
     first = dr.opaque(mi.UInt32, int(packed.first_pixels[index]))
     pixel = dr.arange(mi.UInt32, view.camera.width_px * view.camera.height_px)
     mask = dr.gather(mi.Bool, mi.Bool(aligned(has_surface(view.depth_z_m, view.surface_mask))), pixel)
@@ -214,10 +214,9 @@ def choose_for_pixels(
     normals *= dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))  # averaged at edges, zero on background
     own_pixel = first + pixel
 
-    points = _unproject(packed, own.index, pixel, dr.gather(mi.Float, packed.depth, own_pixel))
-    selection = select_views(
-        packed, points, normals, options.best_views, options.visibility, scene, own, mask
-    )
+    points = _unproject(packed, own, pixel, dr.gather(mi.Float, packed.depth, own_pixel))
+    best, visibility, include_own = options.best_views, options.visibility, options.include_self
+    selection = select_views(packed, points, normals, best, visibility, scene, own, include_own, mask)
     return own_pixel, points, selection
 
 
@@ -293,15 +292,8 @@ def _fetch_bilinear(
         total += weight * dr.gather(mi.Vector4f, colors, pixel, active)
         weights += weight
     # Only with visibility by trace can all four depths differ; small weights would amplify rounding errors.
-    nearest = dr.gather(mi.Vector4f, colors, _pixel_at(at), active)
+    nearest = dr.gather(mi.Vector4f, colors, at.pixel(), active)
     return dr.select(weights > _MIN_WEIGHT, total / weights, nearest)
-
-
-def _pixel_at(at: Any) -> mi.UInt32:
-    """Packed index of the pixel that the projection falls into (*traced*)."""
-    import mitsuba as mi
-
-    return at.layout[0] + mi.UInt32(at.v_px) * at.layout[1] + mi.UInt32(at.u_px)
 
 
 def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, Any]:

@@ -7,7 +7,6 @@ views of equal cost, the lower index comes first, so the result does not depend 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,21 +18,11 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 
-@dataclass(frozen=True)
-class OwnView:
-    """The view whose pixels define the points: always a candidate if ``is_included``, else never."""
-
-    index: mi.UInt32
-    is_included: bool = True
-
-
 class Selection(NamedTuple):
     """The chosen views of each point, at most k = ``num_best`` (*traced*)."""
 
     num_chosen: mi.UInt32
     """Number of chosen views, at most k."""
-    costs: dr.Local
-    """(k,) costs in increasing order, Inf after the chosen views."""
     views: dr.Local
     """(k,) indices of the chosen views by increasing cost."""
 
@@ -44,14 +33,15 @@ def select_views(
     normals: mi.Vector3f,
     num_best: int,
     options: VisibilityOptions,
-    scene: mi.Scene | None = None,
-    own: OwnView | None = None,
-    active: mi.Bool | bool = True,
+    scene: mi.Scene | None,
+    own: mi.UInt32,
+    include_own: bool,
+    active: mi.Bool,
 ) -> Selection:
     """Select the ``num_best`` views of least cost among those in which each point is visible (*traced*).
 
-    ``own`` is None for points that are not pixels of a view, such as texels. No view is chosen for points
-    that are not ``active``.
+    ``own``: index of the view whose pixels define the points, which is always a candidate if ``include_own``,
+    else never. No view is chosen for points that are not ``active``.
     """
     import drjit as dr
     import mitsuba as mi
@@ -83,9 +73,8 @@ def select_views(
     def visit(view: Any, num_visible: Any, costs: Any, chosen: Any) -> tuple[Any, ...]:
         observed = observe(views, view, points, normals, options, scene)
         is_candidate = observed.is_visible & active
-        if own is not None:
-            is_own = view == own.index
-            is_candidate = is_candidate | (is_own & active) if own.is_included else is_candidate & ~is_own
+        is_own = view == own
+        is_candidate = is_candidate | (is_own & active) if include_own else is_candidate & ~is_own
         cost = dr.select(is_candidate, observed.distance_m * inverse_farthest - observed.cosine, infinity)
         num_visible = num_visible + dr.select(is_candidate, mi.UInt32(1), mi.UInt32(0))
         costs, chosen = insert(costs, chosen, cost, view)
@@ -97,7 +86,7 @@ def select_views(
         dr.alloc_local(mi.Float, num_best, infinity),
         dr.alloc_local(mi.UInt32, num_best, mi.UInt32(0)),
     )
-    _, num_visible, costs, chosen = dr.while_loop(
+    _, num_visible, _, chosen = dr.while_loop(
         start, lambda view, *_: view < num_views, visit, label="select_views"
     )
-    return Selection(dr.minimum(num_visible, num_best), costs, chosen)
+    return Selection(dr.minimum(num_visible, num_best), chosen)

@@ -85,6 +85,12 @@ class Projection(NamedTuple):
     layout: mi.Vector4u
     """Index of the view's first pixel in the packed storage, width, height, 0."""
 
+    def pixel(self) -> mi.UInt32:
+        """Packed index of the pixel that the projection falls into."""
+        import mitsuba as mi
+
+        return self.layout[0] + mi.UInt32(self.v_px) * self.layout[1] + mi.UInt32(self.u_px)
+
 
 class Observation(NamedTuple):
     """Visibility and projection of points in a view (*traced*); ``u_px``, ``v_px`` are valid if visible."""
@@ -255,8 +261,7 @@ def _agrees_with_depth(
 
     if views.depth is None:
         raise ValueError("visibility 'depth' needs the views' depth buffers")
-    pixel = at.layout[0] + mi.UInt32(at.v_px) * at.layout[1] + mi.UInt32(at.u_px)
-    stored = dr.gather(mi.Float, views.depth, pixel, active)
+    stored = dr.gather(mi.Float, views.depth, at.pixel(), active)
     normal = at.rotation @ normals
     step = dr.abs(normal.x) / at.intrinsics[0] + dr.abs(normal.y) / at.intrinsics[1]
     # facing = |n' . (x/z, y/z, 1)| z; at grazing angles the quotient may be Inf, which min() bounds
