@@ -42,12 +42,17 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
 
 
 class BopFiles:
-    """Writer of one BOP scene per room; :meth:`finish` writes the numbered models of all objects."""
+    """Writer of one BOP scene per room; :meth:`finish` writes the numbered models of all objects.
+
+    Raises :class:`InputError` without a library.
+    """
 
     def __init__(self, export: Export):
-        self.export = export
-        self.library = export.need_library("bop")
-        keys = {self.key(placed) for room in export for placed in room.objects().values()}
+        if export.library is None:
+            remedy = "name the folders of its assets with --library"
+            raise input_error("bop", got="no library", expected="the objects' meshes", remedy=remedy)
+        self.export, self.library = export, export.library
+        keys = {self.key(placed) for room in export.rooms for placed in room.objects().values()}
         self.numbers: dict[ModelKey, int] = {key: k for k, key in enumerate(sorted(keys), start=1)}
         self.meshes: dict[str, Mesh] = {}
         self.num_scenes: dict[str, int] = {}

@@ -23,7 +23,7 @@ class CocoFiles:
         self.export = export
         self.images: dict[str, list[dict[str, Any]]] = {}
         self.annotations: dict[str, list[dict[str, Any]]] = {}
-        names = {self.category(p.asset) for room in export for p in room.objects().values()}
+        names = {self.category(p.asset) for room in export.rooms for p in room.objects().values()}
         self.ids = {name: number for number, name in enumerate(sorted(names), start=1)}
 
     def category(self, asset_id: str) -> str:

@@ -14,12 +14,18 @@ import typer
 from datagen.foundation.progress import Bars
 
 FORMATS = {
-    "hypersim": "folders like Hypersim's: an HDF5 file per frame and quantity (extra `export`)",
-    "nerfstudio": "a folder per room with transforms.json, images, depth and points",
-    "coco": "boxes and masks of objects",
-    "bop": "3D boxes, poses and meshes of objects (needs the library)",
-    "flow": "optical flow between views that overlap, with masks of visible points",
+    "hypersim": (
+        "HypersimFiles",
+        "folders like Hypersim's: an HDF5 file per frame and quantity (extra `export`)",
+    ),
+    "nerfstudio": ("export_nerfstudio", "a folder per room with transforms.json, images, depth and points"),
+    "coco": ("CocoFiles", "boxes and masks of objects"),
+    "bop": ("BopFiles", "3D boxes, poses and meshes of objects (needs the library)"),
+    "flow": ("export_flow", "optical flow between views that overlap, with masks of visible points"),
 }
+"""Writer, in the module of the format's name, and description of each format.
+
+A writer is a class with ``add`` and ``finish``, or a function for one room."""
 
 
 def export(
@@ -52,14 +58,15 @@ def export(
     from datagen.library import Library
 
     rooms = open_rooms(folder, split, configuration or ())
-    typer.echo(f"{out}: {len(rooms)} configurations as {layout}: {FORMATS[layout]}")
+    writer_name, description = FORMATS[layout]
+    typer.echo(f"{out}: {len(rooms)} configurations as {layout}: {description}")
     if dry_run:
         return
     with ExitStack() as stack:
         paths = _library_paths(folder, library)
         opened = stack.enter_context(Library(paths)) if paths else None
         job = Export(rooms, out, opened, neighbours, min_overlap)
-        writer: Any = getattr(import_module(f"datagen.exports.{layout}"), _WRITERS[layout])
+        writer: Any = getattr(import_module(f"datagen.exports.{layout}"), writer_name)
         files = writer(job) if isinstance(writer, type) else None
         add = partial(writer, job) if files is None else files.add
         selection = {"split": split or "all", "configurations": sorted(configuration or ()) or "all"}
@@ -72,16 +79,6 @@ def export(
         if files is not None:
             files.finish()
     typer.echo(f"{out}: {job.num_files} files written")
-
-
-_WRITERS = {
-    "hypersim": "HypersimFiles",
-    "nerfstudio": "export_nerfstudio",
-    "coco": "CocoFiles",
-    "bop": "BopFiles",
-    "flow": "export_flow",
-}
-"""Writer in each format's module: a class with ``add`` and ``finish``, or a function for one room."""
 
 
 def _library_paths(folder: Path, library: list[str] | None) -> list[Path]:

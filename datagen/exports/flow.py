@@ -61,14 +61,6 @@ def encode_flo(flow: NDArray[np.float32]) -> bytes:
     return b"PIEH" + struct.pack("<ii", width, height) + flow.astype("<f4").tobytes()
 
 
-def decode_flo(data: bytes) -> NDArray[np.float32]:
-    """Decode a ``.flo`` file to flow (H, W, 2). Raises ``ValueError`` for other data."""
-    if data[:4] != b"PIEH":
-        raise ValueError("not a .flo file")
-    width, height = struct.unpack_from("<ii", data, 4)
-    return np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2)
-
-
 def export_flow(export: Export, room: Room) -> None:
     """Write images, and the flow from each view to the ``export.neighbours`` views that show most of it."""
     name, views = room.configuration.id, room.views

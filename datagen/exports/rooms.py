@@ -7,7 +7,7 @@ A room is a configuration with its shard. Buffers are read view by view, on dema
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -82,9 +82,6 @@ class Export:
     min_overlap: float = 0.2
     num_files: int = 0
 
-    def __iter__(self) -> Iterator[Room]:
-        yield from self.rooms
-
     def write(self, name: str, data: bytes) -> None:
         """Write ``data`` atomically to file ``name`` of the export."""
         path = self.out / name
@@ -100,13 +97,6 @@ class Export:
     def write_picture(self, name: str, beauty: NDArray, exposure: float) -> None:
         """Write an 8-bit sRGB PNG of linear radiance (H, W, 3) times ``exposure``."""
         self.write(name, encode_png(picture(beauty, exposure)))
-
-    def need_library(self, format_name: str) -> Library:
-        """Return the library. Raises :class:`InputError` that names ``format_name`` if there is none."""
-        if self.library is None:
-            remedy = "name the folders of its assets with --library"
-            raise input_error(format_name, got="no library", expected="the objects' meshes", remedy=remedy)
-        return self.library
 
 
 def pixel_box(mask: NDArray[np.bool_]) -> list[int]:

@@ -7,6 +7,7 @@ import contextlib
 import csv
 import io
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from datagen.cli import app
-from datagen.exports.flow import decode_flo, flow_between
+from datagen.exports.flow import flow_between
 from datagen.farm.collect import collect
 from datagen.farm.local import LocalOptions, run_local
 from datagen.formats.asset import Part
@@ -221,6 +222,13 @@ def _warped(view: View, flow: np.ndarray, name: str) -> np.ndarray:
     return cv2.remap(
         source, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
+
+
+def decode_flo(data: bytes) -> np.ndarray:
+    """Decode a ``.flo`` file to flow (H, W, 2)."""
+    assert data[:4] == b"PIEH"
+    width, height = struct.unpack_from("<ii", data, 4)
+    return np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2)
 
 
 def _flow_faults(out: Path, views: list[View], gain: float = 1.0) -> tuple[float, float, int]:
