@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from datagen.formats.base import (
@@ -25,6 +26,7 @@ from datagen.formats.base import (
     Unit,
     UnitColor,
     Vector3,
+    check_unique,
 )
 from datagen.formats.lights import Light
 from datagen.foundation.buffers import MATERIAL_MAPS
@@ -180,9 +182,9 @@ class PinholeFields(StrictModel):
     cy_px: float
 
 
-def lens_of(camera: Camera) -> dict[str, Any]:
+def lens_of(record: Camera | PinholeFields) -> dict[str, Any]:
     """Image size and intrinsics of a camera, as keyword arguments of :class:`PinholeFields`."""
-    return {field: getattr(camera, field) for field in PinholeFields.model_fields if field != "name"}
+    return {field: getattr(record, field) for field in PinholeFields.model_fields if field != "name"}
 
 
 class AssetCamera(PinholeFields):
@@ -192,8 +194,8 @@ class AssetCamera(PinholeFields):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """The camera as a :class:`datagen.foundation.cameras.Camera` in the asset's frame."""
-        return Camera.of(self, self.asset_from_camera)
+        pose = np.array(self.asset_from_camera, dtype=np.float64)
+        return Camera(**lens_of(self), world_from_camera=pose, clip_m=self.clip_m)
 
 
 class Provenance(StrictModel):
@@ -237,9 +239,7 @@ class _GeometryAsset(_AssetBase):
                 raise ValueError(
                     f"expected parts[{index}].material = {part.material!r} to be one of: {known}"
                 )
-        names = [part.name for part in self.parts]
-        if len(set(names)) != len(names):
-            raise ValueError("expected the names of the parts to be unique")
+        check_unique("the parts", self.parts)
         return self
 
 

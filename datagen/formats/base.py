@@ -8,7 +8,7 @@ import json
 import os
 import reprlib
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
 
@@ -88,6 +88,13 @@ _Row = tuple[float, float, float, float]
 Matrix4 = Annotated[tuple[_Row, _Row, _Row, _Row], AfterValidator(_check_affine)]
 """Affine transform as four rows; the last is 0 0 0 1."""
 IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def check_unique(what: str, items: Sequence[Any]) -> None:
+    """Raise ``ValueError``, which names ``what``, unless the ``name`` of each item is unique."""
+    if len({item.name for item in items}) != len(items):
+        raise ValueError(f"expected the names of {what} to be unique")
+
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 Location = tuple[int | str, ...]
@@ -220,7 +227,6 @@ def canonical_json(data: BaseModel | dict[str, Any] | list[Any]) -> bytes:
 
 
 def sha256_hex(data: bytes) -> str:
-    """SHA-256 of ``data`` in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
@@ -257,7 +263,7 @@ def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
     return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
 
 
-def vector3(values: NDArray[Any] | list[float]) -> Vector3:
-    """Round three numbers to nine significant digits."""
-    x, y, z = (quantized(float(v)) for v in values)
+def vector3(values: NDArray[Any] | list[float], digits: int = 9) -> Vector3:
+    """Round three numbers to ``digits`` significant digits."""
+    x, y, z = (quantized(float(v), digits) for v in values)
     return x, y, z

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from datagen.formats.base import IDENTITY4, Matrix4, Positive, Slug, StrictModel
+from datagen.formats.base import IDENTITY4, Matrix4, Positive, Slug, StrictModel, check_unique
 from datagen.formats.configuration import ViewCamera
 from datagen.formats.lights import Light
 from datagen.foundation.cameras import Camera
@@ -83,9 +83,7 @@ class CaptureFile(StrictModel):
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> CaptureFile:
-        names = [photograph.camera.name for photograph in self.photographs]
-        if len(set(names)) != len(names):
-            raise ValueError("expected the names of the views to be unique")
+        check_unique("the views", [photograph.camera for photograph in self.photographs])
         return self
 
 
@@ -123,7 +121,6 @@ class CaptureView:
     source: ImageSource
 
     def read(self) -> ColorImage:
-        """The view's image."""
         return self.source.read(self.camera)
 
 
@@ -177,5 +174,4 @@ class Capture:
 
     @property
     def cameras(self) -> list[Camera]:
-        """Camera of each view."""
         return [view.camera for view in self.views]

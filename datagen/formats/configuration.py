@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from datagen.formats.asset import PinholeFields, lens_of
@@ -22,6 +23,7 @@ from datagen.formats.base import (
     Slug,
     StrictModel,
     Unit,
+    check_unique,
 )
 from datagen.formats.lights import Light
 from datagen.foundation.cameras import Camera
@@ -78,12 +80,11 @@ class ViewCamera(PinholeFields):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """The camera as a :class:`datagen.foundation.cameras.Camera`."""
-        return Camera.of(self, self.world_from_camera)
+        pose = np.array(self.world_from_camera, dtype=np.float64)
+        return Camera(**lens_of(self), world_from_camera=pose, clip_m=self.clip_m)
 
     @classmethod
     def from_camera(cls, name: str, camera: Camera) -> ViewCamera:
-        """Create the record of a camera with the name ``name``."""
         rows = tuple(tuple(float(x) for x in row) for row in camera.world_from_camera)
         return cls(
             name=name,
@@ -140,10 +141,6 @@ class Configuration(StrictModel):
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Configuration:
-        names = [placed.name for placed in (self.environment, *self.objects)]
-        if len(set(names)) != len(names):
-            raise ValueError("expected the names of placed assets to be unique")
-        cameras = [camera.name for camera in self.cameras]
-        if len(set(cameras)) != len(cameras):
-            raise ValueError("expected the names of the cameras to be unique")
+        check_unique("placed assets", (self.environment, *self.objects))
+        check_unique("the cameras", self.cameras)
         return self

@@ -3,22 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from datagen.formats.base import quantized
-from datagen.formats.lights import (
-    AreaLight,
-    DirectionalLight,
-    EnvironmentLight,
-    Light,
-    PointLight,
-    SkyLight,
-    SphereLight,
-    SpotLight,
-)
+from datagen.formats.lights import EnvironmentLight, Light, SkyLight
 
 
 def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
@@ -37,29 +30,27 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
         moved = linear @ np.array(v)
         return tuple((moved / np.linalg.norm(moved) if unit else moved).tolist())
 
-    if isinstance(light, PointLight):
-        return light.model_copy(update={"position_m": point(light.position_m)})
-    if isinstance(light, SpotLight):
-        changes = {"position_m": point(light.position_m), "direction": vector(light.direction, True)}
-        return light.model_copy(update=changes)
-    if isinstance(light, SphereLight):
-        sphere = {"position_m": point(light.position_m), "radius_m": light.radius_m * scale}
-        return light.model_copy(update=sphere)
-    if isinstance(light, DirectionalLight):
-        return light.model_copy(update={"direction": vector(light.direction, True)})
-    if isinstance(light, AreaLight):
-        edges = {"edge_u_m": vector(light.edge_u_m), "edge_v_m": vector(light.edge_v_m)}
-        return light.model_copy(update={"origin_m": point(light.origin_m), **edges})
-    if isinstance(light, SkyLight):
-        return light.model_copy(update={"sun_direction": vector(light.sun_direction, True)})
-    rotation = np.eye(4)
-    rotation[:3, :3] = linear / scale
-    world = rotation @ np.array(light.world_from_environment)
-    rows = tuple(tuple(row) for row in world.tolist())
-    changes_env: dict[str, Any] = {"world_from_environment": rows}
-    if light.image is not None and light.asset is None:
-        changes_env["asset"] = asset_id
-    return light.model_copy(update=changes_env)
+    def rotated(rows: Any) -> tuple[tuple[float, ...], ...]:
+        rotation = np.eye(4)
+        rotation[:3, :3] = linear / scale
+        return tuple(tuple(row) for row in (rotation @ np.array(rows)).tolist())
+
+    moves: dict[str, Callable[[Any], Any]] = {
+        **dict.fromkeys(("position_m", "origin_m"), point),
+        **dict.fromkeys(("edge_u_m", "edge_v_m"), vector),
+        **dict.fromkeys(("direction", "sun_direction"), partial(vector, unit=True)),
+        "radius_m": lambda radius_m: radius_m * scale,
+        "world_from_environment": rotated,
+    }
+    changes = {name: move(getattr(light, name)) for name, move in moves.items() if hasattr(light, name)}
+    return located_light(light.model_copy(update=changes), asset_id)
+
+
+def located_light(light: Light, asset_id: str) -> Light:
+    """Return the light, with its image, if any, attributed to the package ``asset_id``."""
+    if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
+        return light.model_copy(update={"asset": asset_id})
+    return light
 
 
 def scaled(light: Light, gain: float, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Light:
@@ -69,13 +60,8 @@ def scaled(light: Light, gain: float, tint: tuple[float, float, float] = (1.0, 1
         red, green, blue = (quantized(gain * t * c, 6) for t, c in zip(tint, color, strict=True))
         return (red, green, blue)
 
-    if isinstance(light, PointLight | SpotLight):
-        return light.model_copy(update={"intensity": times(light.intensity)})
-    if isinstance(light, DirectionalLight):
-        return light.model_copy(update={"irradiance": times(light.irradiance)})
-    if isinstance(light, SkyLight):
-        fields = ("sky_scale", "sun_scale")
-        return light.model_copy(update={name: quantized(gain * getattr(light, name), 6) for name in fields})
-    if isinstance(light, EnvironmentLight):
-        return light.model_copy(update={"scale": quantized(gain * light.scale, 6)})
-    return light.model_copy(update={"radiance": times(light.radiance)})
+    if isinstance(light, SkyLight | EnvironmentLight):
+        names = ("sky_scale", "sun_scale") if isinstance(light, SkyLight) else ("scale",)
+        return light.model_copy(update={name: quantized(gain * getattr(light, name), 6) for name in names})
+    (name,) = type(light).model_fields.keys() & {"intensity", "irradiance", "radiance"}
+    return light.model_copy(update={name: times(getattr(light, name))})

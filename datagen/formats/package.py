@@ -25,6 +25,7 @@ from datagen.formats.asset import (
     ASSET_FILE,
     MATERIAL_CHANNELS,
     EnvironmentAsset,
+    Material,
     MaterialAsset,
     ObjectAsset,
     PanoramaAsset,
@@ -101,9 +102,7 @@ class Package:
                     shutil.copyfileobj(source, sink, 1 << 20)
             except (KeyError, *ZIP_ERRORS) as error:
                 partial.unlink(missing_ok=True)
-                raise input_error(
-                    self.path, name, str(error), "a readable file", "make the package again"
-                ) from None
+                raise self._unreadable(name, error) from None
             partial.replace(target)
         return target
 
@@ -114,9 +113,10 @@ class Package:
                 return (self.path / name).read_bytes()
             return self._archive.read(self._prefix + name)
         except (KeyError, *ZIP_ERRORS) as error:
-            raise input_error(
-                self.path, name, str(error), "a readable file", "make the package again"
-            ) from None
+            raise self._unreadable(name, error) from None
+
+    def _unreadable(self, name: str, error: Exception) -> InputError:
+        return input_error(self.path, name, str(error), "a readable file", "make the package again")
 
     @cached_property
     def sha256(self) -> str:
@@ -144,26 +144,21 @@ class Package:
 
 def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
     """List every file that an asset names as (field, file name), in a fixed order."""
-    found: list[tuple[str, str]] = []
-
-    def add_material(prefix: str, material: Any) -> None:
-        for channel in MATERIAL_CHANNELS:
-            value = getattr(material, channel)
-            if isinstance(value, Texture):
-                found.append((f"{prefix}.{channel}.texture", value.texture))
-
-    if isinstance(asset, MaterialAsset):
-        add_material("material", asset.material)
-        return found
     if isinstance(asset, PanoramaAsset):
         return [("image", asset.image)]
-    for name, material in asset.materials.items():
-        add_material(f"materials.{name}", material)
+    if isinstance(asset, MaterialAsset):
+        return _texture_files("material", asset.material)
+    found = [file for name, m in asset.materials.items() for file in _texture_files(f"materials.{name}", m)]
     found += [(f"parts[{k}].mesh", part.mesh) for k, part in enumerate(asset.parts)]
     for k, light in enumerate(asset.lights):
         if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
             found.append((f"lights[{k}].image", light.image))
     return found
+
+
+def _texture_files(prefix: str, material: Material) -> list[tuple[str, str]]:
+    channels = ((channel, getattr(material, channel)) for channel in MATERIAL_CHANNELS)
+    return [(f"{prefix}.{c}.texture", value.texture) for c, value in channels if isinstance(value, Texture)]
 
 
 def open_package(path: str | Path, budget: Budget | None = None) -> Package:
@@ -203,9 +198,7 @@ def _parse(data: bytes, where: str) -> tuple[AnyAsset, Any]:
     try:
         value = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise input_error(
-            where, got=str(error)[:200], expected="valid JSON", remedy="correct the file"
-        ) from None
+        raise input_error(where, "", str(error)[:200], "valid JSON", "correct the file") from None
     kind = value.get("kind") if isinstance(value, dict) else None
     if not isinstance(kind, str) or kind not in _MODELS:
         raise input_error(where, "kind", repr(kind), f"one of {', '.join(_MODELS)}", "re-export the asset")
@@ -225,13 +218,9 @@ def _format_problems(asset: AnyAsset, where: str) -> list[Problem]:
 def _open_folder(folder: Path) -> Package:
     description = folder / ASSET_FILE
     if not description.is_file():
-        raise input_error(
-            folder, got=f"no {ASSET_FILE}", expected="an asset package", remedy="check the path"
-        )
+        raise input_error(folder, "", f"no {ASSET_FILE}", "an asset package", "check the path")
     if description.is_symlink():
-        raise input_error(
-            description, got="a symbolic link", expected="a regular file", remedy="copy the file"
-        )
+        raise input_error(description, "", "a symbolic link", "a regular file", "copy the file")
     asset, data = _parse(description.read_bytes(), str(description))
     problems = _format_problems(asset, str(description))
     for field, name in referenced_files(asset):
@@ -324,9 +313,7 @@ def write_package(
     """
     path = Path(path)
     if path.exists() and not overwrite:
-        raise input_error(
-            path, got="exists already", expected="a new path", remedy="remove it or overwrite it"
-        )
+        raise input_error(path, "", "exists already", "a new path", "remove it or overwrite it")
     problems = [
         Problem(path, field, repr(name), "a file of the package", "add it")
         for field, name in referenced_files(asset)
@@ -368,12 +355,9 @@ def _write_folder(folder: Path, content: Mapping[str, FileSource]) -> None:
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         source = content[name]
-        with target.open("wb") as sink:
-            if isinstance(source, bytes):
-                sink.write(source)
-            else:
-                with source.open("rb") as file:
-                    shutil.copyfileobj(file, sink, 1 << 20)
+        file = io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
+        with file, target.open("wb") as sink:
+            shutil.copyfileobj(file, sink, 1 << 20)
 
 
 def _write_zip(target: Path | io.BytesIO, content: Mapping[str, FileSource]) -> None:

@@ -125,9 +125,8 @@ class ShardReader:
                     file = tar.extractfile(info)
                     data = file.read() if file else b""
                     if len(data) != info.size:
-                        raise InputError(
-                            Problem(self.path, info.name, f"{len(data)} bytes", f"{info.size}", _REMEDY)
-                        )
+                        got = f"{len(data)} bytes"
+                        raise InputError(Problem(self.path, info.name, got, f"{info.size}", _REMEDY))
                     yield info.name, data
         except FileNotFoundError:
             raise InputError(Problem(self.path, "", "no such file", "a shard", _REMEDY)) from None

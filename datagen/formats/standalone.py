@@ -7,7 +7,7 @@ from pathlib import Path
 
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
-from datagen.formats.lights import EnvironmentLight, Light
+from datagen.formats.light_changes import located_light
 from datagen.formats.package import open_package
 from datagen.foundation.errors import input_error
 
@@ -26,17 +26,10 @@ def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Co
         index=0,
         seed=seed,
         environment=PlacedAsset(name="environment", asset=asset.id),
-        lights=tuple(_located(light, asset.id) for light in asset.lights),
+        lights=tuple(located_light(light, asset.id) for light in asset.lights),
         cameras=tuple(
             ViewCamera.from_camera(f"view_{index:03d}", camera.camera())
             for index, camera in enumerate(asset.cameras)
         ),
         assets={asset.id: content_hash},
     )
-
-
-def _located(light: Light, asset_id: str) -> Light:
-    """The light, with its image, if any, attributed to the package ``asset_id``."""
-    if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
-        return light.model_copy(update={"asset": asset_id})
-    return light

@@ -8,22 +8,9 @@ at (u + 0.5, v + 0.5); intrinsics are in pixels. Transforms are named target_fro
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-
-class PinholeRecord(Protocol):
-    """Image size, intrinsics and clipping range of a camera in a file."""
-
-    width_px: int
-    height_px: int
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    clip_m: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -41,12 +28,6 @@ class Camera:
     cy_px: float
     world_from_camera: NDArray[np.float64]
     clip_m: tuple[float, float] | None = None
-
-    @classmethod
-    def of(cls, record: PinholeRecord, world_from_camera: ArrayLike) -> Camera:
-        """Return a camera with the fields of ``record`` and the pose ``world_from_camera`` (4, 4)."""
-        r, pose = record, np.array(world_from_camera, dtype=np.float64)
-        return cls(r.width_px, r.height_px, r.fx_px, r.fy_px, r.cx_px, r.cy_px, pose, r.clip_m)
 
     @property
     def position_m(self) -> NDArray[np.float64]:

@@ -59,6 +59,10 @@ class SceneNode:
     def get(self, name: str, default: Any = None) -> Any:
         return self.values.get(name, default)
 
+    def to_world(self) -> NDArray[np.float64]:
+        """The node's transform ``to_world``, (4, 4); identity if not stated."""
+        return np.asarray(self.get("to_world", np.eye(4)), dtype=np.float64)
+
 
 @dataclass(frozen=True)
 class MitsubaScene:

@@ -25,7 +25,7 @@ MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
 def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
     """Up axis of a scene: y or z, whichever is closer to the first sensor's up vector; y without a sensor."""
     for sensor in scene.all_of("sensor"):
-        up = np.asarray(sensor.get("to_world", np.eye(4)))[:3, 1]
+        up = sensor.to_world()[:3, 1]
         return "z" if abs(up[2]) > abs(up[1]) else "y"
     return "y"
 
@@ -41,7 +41,7 @@ def camera_of(
         findings.approximate(f"{name}: sensor {node.type!r} as a pinhole camera")
     if film.get("crop_width") or film.get("crop_height"):
         findings.approximate(f"{name}: crop of the film left out")
-    to_world = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+    to_world = node.to_world()
     if np.linalg.det(to_world[:3, :3]) < 0:
         findings.approximate(f"{name}: the sensor mirrors the image, the camera does not")
     matrix = asset_from_source @ to_world @ MITSUBA_FROM_CAMERA
