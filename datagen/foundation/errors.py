@@ -13,10 +13,6 @@ DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can have a million faults of any length
 
 
-def _shortened(text: str) -> str:
-    return text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]} ..."
-
-
 @dataclass(frozen=True)
 class Problem:
     """One fault in one input.
@@ -32,7 +28,8 @@ class Problem:
     remedy: str = ""
 
     def __str__(self) -> str:
-        found = " = ".join(_shortened(text) for text in (self.field, self.got) if text)
+        texts = [text for text in (self.field, self.got) if text]
+        found = " = ".join(t if len(t) <= _MAX_CHARACTERS else f"{t[:_MAX_CHARACTERS]} ..." for t in texts)
         expected = self.expected and f"expected {self.expected}"
         return "; ".join([f"{self.where}: {found}", *filter(None, (expected, self.remedy))])
 
@@ -84,7 +81,6 @@ class Problems(list[Problem]):
         self.where = where
 
     def add(self, field: str = "", got: object = "", expected: str = "", remedy: str = "") -> None:
-        """Append a :class:`Problem` of the source."""
         self.append(Problem(self.where, field, str(got), expected, remedy))
 
 

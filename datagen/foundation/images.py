@@ -32,9 +32,7 @@ def read_image(path: Path) -> NDArray[Any]:
     if suffix not in IMAGE_SUFFIXES:
         raise input_error(path, got=f"{suffix or 'no suffix'}", expected="a PNG, JPEG or EXR image")
     if not path.is_file():
-        raise input_error(
-            path, got="no such file", expected="an image", remedy="restore it or correct its name"
-        )
+        raise input_error(path, "", "no such file", "an image", "restore it or correct its name")
     return _read_exr(path) if suffix == ".exr" else read_ldr(path)
 
 
@@ -121,9 +119,7 @@ def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[
         with suppress(cv2.error):  # decoding failures are reported below
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
-        raise input_error(
-            path, got="corrupt data", expected=f"a readable {' or '.join(formats)}", remedy=_REPLACE
-        )
+        raise input_error(path, "", "corrupt data", f"a readable {' or '.join(formats)}", _REPLACE)
     if pixels.ndim == 2:
         return pixels[..., None]
     order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.shape[2] >= 3 else list(range(pixels.shape[2]))

@@ -5,10 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from rich.progress import Task
+from typing import Any
 
 Progress = Callable[[str, int, int], None]
 """Function of (stage, finished steps, total steps), such as :meth:`Bars.tell`."""
@@ -73,12 +70,9 @@ class Bars:
                 self._print_line()
             return
         if exception[0] is not None:  # a stalled bar would distract from the error
-            for task in self._unfinished():
-                self._bars.update(task.id, visible=False)
+            for task in self._bars.tasks:
+                self._bars.update(task.id, visible=task.finished)
         self._bars.stop()
-
-    def _unfinished(self) -> list[Task]:
-        return [task for task in self._bars.tasks if not task.finished]
 
     def tell(self, stage: str, done: int, total: int, note: str = "") -> None:
         """Show ``done`` of ``total`` steps of a stage; its rate excludes steps done at the first call."""
@@ -89,7 +83,11 @@ class Bars:
         rate = f"{(done - first) / (now - begun) * 3600:,.0f}/h" if done > first and now > begun else ""
         if self._bars is None:
             counted = f"{done} of {total} {self.unit}".rstrip()
-            self._show_in_lines(stage, ", ".join(text for text in (counted, rate, note) if text), now)
+            is_next = self._stage not in ("", stage)
+            self._stage = stage
+            self._line = f"{stage}: {', '.join(text for text in (counted, rate, note) if text)}"
+            if is_next or now - self._printed_at >= SILENCE_S:
+                self._print_line()
             return
         if stage not in self._tasks:
             if self.is_transient:
@@ -98,12 +96,6 @@ class Bars:
                 self._tasks.clear()
             self._tasks[stage] = self._bars.add_task(stage, total=total, completed=done, rate="", note="")
         self._bars.update(self._tasks[stage], completed=done, total=total, rate=rate, note=note)
-
-    def _show_in_lines(self, stage: str, figures: str, now: float) -> None:
-        is_next = self._stage not in ("", stage)
-        self._stage, self._line = stage, f"{stage}: {figures}"
-        if is_next or now - self._printed_at >= SILENCE_S:
-            self._print_line()
 
     def _print_line(self) -> None:
         self.say(f"{time.strftime('%H:%M:%S')} {self._line}")

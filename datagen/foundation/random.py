@@ -72,7 +72,6 @@ class Draws:
         return min(low + int(self.unit() * (high - low + 1)), high)
 
     def chance(self, probability: float) -> bool:
-        """Return True with the given probability."""
         return self.unit() < probability
 
     def choice(self, items: Sequence[ItemT]) -> ItemT:
@@ -84,7 +83,6 @@ class Draws:
         return weighted_item(items, weights, self.unit())
 
     def shuffled(self, items: Sequence[ItemT]) -> list[ItemT]:
-        """Return the items in random order."""
         return [items[i] for i in np.argsort(self.units(len(items)), kind="stable").tolist()]
 
     def sphere(self, count: int) -> NDArray[np.float64]:

@@ -169,9 +169,7 @@ class GltfFile:
                     self._binary = chunk
                 offset += 8 + length
         except struct.error:
-            raise input_error(
-                self.path, got="a chunk that is cut short", expected="an intact .glb file"
-            ) from None
+            raise input_error(self.path, "", "a chunk that is cut short", "an intact .glb file") from None
         return document
 
     # data
@@ -383,37 +381,33 @@ class GltfFile:
             self.budget.spend("triangles", num_triangles, f"node {placed.name!r}")
 
     def _local_matrix(self, index: int, node: dict[str, Any]) -> NDArray[np.float64]:
+        """Return a node's (4, 4) transform: its column-major matrix, or translation x rotation x scale."""
         for key, count in (("matrix", 16), ("rotation", 4), ("scale", 3), ("translation", 3)):
             value = node.get(key, [0.0] * count)
             is_list = isinstance(value, list) and len(value) == count
             if not is_list or not all(isinstance(v, int | float) and abs(v) < 1e30 for v in value):
                 got = f"{len(value)} entries" if isinstance(value, list) and not is_list else repr(value)
                 raise self.error(f"nodes[{index}].{key}", got, f"{count} numbers")
-        return local_matrix(node)
+        if "matrix" in node:
+            return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+        x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
+        matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+        return matrix
 
 
 def _indices(value: object) -> list[Any]:
     if not isinstance(value, list):
         raise TypeError(f"{value!r:.80} is no list of nodes")
     return value
-
-
-def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
-    """Return a node's (4, 4) transform: its column-major matrix, or translation x rotation x scale."""
-    if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
-    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-    return matrix
 
 
 def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:

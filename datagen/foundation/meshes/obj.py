@@ -44,9 +44,7 @@ def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
         tables = (number_table(positions, 3), number_table(uvs, 2), number_table(normals, 3))
         corners = _corners(faces, tuple(len(t) for t in tables))
     except (ValueError, IndexError, OverflowError) as error:
-        raise input_error(
-            path, got=str(error)[:200], expected="an intact OBJ file", remedy="export it again"
-        ) from None
+        raise input_error(path, "", str(error)[:200], "an intact OBJ file", "export it again") from None
     return _assemble(tables, corners)
 
 
@@ -117,10 +115,8 @@ def _assemble(tables: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], corners: 
     if len(flat) == 0:
         return Mesh(tables[0].astype(np.float32), np.zeros((0, 3), np.int32))
     keys, inverse = np.unique(flat, axis=0, return_inverse=True)
-    position, uv, normal = (
-        table[keys[:, k]].astype(np.float32) if len(table) and (keys[:, k] >= 0).all() else None
-        for k, table in enumerate(tables)
+    uv, normal = (
+        tables[k][keys[:, k]].astype(np.float32) if (keys[:, k] >= 0).all() else None for k in (1, 2)
     )
-    if position is None:
-        raise ValueError("faces without positions")
+    position = tables[0][keys[:, 0]].astype(np.float32)
     return Mesh(position, inverse.reshape(-1, 3).astype(np.int32), normal, uv)
