@@ -15,17 +15,20 @@ from datagen.importers.common import ImportedAsset, ImportOptions
 from datagen.importers.material_folder import import_material_folder, is_material_folder
 from datagen.importers.watch import ImportWatch
 
-GLTF_SUFFIXES = (".gltf", ".glb")
-MESH_SUFFIXES = (".obj", ".ply", ".stl")
-SWEET_HOME_SUFFIX = ".sh3f"
+_KINDS = {
+    ".xml": "mitsuba",
+    **dict.fromkeys((".gltf", ".glb"), "gltf"),
+    **dict.fromkeys((".obj", ".ply", ".stl"), "mesh"),
+    **dict.fromkeys(BLENDER_SUFFIXES, "blender"),
+    ".sh3f": "sweet_home",
+}
+"""Kind of source by file suffix."""
 _SCENE_FILES = ("scene.xml", "scene_v3.xml")
 
 
 @dataclass(frozen=True)
 class Source:
-    """An importable source: ``kind`` is ``mitsuba``, ``gltf``, ``mesh``, ``blender``, ``sweet_home`` or
-    ``material``.
-    """
+    """An importable source: ``kind`` is ``material`` for a texture folder, else that of the file's suffix."""
 
     path: Path
     kind: str
@@ -37,22 +40,12 @@ def find_sources(path: Path) -> list[Source]:
     Raises :class:`InputError` if no importer recognises a source there.
     """
     if path.is_file():
-        if path.suffix.lower() == ".xml":
-            return [Source(path, "mitsuba")]
-        if path.suffix.lower() in GLTF_SUFFIXES:
-            return [Source(path, "gltf")]
-        if path.suffix.lower() in MESH_SUFFIXES:
-            return [Source(path, "mesh")]
-        if path.suffix.lower() in BLENDER_SUFFIXES:
-            return [Source(path, "blender")]
-        if path.suffix.lower() == SWEET_HOME_SUFFIX:
-            return [Source(path, "sweet_home")]
+        if path.suffix.lower() in _KINDS:
+            return [Source(path, _KINDS[path.suffix.lower()])]
     elif path.is_dir():
-        sources = _in_folder(path)
-        if not sources:
-            sources = [
-                s for child in sorted(path.iterdir()) if _is_folder(path, child) for s in _in_folder(child)
-            ]
+        sources = _in_folder(path) or [
+            s for child in sorted(path.iterdir()) if _is_folder(path, child) for s in _in_folder(child)
+        ]
         if sources:
             return sources
     else:
@@ -71,9 +64,7 @@ def _is_folder(path: Path, child: Path) -> bool:
         return False
     _, fault = fault_of(path, child.name, is_folder=True)
     if fault:
-        raise input_error(
-            child, got=fault, expected=f"a folder in {path}", remedy="import it by its own path"
-        )
+        raise input_error(child, "", fault, f"a folder in {path}", "import it by its own path")
     return True
 
 
@@ -81,17 +72,13 @@ def _in_folder(folder: Path) -> list[Source]:
     for name in _SCENE_FILES:
         if (folder / name).is_file():
             return [Source(inside(folder, folder / name), "mitsuba")]
-    documents = sorted(p for p in folder.iterdir() if p.suffix.lower() in GLTF_SUFFIXES)
-    if documents:
-        return [Source(inside(folder, p), "gltf") for p in documents]
-    libraries = sorted(p for p in folder.iterdir() if p.suffix.lower() == SWEET_HOME_SUFFIX)
-    if libraries:
-        return [Source(inside(folder, p), "sweet_home") for p in libraries]
-    if is_material_folder(folder):
-        return [Source(folder, "material")]
-    kinds = {**dict.fromkeys(MESH_SUFFIXES, "mesh"), **dict.fromkeys(BLENDER_SUFFIXES, "blender")}
-    others = sorted(p for p in folder.iterdir() if p.suffix.lower() in kinds)
-    return [Source(inside(folder, p), kinds[p.suffix.lower()]) for p in others]
+
+    def files_of(*kinds: str) -> list[Source]:
+        files = ((path, _KINDS.get(path.suffix.lower(), "")) for path in sorted(folder.iterdir()))
+        return [Source(inside(folder, path), kind) for path, kind in files if kind in kinds]
+
+    material = [Source(folder, "material")] if is_material_folder(folder) else []
+    return files_of("gltf") or files_of("sweet_home") or material or files_of("mesh", "blender")
 
 
 def import_asset(
