@@ -5,23 +5,18 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from datagen.formats.asset import MaterialClass, Part, Provenance
-from datagen.formats.base import IDENTITY4, Positive, Slug, quantized
+from datagen.formats.base import IDENTITY4, Matrix4, Positive, Slug, quantized
 from datagen.foundation.budget import Limits
 from datagen.foundation.errors import input_error
 from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.paths import inside
-
-DielectricPolicy = Literal["refuse", "replace"]
-DielectricStandIn = Literal["opaque", "remove"]
-MissingPolicy = Literal["refuse", "replace"]
-UpAxis = Literal["auto", "y", "z"]
-ImportKind = Literal["auto", "environment", "object", "material"]
 
 EVALUATION_SCENES = {"veach-ajar": "Veach, Ajar", "dining-room": "The Breakfast Room"}
 """Titles of the test scenes of the reconstruction paper, by folder; they are ``evaluation_only``."""
@@ -57,7 +52,7 @@ class ImportOptions:
     ``limits`` apply to each source; None: :meth:`Limits.from_environment`.
     """
 
-    kind: ImportKind = "auto"
+    kind: Literal["auto", "environment", "object", "material"] = "auto"
     asset_id: str = ""
     title: str = ""
     license: str = ""
@@ -66,12 +61,12 @@ class ImportOptions:
     evaluation_only: bool = False
     category: Literal[""] | Slug = ""
     classes: tuple[MaterialClass, ...] = ()
-    up: UpAxis = "auto"
+    up: Literal["auto", "y", "z"] = "auto"
     unit_scale: Positive | None = None
     tile_size_m: Positive | None = None
-    dielectric: DielectricPolicy = "refuse"
-    dielectric_as: dict[str, DielectricStandIn] = field(default_factory=dict)
-    missing: MissingPolicy = "refuse"
+    dielectric: Literal["refuse", "replace"] = "refuse"
+    dielectric_as: dict[str, Literal["opaque", "remove"]] = field(default_factory=dict)
+    missing: Literal["refuse", "replace"] = "refuse"
     annotations: Path | None = None
     defines: dict[str, str] = field(default_factory=dict)
     allowed: tuple[Path, ...] = ()
@@ -155,13 +150,9 @@ def provenance(
     origin = detect_origin(folder)
     license_id = options.license or origin.license
     if not license_id:
-        raise input_error(
-            source,
-            "license",
-            "nothing",
-            "an SPDX identifier such as CC0-1.0 or CC-BY-4.0",
-            "give it with --license; only the rights holder can state it",
-        )
+        expected = "an SPDX identifier such as CC0-1.0 or CC-BY-4.0"
+        remedy = "give it with --license; only the rights holder can state it"
+        raise input_error(source, "license", "nothing", expected, remedy)
     names = {folder.name, source.stem}
     is_known = bool(names & set(EVALUATION_SCENES)) or origin.title in EVALUATION_SCENES.values()
     if is_known and not options.evaluation_only:
@@ -174,18 +165,20 @@ def provenance(
     ), origin.title
 
 
-def part_of(name: str, slot: str, mesh: Mesh) -> Part:
-    """Return a part whose file ``meshes/<name>.ply`` contains ``mesh``, in the asset's frame."""
+def part_of(name: str, slot: str, mesh: Mesh, file: str = "", asset_from_part: Matrix4 = IDENTITY4) -> Part:
+    """Return a part; ``mesh`` is in the asset's frame, its ``file`` by default ``meshes/<name>.ply``."""
     density = mesh.uv_per_m()
     return Part(
         name=name,
-        mesh=f"meshes/{name}.ply",
+        mesh=file or f"meshes/{name}.ply",
         material=slot,
-        asset_from_part=IDENTITY4,
+        asset_from_part=asset_from_part,
         uv_per_m=None if density is None else quantized(density, 6),
     )
 
 
-def mended_note(num_normals: int, num_meshes: int) -> str:
-    """Return the note that ``num_normals`` unusable normals in ``num_meshes`` meshes were replaced."""
-    return f"{num_normals} normals of {num_meshes} meshes were missing or in the surface's plane, replaced"
+def note_mended(findings: Findings, num_mended: Sequence[int]) -> None:
+    """Note that unusable normals were replaced, given their number in each mesh."""
+    count, num = sum(num_mended), sum(n > 0 for n in num_mended)
+    if count:
+        findings.note(f"{count} normals of {num} meshes were missing or in the surface's plane, replaced")

@@ -21,16 +21,12 @@ AIR_IOR = 1.000277
 DIFFUSE_SHEEN = 0.0047
 """Hemispherical albedo of the specular lobe at S = 0 and R = 1, by Monte Carlo with an error of 2e-5."""
 
-_NAMED_IOR = {
+NAMED_IOR = {
     "vacuum": 1.0, "air": AIR_IOR, "water": 1.3330, "acetone": 1.36, "ethanol": 1.361, "bk7": 1.5046,
     "polypropylene": 1.49, "acrylic glass": 1.49, "fused quartz": 1.458, "pyrex": 1.470, "amber": 1.55,
     "sodium chloride": 1.544, "pet": 1.575, "diamond": 2.419, "water ice": 1.31,
 }  # fmt: skip
-
-
-def named_ior(name: str) -> float | None:
-    """Return the index of refraction of one of Mitsuba's named dielectrics; None for other names."""
-    return _NAMED_IOR.get(name.lower())
+"""Indices of refraction of Mitsuba's named dielectrics, by lower-case name."""
 
 
 def dielectric_f0(ior: float) -> float:

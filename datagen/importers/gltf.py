@@ -38,7 +38,7 @@ from datagen.foundation.naming import slug, unique
 from datagen.importers import annotate
 from datagen.importers.channels import ImageCache, TextureFiles
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, part_of, provenance
+from datagen.importers.common import ImportedAsset, ImportOptions, note_mended, part_of, provenance
 from datagen.importers.gltf_materials import GltfMaterial, GltfMaterialConverter
 from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish
@@ -64,7 +64,7 @@ class _Piece:
 def import_gltf(
     path: Path,
     out_library: Path,
-    options: ImportOptions | None = None,
+    options: ImportOptions,
     *,
     split: bool = False,
     origin: Path | None = None,
@@ -77,7 +77,6 @@ def import_gltf(
     findings of that conversion. Raises :class:`InputError` that lists all problems, such as unknown
     extensions, missing files, refused transparent materials and an unknown licence.
     """
-    options = options or ImportOptions()
     budget = Budget(origin or path, options.limits)
     try:
         with GltfFile(path, budget, options.allowed) as file:
@@ -104,10 +103,9 @@ class _GltfImporter:
         self.nodes = list(file.placed_nodes())
         self.names = {placed.index: placed.name for placed in self.nodes}
         file.placed_primitives(self.nodes)
-        self.num_mended: list[int] = []  # number of replaced normals per repaired primitive
+        self.num_mended: list[int] = []  # number of replaced normals per primitive
         self.pieces = self._collect()
-        if self.num_mended:
-            self.findings.note(mended_note(sum(self.num_mended), len(self.num_mended)))
+        note_mended(self.findings, self.num_mended)
         raise_problems(self.materials.problems)
         if not self.pieces:
             raise file.error("meshes", "no triangles in the scene", "at least one mesh", "check the export")
@@ -188,8 +186,7 @@ class _GltfImporter:
         if "NORMAL" in attributes:
             normals = self.file.accessor(attributes["NORMAL"], label).astype(np.float32)
             mesh, num_mended = with_sound_normals(Mesh(positions, faces, normals, uv))
-            if num_mended:
-                self.num_mended.append(num_mended)
+            self.num_mended.append(num_mended)
             return mesh
         return flat_shaded(Mesh(positions, faces, None, uv))  # required by glTF without normals
 
@@ -223,9 +220,8 @@ class _GltfImporter:
         stem = self.file.path.stem
         first = self.names[pieces[0].root]
         name = (self.options.asset_id if is_alone else "") or slug(stem if is_alone else first)
-        title = (self.options.title if is_alone else "") or name.replace("_", " ").replace(
-            "-", " "
-        ).capitalize()
+        words = name.replace("_", " ").replace("-", " ")
+        title = (self.options.title if is_alone else "") or words.capitalize()
         low, high = bounds([piece.mesh for piece in pieces])
         size = high - low
         kind = self.options.kind

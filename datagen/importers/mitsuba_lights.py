@@ -27,13 +27,12 @@ from datagen.formats.lights import (
 )
 from datagen.formats.mitsuba.scene import SceneNode
 from datagen.foundation.axes import unit_vector
-from datagen.foundation.errors import Problem
+from datagen.foundation.errors import Problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.naming import unique
-from datagen.foundation.paths import fault_of
 from datagen.importers.channels import TextureFiles
-from datagen.importers.common import RESTORE_IT, ImportOptions
-from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE, rgb_of
+from datagen.importers.common import ImportOptions
+from datagen.importers.mitsuba_values import file_of, rgb_of
 
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -51,11 +50,10 @@ class LightConverter:
     findings: Findings
     textures: TextureFiles
     lights: list[Light] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
     _names: set[str] = field(default_factory=set)
 
-    def _refuse(self, node: SceneNode, got: str, expected: str, remedy: str) -> None:
-        self.problems.append(Problem(self.scene, node.where, got, expected, remedy))
+    def __post_init__(self) -> None:
+        self.problems = Problems(self.scene)
 
     def _name(self, node: SceneNode) -> str:
         name = unique(node.id or node.type, self._names)
@@ -68,13 +66,12 @@ class LightConverter:
         if not emitters:
             return None
         if emitters[0].type != "area":
-            self._refuse(
-                emitters[0], f"type {emitters[0].type!r}", "an area emitter on a shape", "replace it"
-            )
+            got, expected = f"type {emitters[0].type!r}", "an area emitter on a shape"
+            self.problems.add(emitters[0].where, got, expected, "replace it")
             return None
         if emitters[0].child("radiance") is not None:
-            expected = "one radiance for the surface"
-            self._refuse(emitters[0], "a textured radiance", expected, "replace it by its mean")
+            expected, remedy = "one radiance for the surface", "replace it by its mean"
+            self.problems.add(emitters[0].where, "a textured radiance", expected, remedy)
             return None
         return rgb_of(emitters[0].get("radiance", 1.0))
 
@@ -83,28 +80,23 @@ class LightConverter:
         converter = _CONVERTERS.get(node.type)
         if converter is None:
             expected = f"area, {', '.join(_CONVERTERS)}"
-            self._refuse(node, f"type {node.type!r}", expected, "replace the emitter")
+            self.problems.add(node.where, f"type {node.type!r}", expected, "replace the emitter")
         elif (light := converter(self, node)) is not None:
             self.lights.append(light)
 
     def _asset_from_emitter(self, node: SceneNode) -> NDArray[np.float64]:
-        return self.matrix @ np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+        return self.matrix @ node.to_world()
 
     def _constant(self, node: SceneNode) -> Light:
         return EnvironmentLight(name=self._name(node), radiance=rgb_of(node.get("radiance", 1.0)))
 
     def _envmap(self, node: SceneNode) -> Light | None:
-        name = str(node.get("filename", ""))
-        path, fault = fault_of(self.scene.parent, name, self.options.allowed)
+        expected, instead = "an environment map", "environment map replaced by constant radiance 1"
+        path = file_of(node, node.where, expected, instead, self.options, self.problems, self.findings)
         if path is None:
-            self._refuse(node, f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
             return None
         if not path.is_file():
-            if self.options.missing == "replace":
-                self.findings.approximate(f"{name}: missing environment map replaced by constant radiance 1")
-                return EnvironmentLight(name=self._name(node))
-            self._refuse(node, f"{name!r} (no such file)", "an environment map", RESTORE_IT)
-            return None
+            return EnvironmentLight(name=self._name(node))
         rotation = self._asset_from_emitter(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
         rigid = np.eye(4)
         rigid[:3, :3] = rotation / np.cbrt(np.abs(np.linalg.det(rotation)))
@@ -160,11 +152,10 @@ class LightConverter:
             for part in ("sky", "sun")
         )
         if node.get("sun_direction") is None:
-            expected = "sun_direction, not a location and a time"
-            self._refuse(node, "no sun_direction", expected, "give the direction of the sun")
+            expected, remedy = "sun_direction, not a location and a time", "give the direction of the sun"
+            self.problems.add(node.where, "no sun_direction", expected, remedy)
             return None
-        to_world = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
-        direction = self.matrix[:3, :3] @ to_world[:3, :3] @ np.asarray(node.get("sun_direction"))
+        direction = self.matrix[:3, :3] @ node.to_world()[:3, :3] @ np.asarray(node.get("sun_direction"))
         albedo = node.get("albedo", 0.3)
         return SkyLight(
             name=self._name(node),

@@ -235,12 +235,7 @@ class MaterialConverter(NodeValues):
         """Blend the channels of two BSDFs linearly by the weight, with roughness blended as alpha."""
         first, second = self._nested(node, name, 0), self._nested(node, name, 1)
         weight = self.scalar(node, "weight", 0.5)
-        if (
-            first.transparency
-            or second.transparency
-            or first.opacity is not None
-            or second.opacity is not None
-        ):
+        if any(draft.transparency or draft.opacity is not None for draft in (first, second)):
             self.problems.add(
                 node.where, "a blend with a transparent BSDF", "a blend of opaque BSDFs", "replace it"
             )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from datagen.formats.mitsuba.scene import SceneNode
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, compacted, flat_shaded, with_sound_normals
 from datagen.foundation.meshes.obj import read_obj
 from datagen.foundation.meshes.ply import read_ply
@@ -33,27 +33,19 @@ def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh
     smooth; with ``face_normals``, they are flat. Raises :class:`InputError` for an unreadable file.
     """
     if node.type in FILE_SHAPES:
-        if file is None:
-            raise input_error(node.where, got="no file", expected="a mesh file")
+        assert file is not None
         mesh = read_obj(file, budget) if node.type == "obj" else read_ply(file, budget)
         is_v_up = bool(node.get("flip_tex_coords", node.type == "obj"))
     else:
         mesh, is_v_up = _ANALYTIC[node.type](node), False
         budget.spend("triangles", mesh.weight, node.where)
-    uv = mesh.uv
-    if uv is not None and not is_v_up:
-        uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
-    mesh = Mesh(mesh.positions, mesh.faces, mesh.normals, uv)
+    if mesh.uv is not None and not is_v_up:
+        mesh = replace(mesh, uv=np.stack([mesh.uv[:, 0], 1 - mesh.uv[:, 1]], axis=1))
     if len(mesh.faces) == 0 or not np.isfinite(mesh.positions).all():
         return mesh, 0  # reported by the check of the finished package
     if bool(node.get("face_normals", False)):
         return compacted(flat_shaded(mesh)), 0
     return with_sound_normals(mesh)
-
-
-def local_transform(node: SceneNode) -> NDArray[np.float64]:
-    """Return the ``to_world`` matrix (4, 4) of a shape; identity if not stated."""
-    return np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
 
 
 def transformed_uv(uv: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -29,8 +29,7 @@ from datagen.importers.common import RESTORE_IT, ImportOptions
 
 CHECKER_TILE_PX = 128  # bilinear filtering blurs the edges over 1/128 of a tile
 MISSING_GREY = 0.5
-INSIDE_SCENE = "a file inside the scene's folder"
-COPY_IT = "copy it there, or name its folder with --allow"
+_COPY_IT = "copy it there, or name its folder with --allow"
 _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 
@@ -55,7 +54,7 @@ class NodeValues:
         sides = []
         for key, default in (("int_ior", _DEFAULT_INT_IOR), ("ext_ior", _DEFAULT_EXT_IOR)):
             value = node.get(key, default)
-            number = fresnel.named_ior(value) if isinstance(value, str) else float(value)
+            number = fresnel.NAMED_IOR.get(value.lower()) if isinstance(value, str) else float(value)
             if number is None or not (math.isfinite(number) and number > 0):
                 self.problems.add(
                     f"{node.where}: {key}", repr(value), "a number or one of Mitsuba's names", "use a number"
@@ -75,8 +74,7 @@ class NodeValues:
         value = self.cache.scalar(
             f"{name}_roughness",
             lambda u, v: fresnel.perceptual_roughness(np.sqrt(u * v), distribution),
-            pair[0],
-            pair[1],
+            *pair,
         )
         if distribution == "ggx":
             factor = fresnel.ALPHA_BECKMANN_PER_GGX
@@ -107,36 +105,26 @@ class NodeValues:
         """Convert a texture node to a value, and record its UV transform for :meth:`common_matrix`."""
         if node.type == "bitmap":
             return self._bitmap(node)
+        remedy = "bake it to an image"
         if node.type == "checkerboard":
             self._note_matrix(node)
             first = rgb_of(node.get("color0", 0.4))
             second = rgb_of(node.get("color1", 0.2))
             if node.child("color0") or node.child("color1"):
-                self.problems.add(
-                    node.where, "a checkerboard of textures", "two colours", "bake it to an image"
-                )
+                self.problems.add(node.where, "a checkerboard of textures", "two colours", remedy)
             return checkerboard(first, second)
-        self.problems.add(
-            node.where, f"type {node.type!r}", "a bitmap or a checkerboard", "bake it to an image"
-        )
+        self.problems.add(node.where, f"type {node.type!r}", "a bitmap or a checkerboard", remedy)
         return (MISSING_GREY,) * 3
 
     def _bitmap(self, node: SceneNode) -> Value:
-        name = str(node.get("filename", ""))
-        path, fault = fault_of(self.scene_file.parent, name, self.options.allowed)
         self._note_matrix(node)
-        if path is None:
-            self.problems.add(f"{node.where}: filename", f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
-            return (MISSING_GREY,) * 3
-        if not path.is_file():
-            if self.options.missing == "refuse":
-                got = f"{name!r} (no such file)"
-                self.problems.add(f"{node.where}: filename", got, "the texture", RESTORE_IT)
-            else:
-                self.findings.approximate(f"{name}: missing texture replaced by grey {MISSING_GREY}")
+        field, instead = f"{node.where}: filename", f"texture replaced by grey {MISSING_GREY}"
+        path = file_of(node, field, "the texture", instead, self.options, self.problems, self.findings)
+        if path is None or not path.is_file():
             return (MISSING_GREY,) * 3
         if str(node.get("wrap_mode", "repeat")) != "repeat":
-            self.findings.approximate(f"{name}: wrap mode {node.get('wrap_mode')} as repeat")
+            wrap = f"wrap mode {node.get('wrap_mode')} as repeat"
+            self.findings.approximate(f"{node.get('filename')}: {wrap}")
         is_raw = bool(node.get("raw", False)) or path.suffix.lower() in (".exr", ".hdr", ".pfm")
         return ImageSource(path, "linear" if is_raw else "srgb")
 
@@ -155,6 +143,32 @@ class NodeValues:
             expected, remedy = "one UV transform per material", "bake them to one layout"
             self.problems.add(node.where, "textures with different to_uv", expected, remedy)
         return first
+
+
+def file_of(
+    node: SceneNode,
+    field: str,
+    expected: str,
+    instead: str,
+    options: ImportOptions,
+    problems: Problems,
+    findings: Findings,
+) -> Path | None:
+    """Return the path of the file that a node of the scene ``problems.where`` names; None if it is refused.
+
+    The path of a missing file is returned if an option permits it, with an approximation: what is done
+    ``instead``. ``field`` and ``expected`` are those of the problem of a refused file.
+    """
+    name = str(node.get("filename", ""))
+    path, fault = fault_of(Path(problems.where).parent, name, options.allowed)
+    if path is None:
+        problems.add(field, f"{name!r} ({fault})", "a file inside the scene's folder", _COPY_IT)
+    elif not path.is_file():
+        if options.missing == "refuse":
+            problems.add(field, f"{name!r} (no such file)", expected, RESTORE_IT)
+            return None
+        findings.approximate(f"{name}: missing {instead}")
+    return path
 
 
 def rgb_of(value: Any) -> Color:

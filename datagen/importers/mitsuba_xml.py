@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import AssetCamera, EnvironmentAsset, MaterialClass, Part, SlotMaterial, Texture
-from datagen.formats.base import IDENTITY4, matrix4, quantized
+from datagen.formats.base import IDENTITY4, matrix4
 from datagen.formats.mitsuba.scene import MitsubaScene, SceneNode, parse_scene
 from datagen.formats.mitsuba.sensors import camera_of, guess_up
 from datagen.formats.package import FileSource
@@ -28,21 +28,14 @@ from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
-from datagen.foundation.paths import fault_of
 from datagen.importers import annotate
 from datagen.importers.channels import BakedSource, ImageCache, ImageSource, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions, mended_note, provenance
+from datagen.importers.common import ImportedAsset, ImportOptions, note_mended, part_of, provenance
 from datagen.importers.mitsuba_lights import LightConverter, emitter_shape_light
 from datagen.importers.mitsuba_materials import Draft, MaterialConverter
-from datagen.importers.mitsuba_shapes import (
-    FILE_SHAPES,
-    SUPPORTED_SHAPES,
-    local_transform,
-    shape_mesh,
-    transformed_uv,
-)
-from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE, normal_from_height
+from datagen.importers.mitsuba_shapes import FILE_SHAPES, SUPPORTED_SHAPES, shape_mesh, transformed_uv
+from datagen.importers.mitsuba_values import file_of, normal_from_height
 from datagen.importers.packaging import finish
 
 _PANE_RATIO = 0.05  # maximum thickness of a pane relative to its second-largest extent
@@ -88,7 +81,7 @@ class _SceneImporter:
         self.scene: MitsubaScene = parse_scene(self.path, options.defines, self.budget, options.allowed)
         self.materials = MaterialConverter(self.path, options, self.findings, self.cache, self.budget)
         self.problems = self.materials.problems
-        self.num_mended: list[int] = []  # number of replaced normals per repaired shape
+        self.num_mended: list[int] = []  # number of replaced normals per shape
         self.meshes: dict[Any, tuple[Mesh, int]] = {}
         up = guess_up(self.scene) if options.up == "auto" else options.up
         self.asset_from_source = asset_from_source(up, options.unit_m)
@@ -105,8 +98,7 @@ class _SceneImporter:
             camera_of(node, k, self.asset_from_source, self.findings)
             for k, node in enumerate(self.scene.all_of("sensor"))
         )
-        if self.num_mended:
-            self.findings.note(mended_note(sum(self.num_mended), len(self.num_mended)))
+        note_mended(self.findings, self.num_mended)
         shapes = self.apply_dielectric_policy(shapes)
         shapes = self.take_out_lights(shapes)
         parts, placed = self.build_parts(shapes)
@@ -149,7 +141,7 @@ class _SceneImporter:
                     self.problems.add(node.where, "no shapegroup", "a reference to one", "correct the scene")
                     continue
                 for k, nested in enumerate(group.children_of("shape")):
-                    yield nested, f"{label}_{k}", local_transform(node)
+                    yield nested, f"{label}_{k}", node.to_world()
             elif node.type != "shapegroup":
                 yield node, label, np.eye(4)
 
@@ -160,25 +152,14 @@ class _SceneImporter:
             return
         file = None
         if node.type in FILE_SHAPES:
-            name = str(node.get("filename", ""))
-            file, fault = fault_of(self.path.parent, name, self.options.allowed)
-            if file is None:
-                got = f"{name!r} ({fault})"
-                self.problems.add(f"{node.where}: filename", got, INSIDE_SCENE, COPY_IT)
+            field, instead = f"{node.where}: filename", "mesh left out"
+            file = file_of(node, field, "the mesh", instead, self.options, self.problems, self.findings)
+            if file is None or not file.is_file():
                 return
-            if not file.is_file():
-                if self.options.missing == "replace":
-                    self.findings.approximate(f"{name}: missing mesh left out")
-                else:
-                    self.problems.add(
-                        f"{node.where}: filename", f"{name!r} (no such file)", "the mesh", RESTORE_IT
-                    )
-                return
-        transform = outer @ local_transform(node)
+        transform = outer @ node.to_world()
         if abs(np.linalg.det(transform[:3, :3])) < SINGULAR:
-            self.problems.add(
-                f"{node.where}: to_world", "a singular matrix", "an invertible one", "correct it"
-            )
+            field = f"{node.where}: to_world"
+            self.problems.add(field, "a singular matrix", "an invertible one", "correct it")
             return
         bsdfs = node.children_of("bsdf")
         draft = self.materials.draft(bsdfs[0]) if bsdfs else Draft("default")
@@ -189,8 +170,7 @@ class _SceneImporter:
             return
         if draft.uv_matrix is not None and mesh.uv is not None:
             mesh = replace(mesh, uv=transformed_uv(mesh.uv, draft.uv_matrix))
-        if num_mended:
-            self.num_mended.append(num_mended)
+        self.num_mended.append(num_mended)
         emission = self.lights.emission_of(node)
         bsdf = id(bsdfs[0]) if bsdfs else 0
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
@@ -208,21 +188,19 @@ class _SceneImporter:
         """Refuse transparent materials or, by option, remove panes and convert solids to opal glass."""
         kept: list[_Shape] = []
         refused: dict[str, str] = {}
-        removed: dict[str, int] = {}
+        removed: Counter[str] = Counter()
         for shape in shapes:
             name, kind = shape.draft.name, shape.draft.transparency
             if not kind:
                 kept.append(shape)
             elif kind == "null":
-                key = f"{name}: null BSDF, surface left out"
-                removed[key] = removed.get(key, 0) + 1
+                removed[f"{name}: null BSDF, surface left out"] += 1
             elif self.options.dielectric == "refuse" and name not in self.options.dielectric_as:
                 refused[name] = shape.node.where
             else:
                 default = "remove" if kind == "thin" or is_pane(shape.mesh) else "opaque"
                 if self.options.dielectric_as.get(name, default) == "remove":
-                    key = f"{name}: transparent, left out (light passes straight)"
-                    removed[key] = removed.get(key, 0) + 1
+                    removed[f"{name}: transparent, left out (light passes straight)"] += 1
                 else:
                     shape.draft = shape.draft.with_note("clear glass as opaque opal glass")
                     kept.append(shape)
@@ -282,16 +260,8 @@ class _SceneImporter:
                 mesh = without_degenerate(shape.mesh if is_shared else in_place)
                 self.files[stored[key]] = encode_ply(mesh)
             shape.slot = self.slot_name(shape, slots)
-            density = in_place.uv_per_m()
-            parts.append(
-                Part(
-                    name=name,
-                    mesh=stored[key],
-                    material=shape.slot,
-                    asset_from_part=matrix4(matrix) if is_shared else IDENTITY4,
-                    uv_per_m=None if density is None else quantized(density, 6),
-                )
-            )
+            asset_from_part = matrix4(matrix) if is_shared else IDENTITY4
+            parts.append(part_of(name, shape.slot, in_place, stored[key], asset_from_part))
             placed.append(in_place)
             kept.append(shape)
         shapes[:] = kept
@@ -303,7 +273,7 @@ class _SceneImporter:
         matrix = shape.draft.uv_matrix
         return (
             *_source_of(shape.node, shape.file),
-            None if shape.file else local_transform(shape.node).tobytes(),
+            None if shape.file else shape.node.to_world().tobytes(),
             None if matrix is None else matrix.tobytes(),
         )
 
@@ -397,13 +367,10 @@ def is_pane(mesh: Mesh) -> bool:
     labels = _pieces(faces, len(points))
     for label in np.unique(labels):
         piece = points[labels == label].astype(np.float64)
-        extent = (
-            np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(piece.T)), 0))
-            if len(piece) > 3
-            else np.array([0, 1, 1])
-        )
-        if extent[0] > _PANE_RATIO * max(extent[1], 1e-12):
-            return False
+        if len(piece) > 3:  # fewer points are in a plane
+            extent = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(piece.T)), 0))
+            if extent[0] > _PANE_RATIO * max(extent[1], 1e-12):
+                return False
     return True
 
 

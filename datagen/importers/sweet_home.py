@@ -12,6 +12,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
@@ -31,7 +32,7 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.importers.annotate import read_annotations
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions, mended_note, part_of
+from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions, note_mended, part_of
 from datagen.importers.mitsuba_xml import is_pane
 from datagen.importers.obj_materials import PhongMaterial, read_mtl
 from datagen.importers.obj_model import ObjModel, read_obj_model
@@ -167,7 +168,7 @@ class _SweetHomeImporter:
         num_materials = len({surface.material for surface in model.surfaces})
         hints = (piece.name, *piece.tags) if num_materials <= 2 else ()  # for guessing material classes
         with tempfile.TemporaryDirectory(prefix="sh3f-") as scratch:
-            find_image = _ImageFinder(self.catalogue, piece, Path(scratch))
+            find_image = partial(self._image, piece, Path(scratch))
             phongs = self._phong_materials(piece, model, findings)
             converter = PhongConverter(
                 self._label(piece), self.options, findings, find_image, hints, self.known, budget
@@ -199,13 +200,9 @@ class _SweetHomeImporter:
         origin = self.catalogue.origin
         license_id = self.options.license or piece.license or origin.license
         if not license_id:
-            raise input_error(
-                self._label(piece),
-                "license",
-                "no known licence",
-                "a licence in the catalogue or its LICENSE.TXT",
-                "give it with --license; only the rights holder can state it",
-            )
+            got, expected = "no known licence", "a licence in the catalogue or its LICENSE.TXT"
+            remedy = "give it with --license; only the rights holder can state it"
+            raise input_error(self._label(piece), "license", got, expected, remedy)
         texts = [
             self.catalogue.read(member).decode("utf-8", "replace")
             for name, member in sorted(self.catalogue.beside(piece.model).items())
@@ -246,6 +243,16 @@ class _SweetHomeImporter:
             findings.approximate(f"{name}: missing, replaced by grey")
         return found
 
+    def _image(self, piece: Piece, scratch: Path, name: str) -> Path | None:
+        """Unpack an image of the model, given by its lower-case name, and return its path, or None."""
+        member = self.catalogue.beside(piece.model).get(name)
+        if member is None or not name.endswith(_IMAGE_SUFFIXES):
+            return None
+        path = scratch / PurePosixPath(member).name
+        if not path.exists():
+            path.write_bytes(self.catalogue.read(member))
+        return path
+
     def _surfaces(
         self,
         piece: Piece,
@@ -274,14 +281,12 @@ class _SweetHomeImporter:
             if not len(mesh.faces) or material.stand_in == "remove":
                 continue
             mesh, mended = with_sound_normals(mesh)
-            if mended:
-                num_mended.append(mended)
+            num_mended.append(mended)
             entry = (unique(slug(slot), {name for name, _, _ in pieces + panes}), material, mesh)
             is_flat = material.stand_in == "pane" and is_pane(mesh)
             (panes if is_flat else pieces).append(entry)
         raise_problems(converter.problems)
-        if num_mended:
-            findings.note(mended_note(sum(num_mended), len(num_mended)))
+        note_mended(findings, num_mended)
         pieces, panes = _with_outer_panes(pieces, panes)
         if panes:
             findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat transparent panes left out")
@@ -324,23 +329,6 @@ class _SweetHomeImporter:
             )
             return ()
         return guess_supports(category, height, max(width, depth))
-
-
-class _ImageFinder:
-    """Callable that unpacks a model's image, given by its lower-case name, and returns its path or None."""
-
-    def __init__(self, catalogue: Catalogue, piece: Piece, scratch: Path):
-        self.catalogue, self.scratch = catalogue, scratch
-        self.members = catalogue.beside(piece.model)
-
-    def __call__(self, name: str) -> Path | None:
-        member = self.members.get(name)
-        if member is None or not name.endswith(_IMAGE_SUFFIXES):
-            return None
-        path = self.scratch / PurePosixPath(member).name
-        if not path.exists():
-            path.write_bytes(self.catalogue.read(member))
-        return path
 
 
 def guess_piece_category(piece: Piece) -> str:
