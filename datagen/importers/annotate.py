@@ -27,16 +27,17 @@ from datagen.formats.asset import (
     SupportKind,
     SupportSurface,
 )
-from datagen.formats.base import StrictModel, quantized, read_yaml
+from datagen.formats.base import StrictModel, quantized, read_yaml, vector3
 from datagen.formats.lights import AreaLight, Light
 from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import Mesh, area_vectors
-from datagen.importers.room_grid import MIN_CELL_M, RoomGrid, rectangles, short_vector, surface_points
+from datagen.importers.room_grid import DIGITS, MIN_CELL_M, RoomGrid, rectangles, surface_points
 
 _STANDING_ROOM_M = 0.12  # minimum free height above a support
 _LEVEL_M = 0.012  # height tolerance within which horizontal triangles form one surface
 _MIN_SIDE_M = 0.15
 _MAX_SURFACES = 40
+_Rectangle = tuple[float, NDArray, NDArray]  # height, origin and size
 
 
 class Annotations(StrictModel):
@@ -148,10 +149,10 @@ def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
 
 def slots_of(lights: tuple[Light, ...]) -> tuple[LightSlot, ...]:
     """Return a light slot for every area light of ``lights``."""
-    areas = [light for light in lights if isinstance(light, AreaLight)]
     return tuple(
         LightSlot(name=a.name, kind="area", origin_m=a.origin_m, edge_u_m=a.edge_u_m, edge_v_m=a.edge_v_m)
-        for a in areas
+        for a in lights
+        if isinstance(a, AreaLight)
     )
 
 
@@ -165,7 +166,7 @@ def _support_surfaces(
     """Yield axis-aligned rectangles with free space above them, level by level, largest first per level."""
     from scipy import ndimage
 
-    found: list[tuple[float, NDArray, NDArray]] = []  # height, origin, size
+    found: list[_Rectangle] = []
     for height in _levels(triangles, grid):
         above = height - grid.floor_m
         if 0.04 < above < 0.3:
@@ -188,7 +189,7 @@ def _support_surfaces(
         for x0, x1, y0, y1 in rectangles(free, 6 if is_floor else 2, minimum):
             origin = corner + np.array([x0, y0]) * square_m
             size = np.array([x1 - x0, y1 - y0]) * square_m
-            if any(_is_same(height, origin, size, *other) for other in found):
+            if any(_is_same((height, origin, size), other) for other in found):
                 continue
             within = ((over[:, :2] >= origin) & (over[:, :2] <= origin + size)).all(axis=1)
             clearance = float(over[within][:, 2].min() - height) if within.any() else 2.5
@@ -197,9 +198,9 @@ def _support_surfaces(
             yield SupportSurface(
                 name=f"{kind}_{len(found)}",
                 kind=kind,
-                origin_m=short_vector([*origin, height]),
-                edge_u_m=short_vector([size[0], 0.0, 0.0]),
-                edge_v_m=short_vector([0.0, size[1], 0.0]),
+                origin_m=vector3([*origin, height], DIGITS),
+                edge_u_m=vector3([size[0], 0.0, 0.0], DIGITS),
+                edge_v_m=vector3([0.0, size[1], 0.0], DIGITS),
                 clearance_m=quantized(clearance, 4),
             )
             found.append((height, origin, size))
@@ -207,17 +208,10 @@ def _support_surfaces(
                 return
 
 
-def _is_same(
-    height: float,
-    origin: NDArray,
-    size: NDArray,
-    other_height: float,
-    other_origin: NDArray,
-    other_size: NDArray,
-) -> bool:
+def _is_same(one: _Rectangle, other: _Rectangle) -> bool:
     """Return whether two horizontal rectangles overlap and are less than 5 cm apart in height."""
-    common = np.minimum(origin + size, other_origin + other_size) - np.maximum(origin, other_origin)
-    return abs(height - other_height) < 0.05 and bool((common > 0.1).all())
+    common = np.minimum(one[1] + one[2], other[1] + other[2]) - np.maximum(one[1], other[1])
+    return abs(one[0] - other[0]) < 0.05 and bool((common > 0.1).all())
 
 
 def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
@@ -299,6 +293,5 @@ def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
     if float(np.cross(edge_u, edge_v) @ (inside_m - center)) < 0:
         edge_u = -edge_u
     origin = center - 0.5 * (edge_u + edge_v)
-    return Opening(
-        name=name, origin_m=short_vector(origin), edge_u_m=short_vector(edge_u), edge_v_m=short_vector(edge_v)
-    )
+    origin_m, edge_u_m, edge_v_m = (vector3(vector, DIGITS) for vector in (origin, edge_u, edge_v))
+    return Opening(name=name, origin_m=origin_m, edge_u_m=edge_u_m, edge_v_m=edge_v_m)

@@ -33,22 +33,19 @@ def uses_draco(path: Path) -> bool:
 
 
 def import_by_blender(
-    path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
+    path: Path, out_library: Path, options: ImportOptions, *, split: bool
 ) -> list[ImportedAsset]:
     """Convert a file that Blender reads to packages below ``out_library``, and return their records.
 
     Images outside the file's folder and ``options.allowed`` are omitted. Raises :class:`InputError` if
     Blender's module is not installed or cannot read the file, or if :func:`import_gltf` refuses the result.
     """
-    options = options or ImportOptions()
     if importlib.util.find_spec("bpy") is None:
         remedy = (
             "pip install 'scene-materials[blender]' (Python 3.11), or export glTF (.glb) from the program "
             "that made it"
         )
-        raise input_error(
-            path, got="a file that Blender reads", expected="Blender's module bpy", remedy=remedy
-        )
+        raise input_error(path, "", "a file that Blender reads", "Blender's module bpy", remedy)
     findings = Findings()
     with tempfile.TemporaryDirectory() as folder:
         converted = Path(folder) / f"{path.stem}.glb"

@@ -68,8 +68,6 @@ def is_constant(value: Value) -> bool:
 
 
 class ImageCache:
-    """Cache of an import's decoded images."""
-
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
         self._pixels: dict[Path, NDArray] = {}

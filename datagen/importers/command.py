@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from datagen.foundation.command_line import declared_options, with_options
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problems, input_error
 from datagen.importers.watch import ImportWatch
 
 if TYPE_CHECKING:
@@ -75,17 +75,11 @@ class ImportWords:
         try:
             return TypeAdapter(ImportOptions).validate_python(values)
         except ValidationError as error:
-            options = declared_options(ImportWords)
-            problems = [
-                Problem(
-                    "datagen import",
-                    options[str(e["loc"][0])][0],
-                    repr(e.get("input")),
-                    e["msg"].lower().removeprefix("input should be "),
-                    "correct the option",
-                )
-                for e in error.errors()
-            ]
+            options, problems = declared_options(ImportWords), Problems("datagen import")
+            for entry in error.errors():
+                option, expected = options[str(entry["loc"][0])][0], entry["msg"].lower()
+                expected = expected.removeprefix("input should be ")
+                problems.add(option, repr(entry.get("input")), expected, "correct the option")
             raise InputError(*problems) from None
 
 

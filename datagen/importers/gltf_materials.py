@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import MaterialClass, SlotMaterial, Texture
+from datagen.formats.asset import SlotMaterial, Texture
 from datagen.foundation.errors import InputError, Problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import normalized
@@ -77,17 +76,12 @@ class GltfMaterialConverter:
         return self._done[key]
 
     def _with_uv(self, material: GltfMaterial) -> GltfMaterial:
-        sets, matrices = self._uv_sets, self._uv_matrices
+        sets, matrices, where = self._uv_sets, self._uv_matrices, f"material {material.slot!r}"
         if len(sets) > 1:
-            expected = "one UV set per material"
-            self.problems.add(
-                f"material {material.slot!r}", f"UV sets {sorted(sets)}", expected, "bake to one set"
-            )
+            self.problems.add(where, f"UV sets {sorted(sets)}", "one UV set per material", "bake to one set")
         if any(not np.allclose(m, matrices[0]) for m in matrices):
             expected = "one UV transform per material"
-            self.problems.add(
-                f"material {material.slot!r}", "different texture transforms", expected, "bake them"
-            )
+            self.problems.add(where, "different texture transforms", expected, "bake them")
         matrix = matrices[0] if matrices and not np.allclose(matrices[0], np.eye(3)) else None
         return replace(material, uv_set=min(sets, default=0), uv_matrix=matrix)
 
@@ -106,16 +100,17 @@ class GltfMaterialConverter:
         rough = self._times(packed, float(pbr.get("roughnessFactor", 1.0)), "g")
         metal = self._times(packed, float(pbr.get("metallicFactor", 1.0)), "b")
         base = self._transmission(base, extensions, name)
-        channels = metallic_roughness(self.cache, slug(name), base, metal, rough, self._f0(extensions, name))
+        f0 = self._f0(extensions, name)
+        diffuse, specular, rough = metallic_roughness(self.cache, slug(name), base, metal, rough, f0)
         if "occlusionTexture" in entry:
             self.findings.note(f"{name}: occlusion map left out, since light is traced")
         emission = self._emission(entry, extensions, name)
-        classes = self._classes(name, hints)
+        classes = self.options.classes or (guess_class(name, *hints),)
         return SlotMaterial(
             classes=classes,
-            diffuse_albedo=self.textures.color(channels.diffuse),
-            specular_albedo=self.textures.color(channels.specular),
-            roughness=self.textures.scalar(channels.roughness),
+            diffuse_albedo=self.textures.color(diffuse),
+            specular_albedo=self.textures.color(specular),
+            roughness=self.textures.scalar(rough),
             opacity=self._opacity(entry, pbr, name),
             normal=self._normal(entry.get("normalTexture"), name),
             emission=emission,
@@ -125,11 +120,6 @@ class GltfMaterialConverter:
 
     def _note(self, name: str, sentence: str) -> None:
         self._notes.append(self.findings.approximate(f"{name}: {sentence}"))
-
-    def _classes(self, name: str, hints: tuple[str, ...]) -> tuple[MaterialClass, ...]:
-        if self.options.classes:
-            return self.options.classes
-        return (guess_class(name, *hints),)
 
     def _base(self, pbr: dict[str, Any], name: str) -> ColorValue:
         factor = _color(pbr.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3])
@@ -244,18 +234,16 @@ class GltfMaterialConverter:
             self.problems += error.problems
             return None
         if not path.is_file():
-            self._missing(path, name, instead)
+            if self.options.missing == "refuse":
+                got = f"{path.name!r} (no such file)"
+                self.problems.add(f"material {name!r}", got, "its image", RESTORE_IT)
+            else:
+                self._note(name, f"missing image {path.name}: {instead}")
             return None
         transform = info.get("extensions", {}).get("KHR_texture_transform", {})
         self._uv_sets.add(int(transform.get("texCoord", info.get("texCoord", 0))))
         self._uv_matrices.append(_uv_matrix(transform))
         return ImageSource(path, "srgb" if encoding == "srgb" else "linear")
-
-    def _missing(self, path: Path, name: str, instead: str) -> None:
-        if self.options.missing == "refuse":
-            self.problems.add(f"material {name!r}", f"{path.name!r} (no such file)", "its image", RESTORE_IT)
-        else:
-            self._note(name, f"missing image {path.name}: {instead}")
 
 
 def _uv_matrix(transform: dict[str, Any]) -> NDArray[np.float64]:

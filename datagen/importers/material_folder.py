@@ -94,9 +94,7 @@ def import_material_folder(
 class _MaterialImporter:
     def __init__(self, folder: Path, options: ImportOptions):
         if not folder.is_dir():
-            raise input_error(
-                folder, got="no such folder", expected="a folder of textures", remedy="check the path"
-            )
+            raise input_error(folder, "", "no such folder", "a folder of textures", "check the path")
         self.folder, self.options = folder, options
         self.findings = Findings()
         self.cache = ImageCache(Budget(folder, options.limits))
@@ -132,7 +130,7 @@ class _MaterialImporter:
         assert color is not None
         name = self.options.asset_id or slug(self.folder.name)
         base: ColorValue = ImageSource(color, "linear" if color.suffix.lower() == ".exr" else "srgb")
-        channels = metallic_roughness(self.cache, name, base, metallic, roughness)
+        diffuse, specular, roughness = metallic_roughness(self.cache, name, base, metallic, roughness)
         for role in _LEFT_OUT:
             if role in self.maps:
                 self.findings.approximate(f"{name}: {role} map left out")
@@ -142,9 +140,9 @@ class _MaterialImporter:
             self.findings.note(f"{name}: tile width assumed to be {tile:g} m; give --tile-size if known")
         material = Material(
             classes=self.classes(color, title),
-            diffuse_albedo=self.textures.color(channels.diffuse),
-            specular_albedo=self.textures.color(channels.specular),
-            roughness=self.textures.scalar(channels.roughness),
+            diffuse_albedo=self.textures.color(diffuse),
+            specular_albedo=self.textures.color(specular),
+            roughness=self.textures.scalar(roughness),
             opacity=self.textures.scalar(ImageSource(opacity, "linear")) if opacity else None,
             normal=normal,
             tile_size_m=tile,

@@ -21,7 +21,7 @@ from datagen.formats.category_sizes import CATEGORY_SIZES_M
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.findings import Findings
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, compacted, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, compacted, unit_vectors, welded
 from datagen.foundation.meshes.ply import read_ply
 from datagen.foundation.paths import named_file
 from datagen.importers.classes import guess_category
@@ -49,14 +49,13 @@ class MeshSource:
 
 
 def import_mesh_file(
-    path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
+    path: Path, out_library: Path, options: ImportOptions, *, split: bool
 ) -> list[ImportedAsset]:
     """Convert an OBJ, PLY or STL file to packages below ``out_library``, as :func:`import_gltf` does.
 
     Raises :class:`InputError` for damaged files, for referenced files that are missing or outside the allowed
     folders, and for an unknown licence.
     """
-    options = options or ImportOptions()
     findings, suffix = Findings(), path.suffix.lower()
     source = READERS[suffix](path, options, findings, Budget(path, options.limits))
     up: Literal["y", "z"] = "z" if options.up == "z" or (options.up == "auto" and suffix != ".obj") else "y"
@@ -84,9 +83,6 @@ def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, find
                 )
             return unit_m
     return 1.0
-
-
-# --- OBJ --------------------------------------------------------------------------------------------------
 
 
 def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Budget) -> MeshSource:
@@ -139,15 +135,10 @@ def _material_of(
     )
 
 
-# --- PLY and STL ------------------------------------------------------------------------------------------
-
-
 def _read_ply(path: Path, options: ImportOptions, findings: Findings, budget: Budget) -> MeshSource:
     mesh = read_ply(path, budget)
     if not len(mesh.faces):
-        raise input_error(
-            path, got="points without faces", expected="a mesh", remedy="reconstruct its surface"
-        )
+        raise input_error(path, "", "points without faces", "a mesh", "reconstruct its surface")
     return MeshSource([("", mesh if mesh.normals is not None else _smoothed(mesh, budget))], {})
 
 
@@ -158,13 +149,12 @@ def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Bu
         budget.spend("triangles", count, path.name)
         corners = np.frombuffer(data, _STL_RECORD, count, 84)["corners"]
     else:
+        fault = f"{len(data)} bytes without facets, {count} triangles by its header"
         try:
             rows = [[float(word) for word in found.groups()] for found in _VERTEX.finditer(data)]
             corners = np.array(rows, np.float32).reshape(-1, 3, 3)
         except ValueError as error:
             corners, fault = np.zeros((0, 3, 3), np.float32), str(error)[:200]
-        else:
-            fault = f"{len(data)} bytes without facets, {count} triangles by its header"
         budget.spend("triangles", len(corners), path.name)
         if not len(corners):
             raise input_error(path, got=fault, expected="an intact STL file", remedy="export it again")
@@ -179,9 +169,7 @@ def _smoothed(mesh: Mesh, budget: Budget) -> Mesh:
     positions, joined = welded(mesh)
     faces = joined[mesh.faces]
     points = positions.astype(np.float64)
-    cross = area_vectors(points[faces])
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
+    unit = unit_vectors(area_vectors(points[faces]))
     normals = creased(points, faces, unit, np.ones(len(faces), np.int64), budget).reshape(-1, 3)
     corners = np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
     uv = mesh.uv[mesh.faces.ravel()] if mesh.uv is not None else None

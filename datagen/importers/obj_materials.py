@@ -10,6 +10,8 @@ import numpy as np
 
 from datagen.foundation.errors import input_error
 
+_COLORS = {"kd": "diffuse", "ks": "specular", "ke": "emission"}
+
 
 @dataclass
 class PhongMaterial:
@@ -34,12 +36,8 @@ def read_mtl(data: bytes, where: str | Path) -> dict[str, PhongMaterial]:
         try:
             if keyword == "newmtl":
                 current = found.setdefault(rest, PhongMaterial())
-            elif keyword == "kd":
-                current.diffuse = _rgb(rest)
-            elif keyword == "ks":
-                current.specular = _rgb(rest)
-            elif keyword == "ke":
-                current.emission = _rgb(rest)
+            elif keyword in _COLORS:
+                setattr(current, _COLORS[keyword], _rgb(rest))
             elif keyword == "ns":
                 current.exponent = _finite(rest)
             elif keyword == "d":

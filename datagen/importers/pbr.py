@@ -8,8 +8,6 @@ A channel given by one unprocessed image is kept as it is; only products of imag
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,15 +18,6 @@ _MIN_AGREEMENT = 0.2  # correlation of normals and height; matching pairs reach 
 _END_TOLERANCE = 0.02  # JPEG noise in a metalness image intended to be all 0 or all 1
 
 
-@dataclass(frozen=True)
-class PbrChannels:
-    """Channels of a metallic-roughness material."""
-
-    diffuse: ColorValue
-    specular: ColorValue
-    roughness: ScalarValue
-
-
 def metallic_roughness(
     cache: ImageCache,
     label: str,
@@ -36,18 +25,18 @@ def metallic_roughness(
     metallic: ScalarValue,
     roughness: ScalarValue,
     f0: ColorValue = (DEFAULT_F0,) * 3,
-) -> PbrChannels:
+) -> tuple[ColorValue, ColorValue, ScalarValue]:
     """Convert a material to D, S and R; names of baked files begin with ``label``."""
     metallic = settled(cache, metallic)
     if metallic == 0.0:
-        return PbrChannels(base, f0, roughness)
+        return base, f0, roughness
     if metallic == 1.0:
-        return PbrChannels((0.0, 0.0, 0.0), base, roughness)
+        return (0.0, 0.0, 0.0), base, roughness
     diffuse = cache.color(f"{label}_diffuse_albedo", lambda b, m: b * (1 - m), base, scalars=(metallic,))
     specular = cache.color(
         f"{label}_specular_albedo", lambda b, s, m: s * (1 - m) + b * m, base, f0, scalars=(metallic,)
     )
-    return PbrChannels(diffuse, specular, roughness)
+    return diffuse, specular, roughness
 
 
 def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:

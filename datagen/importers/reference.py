@@ -6,9 +6,8 @@ Images are (H, W, 3) float32, scene-linear. The Mitsuba variant must have been s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,24 +31,7 @@ BLUR_SHARE = 0.01  # standard deviation of the blur, as a share of the image's w
 _DARK_SHARE = 0.01  # pixels below this share of the mean are too dark for a ratio
 
 
-def load_original(path: Path, *, optimize: bool = False) -> Any:
-    """Load the original scene with Mitsuba's BSDFs; ``optimize``: whether Mitsuba may merge shapes."""
-    import mitsuba as mi
-
-    file = path / "scene.xml" if path.is_dir() else path
-    return mi.load_file(str(file), optimize=optimize)
-
-
-def original_camera(path: Path) -> AssetCamera:
-    """Return a scene file's first camera, in the scene's frame. Raises :class:`InputError` if none."""
-    file = path / "scene.xml" if path.is_dir() else path
-    sensors = parse_scene(file).all_of("sensor")
-    if not sensors:
-        raise input_error(file, "sensor", "none", "a camera to render from")
-    return camera_of(sensors[0], 0, np.eye(4), Findings())
-
-
-def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) -> Camera:
+def camera_at(camera: AssetCamera, width_px: int, height_px: int | None) -> Camera:
     """Return an asset's camera for an image of another width, by default of the same aspect ratio.
 
     With ``height_px``, the image is cropped or extended vertically about its centre, and the horizontal field
@@ -58,27 +40,33 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) 
     if height_px is not None:
         scale = width_px / camera.width_px
         middle = 0.5 * height_px + (camera.cy_px - 0.5 * camera.height_px) * scale
-        return Camera(
-            width_px,
-            height_px,
-            camera.fx_px * scale,
-            camera.fy_px * scale,
-            camera.cx_px * scale,
-            middle,
-            np.array(camera.asset_from_camera),
-            camera.clip_m,
+        return replace(
+            camera.camera(),
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=camera.fx_px * scale,
+            fy_px=camera.fy_px * scale,
+            cx_px=camera.cx_px * scale,
+            cy_px=middle,
         )
     return camera.camera().scaled(width_px, round(width_px * camera.height_px / camera.width_px))
 
 
 def render_original(
-    path: Path, width_px: int, num_samples: int, max_depth: int, seed: int = 0, height_px: int | None = None
+    path: Path, width_px: int, num_samples: int, max_depth: int, height_px: int | None = None
 ) -> NDArray[np.float32]:
-    """Render the original (H, W, 3) from its first camera by Mitsuba's path tracer with a box filter."""
+    """Render the original (H, W, 3) from its first camera by Mitsuba's path tracer with a box filter.
+
+    Raises :class:`InputError` if it has no camera.
+    """
     import mitsuba as mi
 
-    scene = load_original(path, optimize=True)
-    camera = camera_at(original_camera(path), width_px, height_px)
+    file = path / "scene.xml" if path.is_dir() else path
+    scene = mi.load_file(str(file), optimize=True)
+    sensors = parse_scene(file).all_of("sensor")
+    if not sensors:
+        raise input_error(file, "sensor", "none", "a camera to render from")
+    camera = camera_at(camera_of(sensors[0], 0, np.eye(4), Findings()), width_px, height_px)
     to_world = camera.world_from_camera @ np.diag([-1.0, -1.0, 1.0, 1.0])
     sensor = mi.load_dict(
         {
@@ -97,18 +85,16 @@ def render_original(
         }
     )
     integrator = mi.load_dict({"type": "path", "max_depth": max_depth})
-    pixels = mi.render(scene, sensor=sensor, integrator=integrator, spp=num_samples, seed=mi.UInt32(seed))
+    pixels = mi.render(scene, sensor=sensor, integrator=integrator, spp=num_samples, seed=mi.UInt32(0))
     return np.array(pixels)[..., :3].astype(np.float32)
 
 
-def native_configuration(
-    package: Package, width_px: int, seed: int = 0, height_px: int | None = None
-) -> Configuration:
+def native_configuration(package: Package, width_px: int, height_px: int | None = None) -> Configuration:
     """Return a configuration of an environment alone, with its own lights, and its cameras at ``width_px``.
 
     Raises :class:`InputError` if it has no camera; ``height_px`` is as in :func:`camera_at`.
     """
-    alone = configuration_of(package.path, package.sha256, seed)
+    alone = configuration_of(package.path, package.sha256)
     assert isinstance(package.asset, EnvironmentAsset)
     cameras = tuple(
         ViewCamera.from_camera(f"view_{k:03d}", camera_at(camera, width_px, height_px))
@@ -123,11 +109,10 @@ def render_converted(
     width_px: int,
     num_samples: int,
     max_depth: int,
-    seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
     """Render the imported environment (H, W, 3) from its first camera with this project, not denoised."""
-    configuration = native_configuration(library.package(asset_id), width_px, seed, height_px)
+    configuration = native_configuration(library.package(asset_id), width_px, height_px)
     recipe = RenderRecipe(
         variant=select_variant(),  # type: ignore[arg-type]
         path_samples=num_samples,

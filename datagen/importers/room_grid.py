@@ -14,21 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import Box, LightSlot
-from datagen.formats.base import Vector3, quantized
+from datagen.formats.base import vector3
 
 SQUARE_M = 0.025
 MIN_CELL_M = 0.06
+DIGITS = 6  # significant digits of derived positions and edges
 _MAX_POINTS = 6_000_000  # maximum number of surface samples, which take about 100 MB
 _MAX_GRID_CELLS = 6_000_000
 _CAMERA_BAND_M = (0.7, 1.9)  # heights above the floor at which a camera region must be free
 _CAMERA_MARGIN_M = 0.2
 _SLOT_SIDE_M = 0.6
-
-
-def short_vector(values: NDArray | list[float]) -> Vector3:
-    """Round three numbers to six significant digits."""
-    x, y, z = (quantized(float(v), 6) for v in values)
-    return x, y, z
 
 
 def surface_points(triangles: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
@@ -133,10 +128,7 @@ class RoomGrid:
         """Yield up to four boxes on the floor that are free at camera heights of 0.7 to 1.9 m above it."""
         from scipy import ndimage
 
-        low, high = (
-            self._layer(self.floor_m + _CAMERA_BAND_M[0]),
-            self._layer(self.floor_m + _CAMERA_BAND_M[1]),
-        )
+        low, high = (self._layer(self.floor_m + height_m) for height_m in _CAMERA_BAND_M)
         band = self.interior[:, :, low : high + 1].all(axis=2)
         margin = max(1, math.ceil(_CAMERA_MARGIN_M / self.cell_m))
         free = ndimage.binary_erosion(band, iterations=margin)
@@ -146,7 +138,7 @@ class RoomGrid:
             top = self.origin_m[2] + (low + max(free_layers - 1, high + 1 - low)) * self.cell_m
             minimum = [*(self.origin_m[:2] + np.array([x0, y0]) * self.cell_m), self.floor_m]
             maximum = [*(self.origin_m[:2] + np.array([x1, y1]) * self.cell_m), top]
-            yield Box(minimum_m=short_vector(minimum), maximum_m=short_vector(maximum))
+            yield Box(minimum_m=vector3(minimum, DIGITS), maximum_m=vector3(maximum, DIGITS))
 
     def ceiling_slots(self, regions: tuple[Box, ...]) -> Iterator[LightSlot]:
         """Yield square light slots below the ceiling, above the centres of the first two camera regions."""
@@ -167,7 +159,7 @@ class RoomGrid:
             yield LightSlot(
                 name=f"ceiling_{number}",
                 kind="area",
-                origin_m=short_vector([x - half, y - half, height]),
+                origin_m=vector3([x - half, y - half, height], DIGITS),
                 edge_u_m=(0.0, _SLOT_SIDE_M, 0.0),
                 edge_v_m=(_SLOT_SIDE_M, 0.0, 0.0),  # u x v points down
             )

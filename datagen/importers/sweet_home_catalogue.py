@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.archives import ZIP_ERRORS, check_archive
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import InputError, Problems, input_error, raise_problems
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
 MAX_SIDE_CM = 20_000.0  # longer sides indicate a wrong unit
@@ -95,9 +95,7 @@ class Catalogue:
                 where, got="no such file in the catalogue", expected="the model", remedy="export it again"
             ) from None
         except ZIP_ERRORS as error:
-            raise input_error(
-                where, got=str(error), expected="a readable file", remedy="copy it again"
-            ) from None
+            raise input_error(where, "", str(error), "a readable file", "copy it again") from None
 
     def beside(self, model: str) -> dict[str, str]:
         """Return the archive members in a model's folder, by lower-case base name."""
@@ -221,8 +219,7 @@ def _read_pieces(catalogue: Catalogue, table: dict[str, str]) -> None:
 
 
 def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
-    problems: list[Problem] = []
-    where = f"{path}: {label}"
+    problems = Problems(f"{path}: {label}")
 
     def number(key: str, low: float, fallback: float | None = None) -> float:
         text = entry.get(key, "")
@@ -234,19 +231,16 @@ def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
             value = math.nan
         if not low <= value <= MAX_SIDE_CM or (low == 0 and value == 0 and fallback is None):
             expected = f"centimetres up to {MAX_SIDE_CM:g}"
-            problems.append(Problem(where, key, repr(text), expected, "correct the catalogue"))
+            problems.add(key, repr(text), expected, "correct the catalogue")
         return round(value / 100, 9)
 
     size = (number("width", 0), number("depth", 0), number("height", 0))
     elevation = number("elevation", -MAX_SIDE_CM, 0.0)
     model = entry.get("model", "").lstrip("/")
     if not model or ".." in PurePosixPath(model).parts:
-        problems.append(
-            Problem(where, "model", repr(model), "the path of a model in the catalogue", "add it")
-        )
+        problems.add("model", repr(model), "the path of a model in the catalogue", "add it")
     elif not model.lower().endswith(".obj"):
-        expected = "a Wavefront OBJ model"
-        problems.append(Problem(where, "model", repr(model), expected, "convert it in Sweet Home 3D"))
+        problems.add("model", repr(model), "a Wavefront OBJ model", "convert it in Sweet Home 3D")
     rotation = None
     if entry.get("modelRotation"):
         try:
@@ -254,10 +248,8 @@ def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
         except ValueError:
             rotation = np.full((3, 3), np.nan)
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01):
-            expected = "nine numbers of a rotation"
-            problems.append(
-                Problem(where, "modelRotation", repr(entry["modelRotation"]), expected, "correct it")
-            )
+            got = repr(entry["modelRotation"])
+            problems.add("modelRotation", got, "nine numbers of a rotation", "correct it")
     raise_problems(problems)
     return Piece(
         id=label,
