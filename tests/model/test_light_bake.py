@@ -331,6 +331,12 @@ def decided(
     return decide(costs, *prior, *of_segment, group, size, np.full(1, brightness), PriorWeights())
 
 
+@pytest.mark.parametrize(("surfels", "is_metal"), [(5, False), (6, True)])
+def test_fragments_are_no_metal(surfels: int, is_metal: bool) -> None:
+    dielectric = np.full((len(ROUGHNESS_LEVELS), len(SPECULAR_LEVELS)), 0.1)
+    assert decided(dielectric, 0.001, observations=4 * surfels).is_metal.tolist() == [is_metal]
+
+
 @pytest.mark.parametrize(
     ("residual", "brightness", "is_metal"), [(0.1, 1.0, True), (0.1, 1.2, False), (0.005, 1.2, True)]
 )

@@ -81,6 +81,9 @@ MIRROR_VIEWS, MIRROR_SURFELS = 1.2, 48
 """Minimum mean number of views of a mirror's surfels, and minimum number of surfels."""
 MATTE_METAL = 0.7
 """Roughness above which metal looks so much like matte paint that the network's S is no evidence of it."""
+MIN_METAL_SURFELS = 6
+"""Minimum number of surfels of a smooth region of metal. The mixed pixels of smaller pieces, such as the
+fragments of a bumpy mesh, resemble metal."""
 METAL_TOLERANCE = 0.005
 """Maximum excess cost of metal over a dielectric at which a segment of a metal region becomes metal."""
 
@@ -170,8 +173,9 @@ def decide(
 
     Mirrors need no evidence. Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if
     :data:`METAL_SHARE` of it is metal or its residuals as metal are below those as dielectric by
-    :data:`MIN_LOG_RATIO`. In inexact captures, segments above :data:`MAX_BRIGHTNESS` do not count: patches of
-    sun, which clip and whose light is underestimated, resemble metal.
+    :data:`MIN_LOG_RATIO`. Regions of fewer than :data:`MIN_METAL_SURFELS` are no metal. In inexact captures,
+    segments above :data:`MAX_BRIGHTNESS` do not count: patches of sun, which clip and whose light is
+    underestimated, resemble metal.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -208,6 +212,7 @@ def decide(
     is_mirror &= (residual >= MIRROR_RESIDUAL) & (views >= MIRROR_VIEWS) & (size >= MIRROR_SURFELS)
     required = np.where(is_mirror, 0, required)
     is_possible = (brightness <= MAX_BRIGHTNESS) | (exactness > 0.5)
+    is_possible &= np.bincount(group, size)[group] >= MIN_METAL_SURFELS
     is_metal = (advantage > required) & (albedo >= MIN_METAL) & is_possible
     ratio = np.log(noise / np.maximum(of_metal, MIN_NOISE))
     in_metal = _in_metal_regions(group, size * is_possible, is_metal, ratio, evidence, albedo)
