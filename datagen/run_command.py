@@ -138,7 +138,12 @@ def run(
     if options.attempts == 0:
         if options.unit is None:
             raise typer.BadParameter("0 runs one unit in this process: give --unit", param_hint="--attempts")
-        _run_here(out, options.unit, options.stages)
+        from datagen.farm.worker import run_unit_here
+
+        def report(stage: str, done: int, total: int) -> None:
+            print(f"{stage} {done}/{total}")
+
+        raise typer.Exit(run_unit_here(out, options.unit, options.stages, report))
     if "render" in options.stages and options.unit is None and options.space_check:
         from datagen.farm.folder import DatasetFolder
         from datagen.farm.space import check_space
@@ -182,17 +187,16 @@ def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
     from datagen.farm.planning import create_plan, read_configurations
     from datagen.inspection.plan_summary import plan_summary
 
+    def tell(note: str) -> None:
+        typer.echo(f"note: {note}", err=True)
+
     opened = _open_library(recipe, base)
     with Bars("configurations") as bars:
-        created = create_plan(recipe, opened, out, workers, partial(bars.tell, "assembling"), _print_note)
+        created = create_plan(recipe, opened, out, workers, partial(bars.tell, "assembling"), tell)
     typer.echo(f"{out}: {len(created.units)} units, {sum(u.num_views for u in created.units)} views planned")
     summary = plan_summary(read_configurations(out, created))
     if summary:
         typer.echo(summary)
-
-
-def _print_note(note: str) -> None:
-    typer.echo(f"note: {note}", err=True)
 
 
 def _print_left(out: Path, options: RunOptions) -> None:
@@ -202,16 +206,6 @@ def _print_left(out: Path, options: RunOptions) -> None:
     units = [unit for unit in folder.read_plan().units if options.unit in (None, unit.index)]
     left = sum(not folder.is_done(unit) for unit in units)
     typer.echo(f"{out}: {left} of {len(units)} units are not done: {', '.join(options.stages) or 'index'}")
-
-
-def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
-    """Run one unit in this process, and exit with the unit's code."""
-    from datagen.farm.worker import run_unit_here
-
-    def report(stage: str, done: int, total: int) -> None:
-        print(f"{stage} {done}/{total}")
-
-    raise typer.Exit(run_unit_here(out, unit, stages, report))
 
 
 def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:

@@ -38,7 +38,7 @@ def collect(
     splits: dict[Split, int] = {}
     for number, unit in enumerate(plan.units):
         progress(number, len(plan.units))
-        manifest = folder.read_manifest(unit) if folder.is_done(unit) else None
+        manifest = folder.finished(unit)
         if manifest is None:
             missing.append(unit.id)
             continue

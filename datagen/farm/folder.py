@@ -194,19 +194,20 @@ class DatasetFolder:
         """Read the record of a failed unit. Raises :class:`InputError` if there is none."""
         return read_json(FailureRecord, inside(self.root, self.failed_path / f"{unit_id}.json"))
 
-    def is_done(self, unit: PlannedUnit) -> bool:
-        """Whether the unit's manifest exists and its shard has the recorded size."""
+    def finished(self, unit: PlannedUnit) -> UnitManifest | None:
+        """Return the unit's manifest if it exists and its shard has the recorded size, else None."""
         try:
             manifest = self.read_manifest(unit)
-        except InputError:
-            return False
-        if manifest is None:
-            return False
-        try:
+            if manifest is None:
+                return None
             status = (self.root / manifest.shard).lstat()
-        except OSError:
-            return False
-        return stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
+        except (InputError, OSError):
+            return None
+        is_whole = stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
+        return manifest if is_whole else None
+
+    def is_done(self, unit: PlannedUnit) -> bool:
+        return self.finished(unit) is not None
 
     def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
         """Raise :class:`InputError` unless the folder is empty or was started with these inputs."""

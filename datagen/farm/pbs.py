@@ -33,8 +33,7 @@ class PbsEngine:
                 remedy = "leave it out, or edit the script that --dry-run writes"
                 problems.add(option, got, "nothing: PBS does not support it", remedy)
         if options.notice_s >= seconds_of(options.time_limit):
-            expected = f"less than --time {options.time_limit}"
-            problems.add("--notice", str(options.notice_s), expected)
+            problems.add("--notice", str(options.notice_s), f"less than --time {options.time_limit}")
         raise_problems(problems)
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -50,24 +51,18 @@ def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
     return folder
 
 
-_WORKER: dict[str, object] = {}
+_opened = cache(Library)
+"""The library of a process that assembles configurations, by its paths."""
 
 
-def _start_worker(recipe: Recipe, library_paths: tuple[Path, ...], root: Path) -> None:
-    _WORKER.update(recipe=recipe, library=Library(library_paths), folder=DatasetFolder(root))
-
-
-def _assemble_one(index: int) -> int:
-    recipe, library, folder = _WORKER["recipe"], _WORKER["library"], _WORKER["folder"]
-    assert isinstance(recipe, Recipe) and isinstance(library, Library) and isinstance(folder, DatasetFolder)
-    configuration = assemble(recipe, index, library)
+def _assemble_one(recipe: Recipe, library_paths: tuple[Path, ...], folder: DatasetFolder, index: int) -> None:
+    configuration = assemble(recipe, index, _opened(library_paths))
     room = room_of(recipe, configuration, NUM_TRIES)
     if room is not None:
         path = folder.room_path(room.package.id)
         path.parent.mkdir(exist_ok=True)
         write_bytes_atomically(path, room.data)
     write_bytes_atomically(folder.configuration_path(configuration.id), canonical_json(configuration))
-    return index
 
 
 def create_plan(
@@ -94,10 +89,8 @@ def create_plan(
     done = recipe.configurations - len(missing)
     report(done, recipe.configurations)
     if missing:
-        context = get_context("spawn")
-        arguments = (recipe, tuple(library.paths), root)
-        with ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, arguments) as pool:
-            futures = [pool.submit(_assemble_one, index) for index in missing]
+        with ProcessPoolExecutor(min(workers, len(missing)), get_context("spawn")) as pool:
+            futures = [pool.submit(_assemble_one, recipe, library.paths, folder, index) for index in missing]
             try:
                 for future in as_completed(futures):
                     future.result()

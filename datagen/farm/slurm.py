@@ -55,9 +55,8 @@ def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[i
 
     The offset keeps task numbers below Slurm's limit.
     """
-    check_folder(root, "slurm")
     throttle = f"%{options.throttle}" if options.throttle else ""
-    directives: dict[str, str | None] = {
+    directives = {
         **_shared_directives(root, options),
         "time": options.time_limit,
         "mem": options.memory,
@@ -96,32 +95,6 @@ exit "$code"
 """
 
 
-def collect_script(root: Path, options: SlurmOptions) -> str:
-    """Script of the collecting job, which runs :func:`collect_commands` without a GPU."""
-    check_folder(root, "slurm")
-    directives: dict[str, str | None] = {
-        **_shared_directives(root, options),
-        "time": options.collect_time,
-        "mem": options.collect_memory,
-        "cpus-per-task": str(options.collect_cpus),
-        "partition": options.collect_partition or options.partition,
-        "output": f"{_escaped(root.resolve())}/logs/slurm-collect.log",
-    }
-    return f"""#!/bin/bash
-# Collects {root.resolve().name} after its units. Written by `datagen farm submit`.
-{_directives(directives, options.collect_options)}
-{with_setup(options, root)}
-{collect_commands(options)}"""
-
-
-def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
-    """Commands that run the units ``indices``, one per line, for other queues (GNU parallel, SGE, ...)."""
-    check_folder(root, "shell")
-    folder = shlex.quote(str(root.resolve()))
-    lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]
-    return "\n".join(lines) + "\n"
-
-
 def _escaped(path: Path) -> str:
     """Escape a path for Slurm's file name patterns."""
     return str(path).replace("%", "%%")
@@ -144,7 +117,22 @@ class SlurmEngine:
         return scripts
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        return Script("collect.sbatch", collect_script(root, options))
+        directives = {
+            **_shared_directives(root, options),
+            "time": options.collect_time,
+            "mem": options.collect_memory,
+            "cpus-per-task": str(options.collect_cpus),
+            "partition": options.collect_partition or options.partition,
+            "output": f"{_escaped(root.resolve())}/logs/slurm-collect.log",
+        }
+        return Script(
+            "collect.sbatch",
+            f"""#!/bin/bash
+# Collects {root.resolve().name} after its units. Written by `datagen farm submit`.
+{_directives(directives, options.collect_options)}
+{with_setup(options, root)}
+{collect_commands(options)}""",
+        )
 
     def send(self, script: Path, after: Sequence[str]) -> str:
         # with afterok, the job would wait forever after a failed task
@@ -162,7 +150,7 @@ class SlurmEngine:
 
 
 class ShellEngine:
-    """Engine that writes a list of commands and submits nothing."""
+    """Engine that writes a command per line, for other queues (GNU parallel, SGE), and submits nothing."""
 
     program = ""
 
@@ -170,7 +158,9 @@ class ShellEngine:
         check_folder(root, "shell")
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
-        return [Script("units.sh", shell_script(root, list(indices), options))]
+        folder = shlex.quote(str(root.resolve()))
+        lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]
+        return [Script("units.sh", "\n".join(lines) + "\n")]
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
         return None

@@ -47,10 +47,9 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
     The size of shards is estimated from finished ones or, if there are none, from the resolution.
     """
     plan, recipe = folder.read_plan(), folder.read_recipe()
-    done = [
-        m for unit in plan.units if folder.is_done(unit) and (m := folder.read_manifest(unit)) is not None
-    ]
-    todo = [unit for unit in plan.units if not folder.is_done(unit)]
+    manifests = {unit.id: folder.finished(unit) for unit in plan.units}
+    done = [manifest for manifest in manifests.values() if manifest is not None]
+    todo = [unit for unit in plan.units if manifests[unit.id] is None]
     if done:
         bytes_per_view = sum(m.num_bytes for m in done) / sum(m.num_views for m in done)
     else:

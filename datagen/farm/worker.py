@@ -121,9 +121,9 @@ class _redirected_output:
 
 
 class _WorkerContext:
-    """Plan, recipe and library of a process. If ``threads`` is None, Dr.Jit's default is used."""
+    """Plan, recipe and library of a process, and its number of ``threads``."""
 
-    def __init__(self, folder: DatasetFolder, threads: int | None):
+    def __init__(self, folder: DatasetFolder, threads: int):
         self.folder = folder
         self.plan = folder.read_plan()
         self.recipe = folder.read_recipe()
@@ -136,10 +136,9 @@ class _WorkerContext:
         if self.is_ready:
             return
         select_variant(self.plan.variant)
-        if self.threads is not None:
-            import drjit as dr
+        import drjit as dr
 
-            dr.set_thread_count(self.threads)
+        dr.set_thread_count(self.threads)
         self.is_ready = True
 
 
@@ -184,10 +183,7 @@ def _run_one(
 
 
 def run_unit_here(
-    root: Path,
-    index: int,
-    stages: tuple[str, ...] = ("render", "stats", "pack"),
-    report: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    root: Path, index: int, stages: tuple[str, ...], report: Callable[[str, int, int], None]
 ) -> int:
     """Run one unit in this process, for job scripts and to reproduce failures.
 

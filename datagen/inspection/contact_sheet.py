@@ -271,9 +271,8 @@ def _finished_shards(folder: Path) -> list[tuple[str, Path]]:
             raise InputError(Problem(folder, "", "neither plan.json nor index.json", "a dataset", remedy))
         return [(shard.configuration, folder / shard.file) for shard in Dataset(folder).index.shards]
     dataset = DatasetFolder(folder)
-    found = []
-    for unit in dataset.read_plan().units:
-        manifest = dataset.read_manifest(unit) if dataset.is_done(unit) else None
-        if manifest is not None:
-            found.append((unit.id, folder / manifest.shard))
-    return found
+    return [
+        (unit.id, folder / manifest.shard)
+        for unit in dataset.read_plan().units
+        if (manifest := dataset.finished(unit)) is not None
+    ]

@@ -17,7 +17,7 @@ from datagen.farm.engine import job_name
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.job_options import SlurmOptions
 from datagen.farm.local import LocalOptions, run_local
-from datagen.farm.slurm import array_script, shell_script
+from datagen.farm.slurm import ShellEngine, array_script
 from datagen.farm.status import forget_failures, read_status
 from datagen.farm.submission import cancel, submit
 from datagen.foundation.errors import InputError
@@ -253,5 +253,6 @@ def test_scripts_are_valid_shell(tmp_path: Path, library_root: Path) -> None:
     assert checked.returncode == 0, checked.stderr
     for directive in ("--array=0-1%5", "--requeue", "--gres=gpu:1", f"--job-name={job_name(folder.root)}"):
         assert f"#SBATCH {directive}" in script
-    lines = shell_script(folder.root, [0, 1], _options()).splitlines()
+    (shell,) = ShellEngine().units(folder.root, _options(), [0, 1])
+    lines = shell.text.splitlines()
     assert len(lines) == 2 and lines[1].endswith("' --unit 1 --attempts 3")
