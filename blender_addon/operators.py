@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Any, ClassVar
@@ -145,23 +146,12 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if bpy.app.background:
-            return self._finish_now()
+            return self._advance(math.inf)
         window_manager = context.window_manager
         window_manager.progress_begin(0, 1000)
         self._timer = window_manager.event_timer_add(_TICK_S, window=context.window)
         window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
-
-    def _finish_now(self) -> set[str]:
-        try:
-            while True:
-                next(self._steps)
-        except StopIteration as stop:
-            return self._succeed(stop.value)
-        except ExportRefused as refused:
-            return self._refuse(refused)
-        except OSError as error:
-            return self._fail(error)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC":
@@ -171,46 +161,42 @@ class SCENE_MATERIALS_OT_export(bpy.types.Operator):
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"RUNNING_MODAL"}
-        until = time.monotonic() + _STEP_BUDGET_S
-        try:
-            while time.monotonic() < until:
-                progress = next(self._steps)
-                context.window_manager.progress_update(int(progress.fraction * 1000))
-                options().status = f"{progress.fraction:.0%} {progress.text}"
-        except StopIteration as stop:
+        outcome = self._advance(time.monotonic() + _STEP_BUDGET_S)
+        if outcome == {"RUNNING_MODAL"}:
+            _redraw(context)
+        else:
             self._clean_up(context)
-            return self._succeed(stop.value)
-        except ExportRefused as refused:
-            self._clean_up(context)
-            return self._refuse(refused)
-        except OSError as error:
-            self._clean_up(context)
-            return self._fail(error)
-        _redraw(context)
-        return {"RUNNING_MODAL"}
+        return outcome
 
     def _clean_up(self, context: bpy.types.Context) -> None:
         context.window_manager.progress_end()
         context.window_manager.event_timer_remove(self._timer)
         _redraw(context)
 
-    def _succeed(self, result: ExportResult) -> set[str]:
-        counts = f"{result.num_instances} instances, {result.num_triangles} triangles"
-        text = f"{len(result.packages)} packages, {counts}"
-        options().show(result.problems, text)
-        self.report({"INFO"}, text)
-        return {"FINISHED"}
-
-    def _fail(self, error: OSError) -> set[str]:
-        options().status = str(error)
-        self.report({"ERROR"}, str(error))
-        return {"CANCELLED"}
-
-    def _refuse(self, refused: ExportRefused) -> set[str]:
-        errors = sum(problem.severity == "error" for problem in refused.problems)
-        options().show(refused.problems, f"refused: {errors} errors")
-        self.report({"ERROR"}, f"{errors} errors; the list is in the Materials tab of the sidebar")
-        return {"CANCELLED"}
+    def _advance(self, until: float) -> set[str]:
+        """Export until the monotonic clock reads ``until``; returns the operator's state."""
+        try:
+            while time.monotonic() < until:
+                progress = next(self._steps)
+                bpy.context.window_manager.progress_update(int(progress.fraction * 1000))
+                options().status = f"{progress.fraction:.0%} {progress.text}"
+        except StopIteration as stop:
+            result: ExportResult = stop.value
+            counts = f"{result.num_instances} instances, {result.num_triangles} triangles"
+            text = f"{len(result.packages)} packages, {counts}"
+            options().show(result.problems, text)
+            self.report({"INFO"}, text)
+            return {"FINISHED"}
+        except ExportRefused as refused:
+            errors = sum(problem.severity == "error" for problem in refused.problems)
+            options().show(refused.problems, f"refused: {errors} errors")
+            self.report({"ERROR"}, f"{errors} errors; the list is in the Materials tab of the sidebar")
+            return {"CANCELLED"}
+        except OSError as error:
+            options().status = str(error)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"RUNNING_MODAL"}
 
 
 def _redraw(context: bpy.types.Context) -> None:

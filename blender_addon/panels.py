@@ -116,13 +116,4 @@ class SCENE_MATERIALS_PT_export(_Panel, bpy.types.Panel):
 CLASSES = (SCENE_MATERIALS_UL_problems, SCENE_MATERIALS_PT_tags, SCENE_MATERIALS_PT_export)
 
 
-def register() -> None:
-    """Register the tab."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Remove the tab."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)
