@@ -63,13 +63,6 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
     return parser
 
 
-def settings_from(arguments: argparse.Namespace) -> ExportSettings:
-    """Create the settings from the arguments of the same names."""
-    names = {field.name for field in fields(ExportSettings)}
-    given = {name: value for name, value in vars(arguments).items() if name in names}
-    return ExportSettings(**{**given, "only": tuple(arguments.only)})
-
-
 @contextlib.contextmanager
 def quiet_stdout() -> Iterator[None]:
     """Context that discards standard output, including Cycles', which bypasses Python."""
@@ -121,7 +114,9 @@ def run(arguments: argparse.Namespace) -> int:
     from .export import check, export_steps
 
     try:
-        settings = settings_from(arguments)
+        names = {field.name for field in fields(ExportSettings)}
+        given = {name: value for name, value in vars(arguments).items() if name in names}
+        settings = ExportSettings(**{**given, "only": tuple(arguments.only)})
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return REFUSED

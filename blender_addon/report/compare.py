@@ -55,12 +55,16 @@ def report_steps(
         material_images: list[np.ndarray] = []
         yield Progress(0.0, "report: materials in Cycles")
         if materials:
-            yield from _render_materials(folder, settings, materials, material_images)
+            material_images = yield from _render_materials(folder, settings, materials)
         light_images: list[tuple[str, str, np.ndarray]] = []
         worlds = [scene.world] if scene.world is not None and things else []
         for index, light in enumerate([*lights, *worlds]):
             yield Progress(0.5 + 0.2 * index / (len(lights) + 1), f"report: {light.name} in Cycles")
-            _render_light(folder, settings, index, light, light_images)
+            with BakeSession() as stage:
+                light_stage(stage, light)
+                _export_stage(stage, f"light_{index:03d}", settings, folder)
+                kind = "world" if isinstance(light, bpy.types.World) else light.data.type.lower()
+                light_images.append((light.name, kind, render_linear(stage.scene)))
         yield Progress(0.7, "report: Mitsuba")
         packages = sorted(path.parent for path in folder.glob("packages/*/asset.json"))
         remark = "Nothing to render."
@@ -99,8 +103,9 @@ def _export_stage(stage: BakeSession, identity: str, settings: ExportSettings, f
 
 
 def _render_materials(
-    folder: Path, settings: ExportSettings, materials: dict[str, tuple[str, ...]], images: list[np.ndarray]
-) -> Generator[Progress, None, None]:
+    folder: Path, settings: ExportSettings, materials: dict[str, tuple[str, ...]]
+) -> Generator[Progress, None, list[np.ndarray]]:
+    images = []
     with BakeSession() as stage:
         names = list(materials)
         blocks = [bpy.data.materials[name] for name in names]
@@ -111,29 +116,13 @@ def _render_materials(
             yield Progress(0.5 * index / len(cameras), f"report: {names[index]} in Cycles")
             stage.scene.camera = camera
             images.append(render_linear(stage.scene))
-
-
-def _render_light(
-    folder: Path,
-    settings: ExportSettings,
-    index: int,
-    light: bpy.types.Object | bpy.types.World,
-    images: list[tuple[str, str, np.ndarray]],
-) -> None:
-    with BakeSession() as stage:
-        if isinstance(light, bpy.types.World):
-            light_stage(stage, None, light)
-            kind = "world"
-        else:
-            light_stage(stage, light, None)
-            kind = light.data.type.lower()
-        _export_stage(stage, f"light_{index:03d}", settings, folder)
-        images.append((light.name, kind, render_linear(stage.scene)))
+    return images
 
 
 def render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
     """Render the packages with Mitsuba; returns the page's remark: sample counts, or the failure."""
-    executable = python or _own_python()
+    # this interpreter if bpy is installed in it as a module, none in Blender's program
+    executable = python or ("" if bpy.app.binary_path else sys.executable)
     if not executable:
         return (
             "Rendered by Cycles only: to compare with Mitsuba, name a Python executable that has this "
@@ -157,11 +146,6 @@ def render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> 
         f"Cycles {bpy.app.version_string} with {SAMPLES} samples a pixel against Mitsuba with "
         f"{_MITSUBA_SAMPLES}, not denoised."
     )
-
-
-def _own_python() -> str:
-    """Path of this interpreter if bpy is installed as a module, "" inside Blender's program."""
-    return sys.executable if not bpy.app.binary_path else ""
 
 
 def _mitsuba_image(folder: Path, package: str, index: int) -> np.ndarray | None:

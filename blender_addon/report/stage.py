@@ -108,16 +108,16 @@ def material_stage(
     return cameras
 
 
-def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy.types.World | None) -> None:
-    """Build a scene with a camera, and a grey square that faces ``light`` or a grey sphere in ``world``."""
+def light_stage(session: BakeSession, light: bpy.types.Object | bpy.types.World) -> None:
+    """Build a scene with a camera, and a grey square that faces ``light``, or a grey sphere in a world."""
     scene = _prepare(session, "report_light")
     grey = session.own(bpy.data.materials, bpy.data.materials.new(f"{_PREFIX}_grey"))
     grey.use_nodes = True
     diffuse = grey.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
     diffuse.inputs["Color"].default_value = (0.5, 0.5, 0.5, 1.0)
     grey.node_tree.links.new(diffuse.outputs[0], grey.node_tree.nodes["Material Output"].inputs["Surface"])
-    if light is None:
-        scene.world = world
+    if isinstance(light, bpy.types.World):
+        scene.world = light
         mesh = sphere_mesh(session, 0.5)
         mesh.materials.append(grey)
         session.object_of(mesh)
