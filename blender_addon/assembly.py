@@ -88,7 +88,6 @@ class _Assembly:
         self._names: set[str] = set()
         self._boxes: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self._seen_boxes: set[tuple[str, int, int]] = set()
-        self._used_slots: dict[int, list[int]] = {}
         self._densities: dict[tuple[Any, ...], float | None] = {}
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
@@ -99,27 +98,19 @@ class _Assembly:
         for index, instance in enumerate(instances):
             yield Progress(index / len(instances), f"exporting {instance.name}")
             mesh = self.contents.gathered.meshes[instance.mesh_key]
-            slots = self._slots(instance.mesh_key)
-            for slot in slots:
-                yield from self._part(instance, int(slot), len(slots) > 1, index / len(instances))
+            for slot in mesh.used_slots:
+                yield from self._part(instance, slot, len(mesh.used_slots) > 1, index / len(instances))
             self.contents.num_triangles += len(mesh.triangles)
-
-    def _slots(self, key: int) -> list[int]:
-        """Indices of the material slots used by triangles of the mesh ``key``."""
-        if key not in self._used_slots:
-            found = np.unique(self.contents.gathered.meshes[key].triangle_slots)
-            self._used_slots[key] = [int(slot) for slot in found]
-        return self._used_slots[key]
 
     def _find_windows(self) -> None:
         """Compute, for each material, the bounding box of its texture coordinates over all meshes."""
         for instance in self.contents.gathered.instances:
             mesh = self.contents.gathered.meshes[instance.mesh_key]
-            for slot in self._slots(instance.mesh_key):
-                name = instance.materials[min(int(slot), len(instance.materials) - 1)]
+            for slot in mesh.used_slots:
+                name = instance.materials[min(slot, len(instance.materials) - 1)]
                 assert name is not None
                 frame = self.job.plan(name).frame
-                seen = (name, instance.mesh_key, int(slot))
+                seen = (name, instance.mesh_key, slot)
                 if frame is None or seen in self._seen_boxes:
                     continue
                 self._seen_boxes.add(seen)
@@ -130,10 +121,6 @@ class _Assembly:
                     low = np.minimum(low, self._boxes[name][0])
                     high = np.maximum(high, self._boxes[name][1])
                 self._boxes[name] = (low, high)
-
-    def _exceeds_unit(self, name: str) -> bool:
-        low, high = self._boxes[name]
-        return bool((low < -_UV_SLACK).any() or (high > 1 + _UV_SLACK).any())
 
     def _part(
         self, instance: Instance, slot: int, is_split: bool, fraction: float
@@ -182,7 +169,7 @@ class _Assembly:
         layer = (baked.frame.layer if baked.frame is not None else "") or mesh.active_uv
         if layer in mesh.uv_layers:
             return baked.texture_coordinates(mesh.uv_layers[layer])
-        if self.job.settings.apply_box_uv and bpy.data.materials[material].get("sm_replaceable_by"):
+        if bpy.data.materials[material].get("sm_replaceable_by"):  # other materials may need UVs
             return box_uv(mesh, np.linalg.norm(metres_from_part[:3, :3], axis=0))
         return None
 
@@ -196,8 +183,10 @@ class _Assembly:
 
     def _effective_plan(self, name: str) -> MaterialPlan:
         plan = self.job.plan(name)
-        if any(image.needs_unit_uv for image in plan.images.values()) and self._exceeds_unit(name):
-            return force_bake(plan)
+        if any(image.needs_unit_uv for image in plan.images.values()):
+            low, high = self._boxes[name]
+            if (low < -_UV_SLACK).any() or (high > 1 + _UV_SLACK).any():
+                return force_bake(plan)
         return plan
 
     def _key(self, instance: Instance, slot: int, name: str) -> tuple[Any, ...]:
@@ -224,7 +213,7 @@ class _Assembly:
             baked = self.baker.on_mesh(material, plan, thing, slot, self._layout(instance, slot), info)
         else:
             window = UNIT_WINDOW
-            repeats = plan.is_periodic or material.get("sm_tile_size_m") is not None
+            repeats = plan.dependencies.is_periodic or material.get("sm_tile_size_m") is not None
             if (plan.varying or plan.bakes_normal) and plan.frame is not None and not repeats:
                 window = padded_window(*self._boxes[name])
             side = self._window_side(instance, slot, plan, window) if plan.bakes_normal else 1.0

@@ -143,8 +143,8 @@ class Reader:
                 continue
             seen.add((instance.mesh_key, instance.materials))
             mesh = contents.gathered.meshes[instance.mesh_key]
-            for slot in np.unique(mesh.triangle_slots):
-                name = instance.materials[min(int(slot), len(instance.materials) - 1)]
+            for slot in mesh.used_slots:
+                name = instance.materials[min(slot, len(instance.materials) - 1)]
                 if name is None:
                     self.problems.add(
                         ERROR, f"slot {slot} has no material", "assign one", object=instance.owner

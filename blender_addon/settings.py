@@ -17,9 +17,8 @@ class ExportSettings:
     ``max_texture_px``: maximum side of a texture (a power of two). ``bake_normals``: bump and normal maps
     become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects, collections or
     materials to export (empty: everything tagged). ``license``, ``author``, ``source``: provenance where the
-    asset has no such tags. ``apply_box_uv``: meshes without UVs get a box projection of one unit per metre,
-    so other materials can be assigned to them. ``report``: write the fidelity report. ``report_python``:
-    Python executable, with this project installed, that renders the report.
+    asset has no such tags. ``report``: write the fidelity report. ``report_python``: Python executable, with
+    this project installed, that renders the report.
     """
 
     kind: str = "auto"
@@ -31,7 +30,6 @@ class ExportSettings:
     license: str = ""
     author: str = ""
     source: str = ""
-    apply_box_uv: bool = True
     report: bool = False
     report_python: str = ""
 

@@ -33,7 +33,7 @@ from .expression import (
     subtract,
     widen,
 )
-from .graph import Graph, Stack, input_of, source_of, value_of
+from .graph import Stack, input_of, source_of, value_of
 
 TRANSMISSION_POLICIES = ("refuse", "opaque", "mask")
 """Values of ``sm_transmission``: the treatment of transmissive materials."""
@@ -105,9 +105,9 @@ class ClosureWalk:
         self.material, self.problems, self.policy = material, problems, policy
         self.result = Closures()
 
-    def walk(self, graph: Graph) -> Closures:
+    def walk(self, tree: bpy.types.NodeTree) -> Closures:
         """Sum the closures that reach the surface output, and report those that are not exported exactly."""
-        output = graph.output_node()
+        output = tree.get_output_node("CYCLES")
         if output is None:
             self._report(
                 ERROR, None, "has no material output node", "add a Material Output and link a shader"
@@ -125,13 +125,11 @@ class ClosureWalk:
 
     def _check_volume_and_displacement(self, output: bpy.types.Node) -> None:
         if source_of((), output.inputs["Volume"]).is_linked:
-            message = "volumes cannot be exported"
             remedy = "unlink Volume, or tag the object sm_role = ignore"
-            self._report(ERROR, output, message, remedy)
+            self._report(ERROR, output, "volumes cannot be exported", remedy)
         if source_of((), output.inputs["Displacement"]).is_linked:
             message = "displacement by the material is left out: the surface is the mesh itself"
-            remedy = "use a Displace modifier, which is exported"
-            self._report(APPROXIMATION, output, message, remedy)
+            self._report(APPROXIMATION, output, message, "use a Displace modifier, which is exported")
 
     def _value(self, stack: Stack, node: bpy.types.Node, *names: str) -> Expression:
         socket = input_of(node, *names)
@@ -166,9 +164,8 @@ class ClosureWalk:
                 remedy = "put a shader node between them"
                 self._report(ERROR, node, "a colour is linked to a shader input", remedy)
                 return
-            message = f"the {node.bl_label} node cannot be exported"
             remedy = "replace it by Principled, Diffuse, Glossy or a mix of them"
-            self._report(ERROR, node, message, remedy)
+            self._report(ERROR, node, f"the {node.bl_label} node cannot be exported", remedy)
             return
         handler(self, source.stack, node, weight)
 
@@ -249,9 +246,8 @@ class ClosureWalk:
                 "that share of the light is absorbed instead of transmitted",
             )
             return ZERO
-        message = "transmission cannot be exported: the BSDF is opaque"
         remedy = "set the material's sm_transmission to 'opaque' or 'mask', or remove the glass"
-        self._report(ERROR, node, message, remedy)
+        self._report(ERROR, node, "transmission cannot be exported: the BSDF is opaque", remedy)
         return ZERO
 
     def _pass_through(self, weight: Expression) -> None:
@@ -302,8 +298,7 @@ class ClosureWalk:
     def translucent(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
         self._normal(stack, node)
         message = "translucency is exported as diffuse reflection: light leaves on the lit side only"
-        remedy = "use Diffuse where the surface is seen from its lit side"
-        self._report(APPROXIMATION, node, message, remedy)
+        self._report(APPROXIMATION, node, message, "use Diffuse where the surface is seen from its lit side")
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
 
     def subsurface(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
@@ -327,9 +322,8 @@ class ClosureWalk:
         self._emit(weight, multiply(colour, strength))
 
     def sheen(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        message = "the Sheen BSDF cannot be exported: D, S and R cannot represent it"
         remedy = "remove it, or use a Diffuse BSDF with the cloth's colour"
-        self._report(ERROR, node, message, remedy)
+        self._report(ERROR, node, "the Sheen BSDF cannot be exported: D, S and R cannot represent it", remedy)
 
 
 _HANDLERS: dict[str, Callable[[ClosureWalk, Stack, bpy.types.Node, Expression], None]] = {

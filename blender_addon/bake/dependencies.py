@@ -147,9 +147,8 @@ class DependencyWalk:
         self._seen.add(key)
         kind = node.type
         if kind in _REFUSED:
-            message = f"{node.bl_label}: {_REFUSED[kind]}"
             remedy = "replace it by a node whose value depends on the surface only"
-            self._report(ERROR, node, message, remedy)
+            self._report(ERROR, node, f"{node.bl_label}: {_REFUSED[kind]}", remedy)
             return
         if kind == "TEX_IMAGE":
             self._image(stack, node)
@@ -169,8 +168,7 @@ class DependencyWalk:
                 self._result.mesh = True
             else:
                 message = f"attributes of type {node.attribute_type} are not evaluated"
-                remedy = "store the value on the geometry"
-                self._report(ERROR, node, message, remedy)
+                self._report(ERROR, node, message, "store the value on the geometry")
         elif kind == "POINT_INFO":
             self._report(ERROR, node, "point clouds are not exported", "convert them to a mesh")
         elif self._is_normal and kind == "NORMAL_MAP" and node.space == "TANGENT":
@@ -226,8 +224,7 @@ class DependencyWalk:
             pixels_exist = node.image.size[0] > 0  # accessing the size loads the image
             if not pixels_exist:
                 message = f"the image {node.image.name!r} cannot be read ({node.image.filepath})"
-                remedy = "find the missing file or pack it"
-                self._report(ERROR, node, message, remedy)
+                self._report(ERROR, node, message, "find the missing file or pack it")
                 return
         if node.image.source in ("SEQUENCE", "MOVIE"):
             self._report(NOTE, node, "only the current frame of the moving image is exported")
@@ -262,9 +259,8 @@ class DependencyWalk:
         elif name in ("Generated", "Normal", "Object"):
             self._result.mesh = True
         else:
-            message = f"{name} coordinates change with the view"
             remedy = "use UV, Object or Generated coordinates"
-            self._report(ERROR, node, message, remedy)
+            self._report(ERROR, node, f"{name} coordinates change with the view", remedy)
 
     def _geometry(self, node: bpy.types.Node, name: str) -> None:
         if name in _GEOMETRY_ON_INSTANCE:

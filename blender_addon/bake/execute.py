@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .expression import Constant, Expression, Operation, SocketValue
+from .graph import group_output
 
 BAKE_UV = "sm_bake"
 _PREFIX = ".sm_"
@@ -107,10 +108,9 @@ class BakeSession:
         copy = self.own(bpy.data.materials, material.copy())
         copy.name = f"{_PREFIX}{material.name}"
         tree = copy.node_tree
-        single_user: set[tuple[str, ...]] = set()
+        builder = _Builder(self, tree, object_info or {})
         if object_info is not None:
-            self._fix_object_info(tree, (), object_info, single_user)
-        builder = _Builder(self, tree, single_user, object_info or {})
+            builder.fix_object_info(tree, ())
         outputs = {name: builder.build(expression) for name, expression in expressions.items()}
         emission = tree.nodes.new("ShaderNodeEmission")
         target = tree.nodes.new("ShaderNodeTexImage")
@@ -126,40 +126,6 @@ class BakeSession:
         target.select = True
         tree.nodes.active = target
         return WorkingMaterial(copy, outputs, emission, target, surface)
-
-    def _fix_object_info(
-        self,
-        tree: bpy.types.NodeTree,
-        path: tuple[str, ...],
-        values: dict[str, tuple[float, ...]],
-        single_user: set[tuple[str, ...]],
-    ) -> None:
-        """Replace links from Object Info nodes by the instance's values, in this tree and its groups."""
-        for node in list(tree.nodes):
-            if node.type == "GROUP" and node.node_tree is not None:
-                self.make_single((*path, node.name), node, single_user)
-                self._fix_object_info(node.node_tree, (*path, node.name), values, single_user)
-            elif node.type == "OBJECT_INFO":
-                for output in node.outputs:
-                    value = values[output.name]
-                    for link in list(output.links):
-                        if len(value) == 1:
-                            source = tree.nodes.new("ShaderNodeValue")
-                            source.outputs[0].default_value = value[0]
-                        else:
-                            source = tree.nodes.new("ShaderNodeCombineXYZ")
-                            for socket, component in zip(source.inputs, value, strict=True):
-                                socket.default_value = component
-                        tree.links.new(source.outputs[0], link.to_socket)
-
-    def make_single(
-        self, path: tuple[str, ...], node: bpy.types.Node, single_user: set[tuple[str, ...]]
-    ) -> None:
-        """Replace a group node's tree by a copy for this node, unless ``path`` is in ``single_user``."""
-        if path not in single_user:
-            node.node_tree = self.own(bpy.data.node_groups, node.node_tree.copy())
-            node.node_tree.name = f"{_PREFIX}group"
-            single_user.add(path)
 
     # ---- objects
 
@@ -268,9 +234,35 @@ class _Builder:
 
     session: BakeSession
     tree: bpy.types.NodeTree
-    single_user: set[tuple[str, ...]]
     object_info: dict[str, tuple[float, ...]]
+    _single_user: set[tuple[str, ...]] = field(default_factory=set)
     _built: dict[Expression, bpy.types.NodeSocket | Constant] = field(default_factory=dict)
+
+    def fix_object_info(self, tree: bpy.types.NodeTree, path: tuple[str, ...]) -> None:
+        """Replace links from Object Info nodes by the instance's values, in this tree and its groups."""
+        for node in list(tree.nodes):
+            if node.type == "GROUP" and node.node_tree is not None:
+                self._make_single((*path, node.name), node)
+                self.fix_object_info(node.node_tree, (*path, node.name))
+            elif node.type == "OBJECT_INFO":
+                for output in node.outputs:
+                    value = self.object_info[output.name]
+                    for link in list(output.links):
+                        if len(value) == 1:
+                            source = tree.nodes.new("ShaderNodeValue")
+                            source.outputs[0].default_value = value[0]
+                        else:
+                            source = tree.nodes.new("ShaderNodeCombineXYZ")
+                            for socket, component in zip(source.inputs, value, strict=True):
+                                socket.default_value = component
+                        tree.links.new(source.outputs[0], link.to_socket)
+
+    def _make_single(self, path: tuple[str, ...], node: bpy.types.Node) -> None:
+        """Replace a group node's tree, once, by a copy for this node."""
+        if path not in self._single_user:
+            node.node_tree = self.session.own(bpy.data.node_groups, node.node_tree.copy())
+            node.node_tree.name = f"{_PREFIX}group"
+            self._single_user.add(path)
 
     def build(self, expression: Expression) -> bpy.types.NodeSocket | Constant:
         """Build the nodes of an expression; returns their output socket, or a constant unchanged."""
@@ -287,7 +279,7 @@ class _Builder:
         tree, groups = self.tree, []
         for depth, name in enumerate(value.path):
             node = tree.nodes[name]
-            self.session.make_single(value.path[: depth + 1], node, self.single_user)
+            self._make_single(value.path[: depth + 1], node)
             groups.append(node)
             tree = node.node_tree
         socket = next(o for o in tree.nodes[value.node].outputs if o.identifier == value.socket)
@@ -295,10 +287,7 @@ class _Builder:
             return Constant(self.object_info[socket.name])
         for group in reversed(groups):
             inner = group.node_tree
-            outputs = [node for node in inner.nodes if node.bl_idname == "NodeGroupOutput"]
-            end = next((node for node in outputs if node.is_active_output), None)
-            if end is None:
-                end = outputs[0] if outputs else inner.nodes.new("NodeGroupOutput")
+            end = group_output(inner) or inner.nodes.new("NodeGroupOutput")
             kind = {"VALUE": "NodeSocketFloat", "RGBA": "NodeSocketColor"}.get(
                 socket.type, "NodeSocketVector"
             )

@@ -59,7 +59,6 @@ OPERATIONS: dict[str, Callable[..., float]] = {
     "maximum": max,
     "sqrt": lambda a: math.sqrt(max(a, 0.0)),
 }
-_REDUCTIONS = ("luminance", "average")
 
 
 def constant(*value: float) -> Constant:
@@ -77,10 +76,6 @@ def is_constant(expression: Expression, value: float | None = None) -> bool:
     )
 
 
-def _component(expression: Constant, index: int) -> float:
-    return expression.value[index if expression.width == 3 else 0]
-
-
 def _is_complement(expression: Expression) -> bool:
     return (
         isinstance(expression, Operation)
@@ -93,8 +88,8 @@ def operate(name: str, *arguments: Expression) -> Expression:
     """Apply an operation of :data:`OPERATIONS`, folding constants and dropping neutral elements."""
     width = max(argument.width for argument in arguments)
     if all(isinstance(argument, Constant) for argument in arguments):
-        rows = ([_component(a, i) for a in arguments] for i in range(width))  # type: ignore[arg-type]
-        return Constant(tuple(float(OPERATIONS[name](*row)) for row in rows))
+        values = [a.value * (width // a.width) for a in arguments]  # type: ignore[union-attr]
+        return Constant(tuple(float(OPERATIONS[name](*row)) for row in zip(*values, strict=True)))
     if len(arguments) == 2:
         a, b = arguments
         if name == "multiply" and (is_constant(a, 0) or is_constant(b, 0)):
@@ -175,8 +170,6 @@ def reduce_to_scalar(expression: Expression, name: str = "luminance") -> Express
             return constant(expression.value[0])  # the weights' sum is not exactly 1
         weights = LUMINANCE if name == "luminance" else (1 / 3,) * 3
         return constant(sum(w * v for w, v in zip(weights, expression.value, strict=True)))
-    if name not in _REDUCTIONS:
-        raise ValueError(f"no reduction {name!r}")
     return Operation(name, (expression,), 1)
 
 

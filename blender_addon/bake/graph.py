@@ -19,17 +19,6 @@ _MAX_HOPS = 10_000  # a cycle of reroutes would otherwise be followed forever
 
 
 @dataclass(frozen=True)
-class Graph:
-    """A material's, light's or world's node tree."""
-
-    tree: bpy.types.NodeTree
-
-    def output_node(self) -> bpy.types.Node | None:
-        """The output node used by Cycles."""
-        return self.tree.get_output_node("CYCLES")
-
-
-@dataclass(frozen=True)
 class Source:
     """Source of an input's value: an output ``socket`` of ``node``, or an unlinked input without ``node``.
 
@@ -45,14 +34,8 @@ class Source:
         return self.node is not None
 
 
-def _incoming(socket: bpy.types.NodeSocket) -> bpy.types.NodeLink | None:
-    for link in socket.links:
-        if not link.is_muted and link.is_valid:
-            return link
-    return None
-
-
-def _group_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
+def group_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
+    """The output node of a group that is in effect, or None."""
     outputs = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
     return next((node for node in outputs if node.is_active_output), outputs[0] if outputs else None)
 
@@ -64,7 +47,7 @@ def _by_identifier(sockets: bpy.types.bpy_prop_collection, identifier: str) -> b
 def source_of(stack: Stack, socket: bpy.types.NodeSocket) -> Source:
     """Trace an input socket to its source. Raises ``RuntimeError`` if links form a cycle."""
     for _ in range(_MAX_HOPS):
-        link = _incoming(socket)
+        link = next((link for link in socket.links if not link.is_muted and link.is_valid), None)
         if link is None:
             return Source(stack, None, socket)
         node, output = link.from_node, link.from_socket
@@ -81,7 +64,7 @@ def source_of(stack: Stack, socket: bpy.types.NodeSocket) -> Source:
                 return Source(stack, None, None)
             stack, socket = stack[:-1], outer
         elif node.bl_idname == "ShaderNodeGroup":
-            inner = _group_output(node.node_tree) if node.node_tree else None
+            inner = group_output(node.node_tree) if node.node_tree else None
             inner_socket = _by_identifier(inner.inputs, output.identifier) if inner else None
             if inner_socket is None:
                 return Source(stack, None, None)

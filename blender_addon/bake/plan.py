@@ -21,7 +21,7 @@ from .closures import TRANSMISSION_POLICIES, Closures, ClosureWalk
 from .dependencies import Dependencies, DependencyWalk
 from .expression import Constant, Expression, Operation, SocketValue, is_constant, sockets, unclamped
 from .frames import IDENTITY, UvFrame, image_frame
-from .graph import Graph, Stack, input_of, node_at, source_of
+from .graph import Stack, input_of, node_at, source_of
 
 ENCODINGS = {"sRGB": "srgb", "Non-Color": "linear", "Raw": "linear", "Linear Rec.709": "linear"}
 _SEPARATE = {"Red": "r", "Green": "g", "Blue": "b", "R": "r", "G": "g", "B": "b"}
@@ -73,11 +73,6 @@ class MaterialPlan:
     def is_per_instance(self) -> bool:
         return (bool(self.varying) or self.bakes_normal) and self.dependencies.is_per_instance
 
-    @property
-    def is_periodic(self) -> bool:
-        """Whether every channel repeats with the UV unit square."""
-        return self.dependencies.is_periodic
-
 
 def plan_material(
     material: bpy.types.Material, bakes_normal: bool = False, rendering_layer: str = ""
@@ -90,15 +85,13 @@ def plan_material(
     problems = ProblemList()
     policy = str(material.get("sm_transmission", "refuse"))
     if policy not in TRANSMISSION_POLICIES:
-        message = f"sm_transmission = {policy!r}"
         remedy = f"use one of {', '.join(TRANSMISSION_POLICIES)}"
-        problems.add(ERROR, message, remedy, material=material.name)
+        problems.add(ERROR, f"sm_transmission = {policy!r}", remedy, material=material.name)
     if not material.use_nodes or material.node_tree is None:
         colour = Constant(tuple(material.diffuse_color[:3]))
         channels = Channels(colour, Constant((0.0,) * 3), Constant((1.0,)), None, None)
         return MaterialPlan(material.name, channels, channels.baked(), problems=list(problems))
-    graph = Graph(material.node_tree)
-    closures = ClosureWalk(material.name, problems, policy).walk(graph)
+    closures = ClosureWalk(material.name, problems, policy).walk(material.node_tree)
     _note_leftover_lobes(closures, material.name, problems)
     channels = channels_of(closures)
     plan = MaterialPlan(material.name, channels, normals=closures.normals)
@@ -167,7 +160,8 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
     else:
         (layer,) = plan.dependencies.uv_layers
         plan.frame = UvFrame(layer, IDENTITY)
-    if not plan.dependencies.needs_mesh and not plan.dependencies.is_per_instance and plan.is_periodic:
+    dependencies = plan.dependencies
+    if not dependencies.needs_mesh and not dependencies.is_per_instance and dependencies.is_periodic:
         plan.images = {name: image for name, image in plain.items() if image.frame == plan.frame}
         plan.bakes_normal &= NORMAL not in plan.images
     plan.varying = {name: value for name, value in varying.items() if name not in plan.images}

@@ -49,13 +49,13 @@ def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArr
     return np.clip(low, 0, size - 1), np.clip(low + 1, 0, size - 1), fraction
 
 
-def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> Image:
-    """Interpolate an image bilinearly at (height, width) texel centres; ``repeats`` wraps at the borders."""
-    return _interpolate_rows(image, slice(0, height), height, width, repeats)
+def interpolate(
+    image: Image, height: int, width: int, repeats: bool = True, rows: slice = slice(None)
+) -> Image:
+    """Interpolate an image bilinearly at (height, width) texel centres; ``repeats`` wraps at the borders.
 
-
-def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeats: bool = True) -> Image:
-    """Compute only ``rows`` of the result of :func:`interpolate`."""
+    Only ``rows`` of the result are computed.
+    """
     if image.shape[0] == height:
         result = image[rows]
     else:
@@ -128,8 +128,6 @@ def smallest_level(image: Image, mask: Mask, tolerance: float, counted: Mask | N
     counted = mask if counted is None else counted
     best = Level(fill(image, mask), 0.0)
     weight = mask.astype(np.float32)[..., None]
-    if not mask.any():
-        return Level(np.zeros((1, 1, image.shape[2]), np.float32), 0.0)
     current = image
     axes = [0, 1]
     while axes:
@@ -158,7 +156,7 @@ def level_error(level: Image, image: Image, mask: Mask, enough: float = math.inf
     total = np.zeros(image.shape[2])
     for start in range(0, height, _BLOCK_ROWS):
         rows = slice(start, min(start + _BLOCK_ROWS, height))
-        difference = np.abs(_interpolate_rows(level, rows, height, width) - image[rows])
+        difference = np.abs(interpolate(level, height, width, rows=rows) - image[rows])
         covered = difference.reshape(-1, difference.shape[2]) if is_full else difference[mask[rows]]
         total += covered.sum(axis=0, dtype=np.float64)
         if total.max() > enough * count:

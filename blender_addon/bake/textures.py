@@ -221,9 +221,7 @@ class MaterialBaker:
                 return _constant(name, (0.0,) * 3)
             level = smallest_level(pixels, mask, tolerance, counted=counted)
             is_small = level.image.size < pixels.size
-            if is_small and (size == limit or self._is_trusted(thing, working, name, pixels, mask)):
-                break
-            if size == limit:
+            if size == limit or (is_small and self._is_trusted(thing, working, name, pixels, mask)):
                 break
             size = min(size * 4, limit)
         if name == "emission":
@@ -291,9 +289,8 @@ class MaterialBaker:
 
     def _finish(self, result: BakedMaterial, plan: MaterialPlan) -> BakedMaterial:
         if plan.normals and not plan.bakes_normal and NORMAL not in plan.images:
-            message = "bump and normal inputs are left out"
             remedy = "turn on Bake Normals to get a normal texture"
-            self.problems.add(NOTE, message, remedy, material=plan.name)
+            self.problems.add(NOTE, "bump and normal inputs are left out", remedy, material=plan.name)
         return result
 
 

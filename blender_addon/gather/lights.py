@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from ..bake.closures import ClosureWalk
 from ..bake.expression import Constant
-from ..bake.graph import Graph
 from ..problems import APPROXIMATION, ERROR, NOTE, ProblemList
 
 Light = dict[str, Any]
@@ -50,7 +49,7 @@ def _power(data: bpy.types.Light, name: str, problems: ProblemList) -> NDArray[n
     power = data.energy * 2.0 ** getattr(data, "exposure", 0.0) * colour
     if data.use_nodes and data.node_tree is not None:
         found = ProblemList()
-        emission = ClosureWalk(name, found, "mask").walk(Graph(data.node_tree)).emission
+        emission = ClosureWalk(name, found, "mask").walk(data.node_tree).emission
         if not isinstance(emission, Constant) or found.errors:
             problems.add(
                 ERROR, "the light's nodes vary (texture or IES); only a constant is exported",
@@ -64,24 +63,21 @@ def _power(data: bpy.types.Light, name: str, problems: ProblemList) -> NDArray[n
     return power
 
 
-def _triple(values: NDArray[np.float64]) -> list[float]:
-    return [float(v) for v in values]
-
-
 def _direction(frame: NDArray[np.float64]) -> list[float]:
     axis = -frame[:3, 2]
-    return _triple(axis / np.linalg.norm(axis))
+    return (axis / np.linalg.norm(axis)).tolist()
 
 
 def _point(
     thing: bpy.types.Object, power: NDArray, frame: NDArray, metres: float, problems: ProblemList
 ) -> Light:
     radius = thing.data.shadow_soft_size
-    base = {"name": thing.name, "position_m": _triple(frame[:3, 3])}
+    base = {"name": thing.name, "position_m": frame[:3, 3].tolist()}
     if radius <= 0:
         factor = metres**2 / (4 * math.pi)
-        return {**base, "type": "point", "intensity": _triple(power * factor)}
-    _note_visibility(thing, problems)
+        return {**base, "type": "point", "intensity": (power * factor).tolist()}
+    if not thing.visible_camera:
+        problems.add(NOTE, "the light's sphere is visible to the camera after the export", object=thing.name)
     if getattr(thing.data, "use_soft_falloff", False):
         message = (
             "Soft Falloff makes the light a disc that faces each point; the exported sphere is brighter by "
@@ -90,12 +86,7 @@ def _point(
         problems.add(APPROXIMATION, message, "turn Soft Falloff off", object=thing.name)
     is_normalized = getattr(thing.data, "normalize", True)
     radiance = power / (4 * math.pi**2 * radius**2) if is_normalized else power / math.pi
-    return {**base, "type": "sphere", "radius_m": radius * metres, "radiance": _triple(radiance)}
-
-
-def _note_visibility(thing: bpy.types.Object, problems: ProblemList) -> None:
-    if not thing.visible_camera:
-        problems.add(NOTE, "the light's sphere is visible to the camera after the export", object=thing.name)
+    return {**base, "type": "sphere", "radius_m": radius * metres, "radiance": radiance.tolist()}
 
 
 def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
@@ -144,9 +135,9 @@ def _spot(
     return {
         "type": "spot",
         "name": thing.name,
-        "position_m": _triple(frame[:3, 3]),
+        "position_m": frame[:3, 3].tolist(),
         "direction": _direction(frame),
-        "intensity": _triple(power * metres**2 / (4 * math.pi)),
+        "intensity": (power * metres**2 / (4 * math.pi)).tolist(),
         "cutoff_rad": half,
         "beam_width_rad": fitted_beam_width(half, data.spot_blend),
     }
@@ -157,7 +148,7 @@ def _sun(thing: bpy.types.Object, power: NDArray, frame: NDArray) -> Light:
         "type": "directional",
         "name": thing.name,
         "direction": _direction(frame),
-        "irradiance": _triple(power),
+        "irradiance": power.tolist(),
         "angular_diameter_rad": min(float(thing.data.angle), 1.0),
     }
 
@@ -168,8 +159,7 @@ def _area(
     data = thing.data
     if data.spread < math.pi - 1e-4:
         message = f"an area light of spread {math.degrees(data.spread):.0f} degrees has no counterpart"
-        remedy = "set Spread to 180 degrees"
-        problems.add(ERROR, message, remedy, object=thing.name)
+        problems.add(ERROR, message, "set Spread to 180 degrees", object=thing.name)
         return None
     size_u = data.size
     size_v = data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else data.size
@@ -184,10 +174,10 @@ def _area(
     return {
         "type": "area",
         "name": thing.name,
-        "origin_m": _triple(frame[:3, 3] - (edge_u + edge_v) / 2),
-        "edge_u_m": _triple(edge_u),
-        "edge_v_m": _triple(edge_v),
-        "radiance": _triple(radiance),
+        "origin_m": (frame[:3, 3] - (edge_u + edge_v) / 2).tolist(),
+        "edge_u_m": edge_u.tolist(),
+        "edge_v_m": edge_v.tolist(),
+        "radiance": radiance.tolist(),
         "shape": "disk" if is_disk else "rectangle",
         "is_visible": bool(thing.visible_camera),
     }

@@ -8,6 +8,7 @@ are in the object's frame, in Blender units.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import bpy
 import numpy as np
@@ -35,6 +36,10 @@ class MeshArrays:
     triangle_slots: IntArray
     uv_layers: dict[str, FloatArray] = field(default_factory=dict)
     active_uv: str = ""
+
+    @cached_property
+    def used_slots(self) -> list[int]:
+        return np.unique(self.triangle_slots).tolist()
 
     @property
     def is_smooth(self) -> bool:

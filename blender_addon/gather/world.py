@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..bake.execute import BakeSession
 from ..bake.expression import BLACK, Constant, Expression, add, complement, is_constant, multiply, widen
-from ..bake.graph import Graph, Stack, source_of, value_of
+from ..bake.graph import Stack, source_of, value_of
 from ..cycles import pixels_of, render_linear
 from ..problems import ERROR, ProblemList
 
@@ -34,7 +34,7 @@ def gather_world(
     if not world.use_nodes or world.node_tree is None:
         radiance: Expression | None = Constant(tuple(float(v) for v in world.color))
     else:
-        output = Graph(world.node_tree).output_node()
+        output = world.node_tree.get_output_node("CYCLES")
         if output is None:
             return None
         if source_of((), output.inputs["Volume"]).is_linked:
@@ -79,7 +79,7 @@ def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None
 
 def _plain_panorama(world: bpy.types.World) -> tuple[NDArray[np.float32], float, float] | None:
     """Pixels (H, W, 3), angle about Z [rad] and strength of an equirectangular world; None for others."""
-    output = Graph(world.node_tree).output_node()
+    output = world.node_tree.get_output_node("CYCLES")
     if output is None:
         return None
     shader = source_of((), output.inputs["Surface"])
