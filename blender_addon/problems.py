@@ -54,9 +54,6 @@ class ProblemList:
     def __iter__(self) -> Iterator[Problem]:
         return iter(self._entries)
 
-    def __len__(self) -> int:
-        return len(self._entries)
-
     def refuse_errors(self) -> None:
         """Raise :class:`ExportRefused` if a problem stops the export."""
         if self.errors:

@@ -24,10 +24,6 @@ class Target:
     owners: frozenset[str] = field(default_factory=frozenset)
 
 
-def _with_children(thing: bpy.types.Object) -> set[str]:
-    return {thing.name} | {child.name for child in thing.children_recursive}
-
-
 def _identify(block: bpy.types.ID, fallback: str) -> tuple[str, str]:
     return str(block.get("sm_id", "")) or slug(fallback), str(block.get("sm_title", "")) or fallback
 
@@ -36,14 +32,16 @@ def find_targets(scene: bpy.types.Scene, settings: ExportSettings, problems: Pro
     """The assets that the settings select, in the order of their ids; adds errors to ``problems``."""
     targets: list[Target] = []
     if settings.kind in ("auto", "material"):
-        targets += _material_targets(settings)
+        tagged = [m for m in bpy.data.materials if role_of(m) == "material"]
+        if settings.kind == "material" and not tagged:
+            tagged = [m for m in bpy.data.materials if m.get("sm_class")] or list(bpy.data.materials)
+        targets += [_target("material", material, frozenset()) for material in tagged]
     objects = _tagged(scene, "object")
     if settings.kind in ("auto", "object"):
         targets += [_target("object", block, owners) for block, owners in objects]
         if settings.kind == "object" and not objects and not settings.only:
-            message = "nothing is tagged as an object"
             remedy = "set sm_role = object on objects or collections"
-            problems.add(ERROR, message, remedy)
+            problems.add(ERROR, "nothing is tagged as an object", remedy)
     if settings.kind in ("auto", "environment"):
         environments = _tagged(scene, "environment")
         taken = frozenset().union(*(owners for _, owners in objects)) if objects else frozenset()
@@ -85,12 +83,5 @@ def _tagged(scene: bpy.types.Scene, role: str) -> list[tuple[bpy.types.ID, froze
     in_collection = {name for _, owners in found for name in owners}
     for thing in scene.objects:
         if role_of(thing) == role and thing.name not in in_collection:
-            found.append((thing, frozenset(_with_children(thing))))
+            found.append((thing, frozenset(part.name for part in (thing, *thing.children_recursive))))
     return found
-
-
-def _material_targets(settings: ExportSettings) -> list[Target]:
-    tagged = [m for m in bpy.data.materials if role_of(m) == "material"]
-    if settings.kind == "material" and not tagged:
-        tagged = [m for m in bpy.data.materials if m.get("sm_class")] or list(bpy.data.materials)
-    return [_target("material", material, frozenset()) for material in tagged]

@@ -40,15 +40,13 @@ def gather_camera(
     camera = thing.data
     if camera.type != "PERSP":
         message = f"camera of type {camera.type.lower()} cannot be exported"
-        remedy = "use a perspective camera, or set sm_role = ignore"
-        problems.add(ERROR, message, remedy, object=thing.name)
+        problems.add(ERROR, message, "use a perspective camera, or set sm_role = ignore", object=thing.name)
         return None
     if camera.dof.use_dof:
         problems.add(APPROXIMATION, "depth of field is left out: everything is sharp", object=thing.name)
     if not camera.clip_start < camera.clip_end:
         message = f"clips from {camera.clip_start:g} to {camera.clip_end:g}, an empty range"
-        remedy = "set Clip End above Clip Start"
-        problems.add(ERROR, message, remedy, object=thing.name)
+        problems.add(ERROR, message, "set Clip End above Clip Start", object=thing.name)
         return None
     scale = render.resolution_percentage / 100
     width, height = max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))

@@ -54,31 +54,20 @@ class Gathered:
 
 
 def hash_name(name: str) -> int:
-    """Cycles' 32-bit random id of an object that is not an instance, from its name (util/hash.h)."""
+    """Cycles' 32-bit random id of an object that is not an instance, from its name (util/hash.h).
+
+    This is Bob Jenkins' hash of two words, a polynomial of the name's bytes and 0.
+    """
     mask = 0xFFFFFFFF
     value = 0
     for byte in name.encode():
         value = (value * 37 + byte) & mask
-    return _hash_pair(value, 0)
-
-
-def _hash_pair(x: int, y: int) -> int:
-    """Bob Jenkins' hash of two words, as in Cycles."""
-    mask = 0xFFFFFFFF
-
-    def rotate(v: int, k: int) -> int:
-        return ((v << k) | (v >> (32 - k))) & mask
-
-    a = b = c = (0xDEADBEEF + (2 << 2) + 13) & mask
-    b, a = (b + y) & mask, (a + x) & mask
-    for which, shift in (("c", 14), ("a", 11), ("b", 25), ("c", 16), ("a", 4), ("b", 14), ("c", 24)):
-        if which == "c":
-            c = ((c ^ b) - rotate(b, shift)) & mask
-        elif which == "a":
-            a = ((a ^ c) - rotate(c, shift)) & mask
-        else:
-            b = ((b ^ a) - rotate(a, shift)) & mask
-    return c
+    start = (0xDEADBEEF + (2 << 2) + 13) & mask
+    changed, by, other = start, start, (start + value) & mask
+    for shift in (14, 11, 25, 16, 4, 14, 24):
+        rotated = by << shift | by >> (32 - shift)
+        changed, by, other = other, ((changed ^ by) - rotated) & mask, by
+    return by
 
 
 def gather_instances(

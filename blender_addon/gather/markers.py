@@ -47,10 +47,6 @@ def rectangle_of(thing: bpy.types.Object, metres_per_unit: float) -> Rectangle:
     return origin, matrix[:3, 0] * (high[0] - low[0]), matrix[:3, 1] * (high[1] - low[1])
 
 
-def _listed(values: NDArray[np.float64]) -> list[float]:
-    return [float(v) for v in values]
-
-
 def gather_markers(
     things: list[bpy.types.Object], metres_per_unit: float, problems: ProblemList
 ) -> dict[str, list[dict[str, Any]]]:
@@ -70,11 +66,11 @@ def gather_markers(
                     ERROR, "a camera region needs a volume", "use a box or an empty", object=thing.name
                 )
                 continue
-            box = {"minimum_m": _listed(world.min(axis=0)), "maximum_m": _listed(world.max(axis=0))}
+            box = {"minimum_m": world.min(axis=0).tolist(), "maximum_m": world.max(axis=0).tolist()}
             found["camera_regions"].append(box)
         elif role == "light_slot" and thing.type == "LIGHT" and thing.data.type != "AREA":
             position = _matrix(thing, metres_per_unit)[:3, 3]
-            found["light_slots"].append({"name": thing.name, "kind": "point", "origin_m": _listed(position)})
+            found["light_slots"].append({"name": thing.name, "kind": "point", "origin_m": position.tolist()})
         elif role in ("support_surface", "light_slot", "opening"):
             _add_rectangle(found, thing, role, metres_per_unit, problems)
     return found
@@ -94,15 +90,15 @@ def _add_rectangle(
         return
     entry: dict[str, Any] = {
         "name": thing.name,
-        "origin_m": _listed(origin),
-        "edge_u_m": _listed(edge_u),
-        "edge_v_m": _listed(edge_v),
+        "origin_m": origin.tolist(),
+        "edge_u_m": edge_u.tolist(),
+        "edge_v_m": edge_v.tolist(),
     }
     if role == "light_slot":
         kind = str(thing.get("sm_kind", "area"))
         if kind == "point":
             entry = {
-                "name": thing.name, "kind": "point", "origin_m": _listed(origin + (edge_u + edge_v) / 2)
+                "name": thing.name, "kind": "point", "origin_m": (origin + (edge_u + edge_v) / 2).tolist()
             }  # fmt: skip
         found["light_slots"].append({**entry, "kind": kind})
     elif role == "opening":
