@@ -107,8 +107,7 @@ def plan(
 @with_options
 def run(
     source: Annotated[
-        Path,
-        typer.Argument(metavar="RECIPE|FOLDER", help="Recipe, with --out; or a folder with a plan."),
+        Path, typer.Argument(metavar="RECIPE|FOLDER", help="Recipe, with --out; or a folder with a plan.")
     ],
     changes: RecipeChanges,
     options: RunOptions,

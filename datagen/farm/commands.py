@@ -77,10 +77,7 @@ def retry(folder: FolderArgument) -> None:
 
 
 @farm.command()
-def cancel(
-    folder: FolderArgument,
-    engine: EngineOption = "slurm",
-) -> None:
+def cancel(folder: FolderArgument, engine: EngineOption = "slurm") -> None:
     """Cancel this folder's jobs in the queue; finished units are kept.
 
     Example: datagen farm cancel paper

@@ -87,8 +87,7 @@ class SlurmOptions:
         str, typer.Option(help="Partition of the final job; default: partition.")
     ] = ""
     collect_options: Annotated[
-        tuple[str, ...],
-        typer.Option("--collect-option", help="Like --sbatch-option, for the final job."),
+        tuple[str, ...], typer.Option("--collect-option", help="Like --sbatch-option, for the final job.")
     ] = ()
 
     def __post_init__(self) -> None:

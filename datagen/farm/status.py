@@ -42,11 +42,16 @@ class FarmStatus:
     array_spec: str
 
 
+def runs(numbers: list[int]) -> list[tuple[int, int]]:
+    """Return the first and the last number of each run of consecutive ``numbers``."""
+    groups = groupby(enumerate(sorted(numbers)), lambda entry: entry[1] - entry[0])
+    listed = [[number for _, number in group] for _, group in groups]
+    return [(run[0], run[-1]) for run in listed]
+
+
 def array_spec(indices: list[int]) -> str:
     """Format indices in the syntax of Slurm's ``--array``: ``0-3,7,9-12``."""
-    groups = groupby(enumerate(sorted(indices)), lambda entry: entry[1] - entry[0])
-    runs = [[index for _, index in group] for _, group in groups]
-    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+    return ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in runs(indices))
 
 
 def names_in(folder: Path) -> set[str]:
@@ -171,10 +176,8 @@ def print_status(root: Path, cost_per_hour: float = 0.0) -> FarmStatus:
     """Print and return a dataset folder's status; ``cost_per_hour`` is the price of a running unit."""
     status = read_status(root)
     hours = status.unit_seconds / 3600
-    print(
-        f"units    {status.done} done, {len(status.running)} running, {len(status.failed)} failed, ", end=""
-    )
-    print(f"{status.waiting} waiting, {status.total} in all")
+    counts = f"{status.done} done, {len(status.running)} running, {len(status.failed)} failed"
+    print(f"units    {counts}, {status.waiting} waiting, {status.total} in all")
     print(f"views    {status.views_done} of {status.views_total}; {status.num_bytes / 1e9:.2f} GB")
     if status.median_unit_s is not None:
         cost = f", cost {hours * cost_per_hour:.2f}" if cost_per_hour else ""

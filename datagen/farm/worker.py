@@ -10,7 +10,8 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -96,26 +97,23 @@ def _full(error: OSError, root: Path) -> str:
     return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
 
 
-class _redirected_output:
-    """Context manager that appends the process's stdout and stderr, even of native code, to a log file."""
-
-    def __init__(self, log: Path):
-        self.log = log
-
-    def __enter__(self) -> None:
-        self.log.parent.mkdir(parents=True, exist_ok=True)
+@contextmanager
+def _redirected_output(log: Path) -> Iterator[None]:
+    """Append the process's stdout and stderr, even of native code, to a log file."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    outputs = {number: os.dup(number) for number in (1, 2)}
+    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.dup2(file, 1)
+    os.dup2(file, 2)
+    os.close(file)
+    try:
+        yield
+    finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        self.saved = os.dup(1), os.dup(2)
-        file = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-        os.dup2(file, 1)
-        os.dup2(file, 2)
-        os.close(file)
-
-    def __exit__(self, *exception: object) -> None:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        for number, saved in zip((1, 2), self.saved, strict=True):
+        for number, saved in outputs.items():
             os.dup2(saved, number)
             os.close(saved)
 

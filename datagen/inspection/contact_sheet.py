@@ -10,7 +10,7 @@ scale at the bottom. Pixels without a value (background, emitters) are hatched.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -100,7 +100,7 @@ def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDAr
         is_valid &= array[..., 0] > 0
     full_scale = {"roughness": 1.0, "depth_z_m": scales.farthest_m, "observation_count": scales.max_views}
     if name in full_scale:
-        picture = _color_map()(array[..., 0] / full_scale[name])
+        picture = _colored(array[..., 0] / full_scale[name])
     elif name == "normal_world":
         picture = 0.5 + 0.5 * array
     else:
@@ -112,11 +112,10 @@ def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDAr
     return np.where(is_valid[..., None], picture, hatch)
 
 
-def _color_map() -> Callable[[NDArray], NDArray]:
+def _colored(values: NDArray) -> NDArray:
     from matplotlib import colormaps
 
-    cividis = colormaps["cividis"]
-    return lambda values: cividis(np.clip(values, 0, 1))[..., :3]
+    return colormaps["cividis"](np.clip(values, 0, 1))[..., :3]
 
 
 def make_contact_sheet(
@@ -138,7 +137,7 @@ def make_contact_sheet(
     heights = [_cell_size(view)[1] for view in views]
     column_width = max(_cell_size(view)[0] for view in views)
     notes = [f"exposure x {exposure:.3g}" for exposure in exposures]
-    left = 2 * _MARGIN_PX + max(_text_width(text, _LABEL_PX) for text in (*names, *notes))
+    left = 2 * _MARGIN_PX + max(_label_width(text) for text in (*names, *notes))
     head = _TITLE_PX + _LABEL_PX + 5 * _MARGIN_PX
     width = left + len(columns) * (column_width + _MARGIN_PX)
     foot = 3 * _LABEL_PX + 2 * _MARGIN_PX
@@ -203,11 +202,11 @@ def _draw_foot(
         texts = {"diffuse_albedo": "sRGB", "specular_albedo": "F0, sRGB", "normal_world": "x y z as R G B"}
         draw.text((x, y), texts.get(name, "exposed by view, sRGB"), _FAINT, font)
         return
-    ramp = _color_map()(np.tile(np.linspace(0, 1, width), (_LABEL_PX, 1)))
+    ramp = _colored(np.tile(np.linspace(0, 1, width), (_LABEL_PX, 1)))
     sheet.paste(Image.fromarray((ramp * 255 + 0.5).astype(np.uint8)), (x, y))
     low, high = ends[name]
     draw.text((x, y + _LABEL_PX + 3), low, _FAINT, font)
-    draw.text((x + width - _text_width(high, _LABEL_PX), y + _LABEL_PX + 3), high, _FAINT, font)
+    draw.text((x + width - _label_width(high), y + _LABEL_PX + 3), high, _FAINT, font)
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
@@ -216,8 +215,8 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def _text_width(text: str, size: int) -> int:
-    return int(np.ceil(_font(size).getlength(text)))
+def _label_width(text: str) -> int:
+    return int(np.ceil(_font(_LABEL_PX).getlength(text)))
 
 
 def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:

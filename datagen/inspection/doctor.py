@@ -84,8 +84,8 @@ def _probe(name: str, code: str, remedy: str) -> Finding:
     return Finding(name, last, False, True, remedy)
 
 
-def examine(folder: Path | None = None) -> list[Finding]:
-    """Examine the installation, and the free disk space of ``folder``, by default the current folder."""
+def examine() -> list[Finding]:
+    """Examine the installation, and the free disk space of the current folder."""
     is_supported = sys.version_info >= (3, 10)
     findings = [Finding("Python", sys.version.split()[0], is_supported, True, "install Python 3.11")]
     findings.append(bundled_finding())
@@ -112,7 +112,7 @@ def examine(folder: Path | None = None) -> list[Finding]:
     if all(f.is_fine for f in findings if f.is_required):
         findings.append(_probe("rendering", _RENDER_PROBE, f"read the message; {REMEDY}"))
         findings.append(_probe("denoiser", _DENOISER_PROBE, _AGAIN))
-    free_gb = shutil.disk_usage(folder or Path.cwd()).free / 1e9
+    free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
     remedy = f"free {MIN_FREE_GB} GB, or choose another disk by --out"
     return [*findings, Finding("free disk", f"{free_gb:.1f} GB", free_gb >= MIN_FREE_GB, True, remedy)]
 
@@ -146,14 +146,12 @@ def checkpoint_finding() -> Finding:
 
 def program_finding(title: str, command: str, purpose: str, debian: str) -> Finding:
     """Check whether a program is on the search path and, for Blender, recent enough."""
-    path = shutil.which(command)
+    path, remedy = shutil.which(command), f"for {purpose}: {_installing(title, debian)}"
     if path is None:
-        how = _installing(title, debian)
-        return Finding(title, f"no {command}", False, False, f"for {purpose}: {how}")
+        return Finding(title, f"no {command}", False, False, remedy)
     if title == "Blender":
         found = re.search(r"Blender (\d+)\.(\d+)", _output_of([path, "--version"]))
         if found is None or (int(found[1]), int(found[2])) < MIN_BLENDER:
-            remedy = f"for {purpose}: {_installing(title, debian)}"
             return Finding(title, f"{found[0] if found else 'no version'} ({path})", False, False, remedy)
     return Finding(title, path, True, False)
 

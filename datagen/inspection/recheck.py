@@ -10,7 +10,7 @@ spread of the images.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from datagen.formats.shard import Dataset, ShardReader, View
 from datagen.foundation.color import luminance
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.paths import inside
+from datagen.foundation.progress import Advance, no_advance
 from datagen.inspection.findings import Fault, Report
 from datagen.library import Library
 from datagen.rendering.error import relative_mse_of_parts
@@ -88,12 +89,7 @@ def check_recheck(folder: Path, samples: int) -> None:
 
 
 def recheck(
-    folder: Path,
-    library: Library,
-    count: int,
-    samples: int,
-    report: Report,
-    progress: Callable[[int, int], object] | None = None,
+    folder: Path, library: Library, count: int, samples: int, report: Report, progress: Advance = no_advance
 ) -> list[Rechecked]:
     """Render ``count`` random views again with ``samples`` paths per pixel, and compare them.
 
@@ -119,8 +115,7 @@ def recheck(
             found += _recheck_shard(inside(folder, folder / file), set(views), library, samples, report)
         except InputError as error:
             report.notes.append(f"{file} was not rendered again: {error}")
-        if progress is not None:
-            progress(len(found), len(chosen))
+        progress(len(found), len(chosen))
     report.applied["recheck"] += len(found)
     report.faults += [fault for view in found for fault in view.faults()]
     return found

@@ -21,14 +21,13 @@ def render_package(
     package_path: Path, out: Path, samples: int = 64, max_depth: int = 8, denoise: bool = False
 ) -> list[Path]:
     """Render every camera of a package; returns the EXR files in the order of the cameras."""
-    from datagen.formats.package import open_package
     from datagen.formats.recipe import RenderRecipe
     from datagen.formats.standalone import configuration_of
     from datagen.library import Library
     from datagen.rendering.renderer import SceneRenderer
 
     library = Library([package_path])
-    package = open_package(package_path)
+    (package,) = library
     configuration = configuration_of(package_path, package.sha256)
     recipe = RenderRecipe(path_samples=samples, auxiliary_samples=4, max_depth=max_depth, denoise=denoise)
     renderer = SceneRenderer(configuration, library, recipe)

@@ -8,7 +8,7 @@ A fault does not end the verification: all other members are still checked. The 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -20,30 +20,27 @@ import numpy as np
 
 from datagen.farm.folder import library_of, rooms_of
 from datagen.farm.leftovers import find_leftovers
-from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.base import read_json
 from datagen.formats.configuration import Configuration
-from datagen.formats.package import Package
 from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
 from datagen.formats.textures import texture_values
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.images import read_image
 from datagen.foundation.paths import inside
-from datagen.foundation.progress import Bars
+from datagen.foundation.progress import Advance, Bars, no_advance
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
 from datagen.inspection.recheck import Rechecked, check_recheck, print_rechecked
 from datagen.inspection.recheck import recheck as recheck_views
 from datagen.inspection.shard_check import ShardJob, verify_shard
 from datagen.library import Library
+from datagen.rendering.materials import resolve_materials
 
 _MAX_LISTED = 40
 
 
 def verify_dataset(
-    path: Path,
-    library: Library | None = None,
-    workers: int = 1,
-    progress: Callable[[int, int], object] | None = None,
+    path: Path, library: Library | None = None, workers: int = 1, progress: Advance = no_advance
 ) -> Report:
     """Verify a dataset folder, or a single shard (``.tar``).
 
@@ -66,8 +63,7 @@ def verify_dataset(
         jobs = [replace(job, textured=_textured_materials(job, library, report)) for job in jobs]
     for done, found in enumerate(_run(jobs, workers)):
         report.merge(found)
-        if progress is not None:
-            progress(done + 1, len(jobs))
+        progress(done + 1, len(jobs))
     return report
 
 
@@ -161,28 +157,14 @@ def expected_roughness(configuration: Configuration, library: Library) -> dict[s
         package = library.package(placed.asset)
         if not isinstance(package.asset, ObjectAsset | EnvironmentAsset):
             continue
-        for slot, own in package.asset.materials.items():
-            assignment = placed.materials.get(slot)
-            material: Material = own
-            source, name = package, f"{package.id}/{slot}"
-            if assignment is not None and assignment.asset is not None:
-                source = library.package(assignment.asset)
-                if not isinstance(source.asset, MaterialAsset):
-                    continue
-                material, name = source.asset.material, source.id
-            offset = assignment.adjustment.roughness_offset if assignment is not None else 0.0
-            if isinstance(material.roughness, Texture):
-                found = _texture_range(source, material, offset)
-                ranges[name] = min(found, ranges.get(name, np.inf))
+        for surface in resolve_materials(placed, package, library, []).values():
+            texture = surface.material.roughness
+            if isinstance(texture, Texture):
+                pixels = read_image(surface.package.local_file(texture.texture))
+                values = texture_values(texture, pixels, is_scalar=True) + surface.adjustment.roughness_offset
+                low, high = np.percentile(np.clip(values, 0, 1), [1, 99])
+                ranges[surface.name] = min(float(high - low), ranges.get(surface.name, np.inf))
     return ranges
-
-
-def _texture_range(package: Package, material: Material, offset: float) -> float:
-    texture = material.roughness
-    assert isinstance(texture, Texture)
-    values = texture_values(texture, read_image(package.local_file(texture.texture)), is_scalar=True)
-    low, high = np.percentile(np.clip(values + offset, 0, 1), [1, 99])
-    return float(high - low)
 
 
 def _textured_materials(job: ShardJob, library: Library, report: Report) -> dict[str, float] | None:

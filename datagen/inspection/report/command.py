@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterable
+from contextlib import nullcontext
 from pathlib import Path
 
 from datagen.farm.folder import library_of, rooms_of
@@ -61,12 +62,8 @@ def report_command(
         got, expected = f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB"
         raise input_error(target, "--pixels", got, expected, remedy)
     paths = [*library_paths, *rooms_of(folder)] if library_paths is not None else library_of(folder)
-    with Bars("shards") as bars:
-        if paths:
-            with Library(paths) as library:
-                result = write_report(folder, target, options, library, bars.tell)
-        else:
-            result = write_report(folder, target, options, None, bars.tell)
+    with Bars("shards") as bars, Library(paths) if paths else nullcontext() as library:
+        result = write_report(folder, target, options, library, bars.tell)
     faults = "not verified" if result.num_faults is None else f"{result.num_faults} findings"
     print(f"{result.num_views} views, {faults}, {result.tile_bytes / 1e6:,.0f} MB of pixels")
     for label, (num_views, num_problems) in result.predicted.items():

@@ -49,13 +49,15 @@ class Method:
     slug: str
     folder: Path
 
+    def folders(self, configuration: str) -> list[Path]:
+        """Folders of a configuration's predictions, in the order in which they are searched."""
+        folders = [self.folder / configuration, self.folder / configuration / "views"]
+        return [*folders, self.folder / "views"] if self.own_configuration() == configuration else folders
+
     def find(self, configuration: str, view: str) -> Path | None:
         """The file of a view's prediction, or None if there is none."""
-        name = f"{view}.exr"
-        places = [self.folder / configuration / name, self.folder / configuration / "views" / name]
-        if self.own_configuration() == configuration:
-            places.append(self.folder / "views" / name)
-        return next((path for path in places if path.is_file()), None)
+        paths = (folder / f"{view}.exr" for folder in self.folders(configuration))
+        return next((path for path in paths if path.is_file()), None)
 
     def covers(self, configuration: str) -> bool:
         """Whether the method's folder may contain predictions of a configuration."""
@@ -110,13 +112,9 @@ class CompareJob:
     @property
     def key(self) -> str:
         """Hash of everything on which the result depends; files are identified by size and time."""
-        configuration = self.record.configuration
-        folders = [self.method.folder / configuration, self.method.folder / configuration / "views"]
-        if self.method.own_configuration() == configuration:
-            folders.append(self.method.folder / "views")
         found = [
             [str(path), path.stat().st_size, path.stat().st_mtime_ns]
-            for folder in folders
+            for folder in self.method.folders(self.record.configuration)
             for path in sorted(folder.glob("*.exr"))
         ]
         return sha256_hex(canonical_json([_REVISION, self.record.sha256, self.with_pixels, found]))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from datagen.farm.folder import DatasetFolder, UnitManifest
+from datagen.farm.status import runs
 from datagen.formats.asset import MATERIAL_CLASSES, EnvironmentAsset, ObjectAsset
 from datagen.formats.shard import DatasetIndex
 from datagen.foundation.errors import InputError
@@ -83,7 +84,7 @@ def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
     missing = []
     for r in range(_COARSE):
         empty = [c for c in range(_COARSE) if coarse[r, c] < _MISSING_SHARE]
-        for first, last in _runs(empty):
+        for first, last in runs(empty):
             rough = f"R {r / _COARSE:.3g} to {(r + 1) / _COARSE:.3g}"
             missing.append(f"{rough}, luminance of D {first / _COARSE:.3g} to {(last + 1) / _COARSE:.3g}")
     return {
@@ -105,16 +106,6 @@ def _metal_and_gloss(gathered: Sequence[dict[str, Any]]) -> tuple[float, float]:
     surface = max(sum(view["surface_pixels"] for view in views), 1)
     metal, gloss = (sum(view[name] for view in views) for name in ("metal_pixels", "gloss_pixels"))
     return metal / surface, gloss / surface
-
-
-def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
-    runs: list[tuple[int, int]] = []
-    for number in numbers:
-        if runs and runs[-1][1] == number - 1:
-            runs[-1] = (runs[-1][0], number)
-        else:
-            runs.append((number, number))
-    return runs
 
 
 def assets(
@@ -268,20 +259,17 @@ def findings(
     grouped: dict[tuple[str, str], list[Any]] = {}
     for fault in report.faults:
         grouped.setdefault(place_of(fault.where, files, names), []).append(fault)
-    order = sorted(grouped, key=lambda place: (*_severity_order(grouped[place]), place))
     views = [
         {
             "configuration": configuration,
             "view": view,
-            "errors": sum(f.severity == "error" for f in grouped[configuration, view]),
-            "warnings": sum(f.severity == "warning" for f in grouped[configuration, view]),
-            "faults": [
-                [f.severity, f.check, f.where, f.got, f.expected]
-                for f in grouped[configuration, view][:MAX_LISTED_FAULTS]
-            ],
+            "errors": sum(f.severity == "error" for f in faults),
+            "warnings": sum(f.severity == "warning" for f in faults),
+            "faults": [[f.severity, f.check, f.where, f.got, f.expected] for f in faults[:MAX_LISTED_FAULTS]],
         }
-        for configuration, view in order
+        for (configuration, view), faults in grouped.items()
     ]
+    views.sort(key=lambda v: (-v["errors"], -v["warnings"], v["configuration"], v["view"]))
     checks = [
         [
             check,
@@ -299,11 +287,6 @@ def findings(
         "notes": report.notes,
         "stand_out": stand_out,
     }
-
-
-def _severity_order(faults: Sequence[Any]) -> tuple[int, int]:
-    errors = sum(fault.severity == "error" for fault in faults)
-    return -errors, errors - len(faults)
 
 
 def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> tuple[str, str]:

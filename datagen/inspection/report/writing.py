@@ -37,13 +37,7 @@ from datagen.foundation.progress import Progress
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
-from datagen.inspection.report.predictions import (
-    TILES,
-    CompareJob,
-    Method,
-    compare_shard,
-    prediction_table,
-)
+from datagen.inspection.report.predictions import TILES, CompareJob, Method, compare_shard, prediction_table
 from datagen.inspection.verify import verify_dataset
 from datagen.library import Library
 from datagen.multiview.visibility import VisibilityOptions
@@ -124,7 +118,7 @@ def write_report(
     out: Path,
     options: ReportOptions,
     library: Library | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda stage, done, total: None,
 ) -> ReportResult:
     """Write the report of a dataset folder into ``out``, or update an existing one.
 
@@ -137,8 +131,9 @@ def write_report(
         raise input_error(folder / INDEX_FILE, "", "no shards", "at least one", remedy)
     _check_out(out)
     out.mkdir(parents=True, exist_ok=True)
-    tell = partial(progress, "verify") if progress is not None else None
-    found = verify_dataset(folder, library, options.workers, tell) if options.with_verify else None
+    found = None
+    if options.with_verify:
+        found = verify_dataset(folder, library, options.workers, partial(progress, "verify"))
     worst = summary.findings(found, index, [])["views"]
     first = [w["configuration"] for w in worst] + predicted_configurations(index, options.predictions)
     chosen = choose_configurations(index, options.max_pixel_views, first)
@@ -215,11 +210,7 @@ Job = TypeVar("Job", GatherJob, CompareJob)
 
 
 def _run_jobs(
-    jobs: Sequence[Job],
-    work: Callable[[Job], dict[str, Any]],
-    stage: str,
-    workers: int,
-    progress: Progress | None,
+    jobs: Sequence[Job], work: Callable[[Job], dict[str, Any]], stage: str, workers: int, progress: Progress
 ) -> tuple[list[dict[str, Any]], list[tuple[Job, InputError]]]:
     """Run ``jobs`` in processes; returns the results in order, and the failed jobs with their errors."""
     results: dict[int, dict[str, Any]] = {}
@@ -230,8 +221,7 @@ def _run_jobs(
             results[position] = call()
         except InputError as error:
             failures[position] = error
-        if progress is not None:
-            progress(stage, len(results) + len(failures), len(jobs))
+        progress(stage, len(results) + len(failures), len(jobs))
 
     if workers <= 1 or len(jobs) <= 1:
         for position, job in enumerate(jobs):
