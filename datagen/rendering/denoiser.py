@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from datagen.formats.recipe import RenderRecipe
 
-QUALITIES = ("fast", "balanced", "high")
 OPTIX_WEIGHTS = Path("/usr/share/nvidia/nvoptix.bin")
 """Weights of the OptiX denoiser on Linux, part of the NVIDIA driver but often missing in containers."""
 
@@ -55,8 +54,8 @@ def auxiliary_albedo(
 class OidnDenoiser:
     """Intel Open Image Denoise on the CPU, not thread-safe. ``num_threads`` 0 uses all cores.
 
-    If ``is_guided`` is false, albedo and normal are ignored, to measure their effect. Raises ``ValueError``
-    for a ``quality`` that is not in :data:`QUALITIES`.
+    ``quality`` is fast, balanced or high. If ``is_guided`` is false, albedo and normal are ignored, which
+    measures their effect.
     """
 
     quality: str = "high"
@@ -67,8 +66,6 @@ class OidnDenoiser:
     def __post_init__(self) -> None:
         import pyoidn
 
-        if self.quality not in QUALITIES:
-            raise ValueError(f"quality {self.quality!r}; expected one of {', '.join(QUALITIES)}")
         self.name = f"oidn-{'.'.join(version('pyoidn').split('.')[:3])}-{self.quality}"
         if not self.is_guided:
             self.name += "-unguided"
@@ -126,14 +123,13 @@ class OidnDenoiser:
         self._device.release()
 
 
-@dataclass
 class OptixDenoiser:
     """NVIDIA's OptiX denoiser in Mitsuba; requires the CUDA variant."""
 
+    name = "optix"
     wants_camera_normals: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        self.name = "optix"
+    def __init__(self) -> None:
         self._denoisers: dict[tuple[int, int], Any] = {}
 
     def denoise(

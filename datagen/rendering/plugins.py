@@ -34,34 +34,25 @@ class PinholePixels(mi.Sensor):
         self.width_px, self.height_px = int(size[0]), int(size[1])
         self.set_camera(Camera(self.width_px, self.height_px, 1.0, 1.0, 0.0, 0.0, np.eye(4)))
 
-    m_position: Any
-    m_right: Any
-    m_down: Any
-    m_forward: Any
-    m_centre: Any
-    m_clip: Any  # near depth, and far minus near depth
-
     def set_camera(self, camera: Camera) -> None:
         """Set pose and intrinsics. Raises ``ValueError`` if camera and film differ in resolution."""
         if (camera.width_px, camera.height_px) != (self.width_px, self.height_px):
             got = f"{camera.width_px}x{camera.height_px}"
             raise ValueError(f"camera of {got} pixels; the film has {self.width_px}x{self.height_px}")
         matrix = np.asarray(camera.world_from_camera, dtype=np.float64)
-        self._set("m_position", mi.Point3f, matrix[:3, 3])
-        self._set("m_right", mi.Vector3f, matrix[:3, 0] / camera.fx_px)
-        self._set("m_down", mi.Vector3f, matrix[:3, 1] / camera.fy_px)
-        self._set("m_forward", mi.Vector3f, matrix[:3, 2])
-        self._set("m_centre", mi.Point2f, np.array([camera.cx_px, camera.cy_px]))
         near, far = camera.clip_m or (0.0, np.finfo(np.float32).max)
-        self._set("m_clip", mi.Point2f, np.array([near, far - near]))
+        # parameters for rays_through, as opaque arrays, which become kernel arguments
+        self.view = (
+            _opaque(mi.Point3f, matrix[:3, 3]),
+            _opaque(mi.Vector3f, matrix[:3, 0] / camera.fx_px),
+            _opaque(mi.Vector3f, matrix[:3, 1] / camera.fy_px),
+            _opaque(mi.Vector3f, matrix[:3, 2]),
+            _opaque(mi.Point2f, np.array([camera.cx_px, camera.cy_px])),
+            _opaque(mi.Point2f, np.array([near, far - near])),
+        )
         # Mitsuba's cameras look along +z with y up and x to the left.
         to_world: Any = mi.ScalarTransform4f(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
         self.m_to_world = to_world
-
-    def _set(self, name: str, kind: Any, values: np.ndarray) -> None:
-        value = kind(*(mi.Float(float(v)) for v in values))
-        dr.make_opaque(value)
-        setattr(self, name, value)
 
     def sample_ray(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
@@ -72,11 +63,6 @@ class PinholePixels(mi.Sensor):
         ray.time = time
         return ray, mi.Color3f(1.0)
 
-    @property
-    def view(self) -> tuple[Any, ...]:
-        """Camera parameters for :func:`rays_through`, as opaque arrays, which become kernel arguments."""
-        return (self.m_position, self.m_right, self.m_down, self.m_forward, self.m_centre, self.m_clip)
-
     def sample_ray_differential(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
     ) -> tuple[Any, Any]:
@@ -85,13 +71,18 @@ class PinholePixels(mi.Sensor):
         return mi.RayDifferential3f(ray), weight
 
     def to_string(self) -> str:
-        """Human-readable description."""
         return f"PinholePixels[{self.width_px}x{self.height_px}]"
+
+
+def _opaque(kind: Any, values: np.ndarray) -> Any:
+    value = kind(*(mi.Float(float(v)) for v in values))
+    dr.make_opaque(value)
+    return value
 
 
 def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
     """Camera rays of a sensor's :attr:`PinholePixels.view` through film positions ``position_px``."""
-    origin, right, down, forward, centre, clip = view
+    origin, right, down, forward, centre, clip = view  # clip: near depth, and far minus near depth
     offset = position_px - centre
     ray = dr.zeros(mi.Ray3f)
     direction = forward + offset.x * right + offset.y * down  # of depth 1
@@ -188,7 +179,6 @@ class SunDisc(mi.Emitter):
         callback.put("irradiance", self.irradiance, mi.ParamFlags.Differentiable)
 
     def to_string(self) -> str:
-        """Human-readable description."""
         return "SunDisc[]"
 
 

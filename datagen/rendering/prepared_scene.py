@@ -151,7 +151,5 @@ class PreparedScene:
         for index in range(0, len(cameras), math.ceil(len(cameras) / MAX_COARSE_VIEWS)):
             camera = cameras[index].camera()
             side_px = math.isqrt(camera.width_px * camera.height_px // COARSE_CELLS)
-            yield (
-                index,
-                camera.scaled(*(max(1, px // max(1, side_px)) for px in (camera.width_px, camera.height_px))),
-            )
+            sides_px = (max(1, px // max(1, side_px)) for px in (camera.width_px, camera.height_px))
+            yield index, camera.scaled(*sides_px)

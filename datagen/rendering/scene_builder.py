@@ -47,10 +47,8 @@ class AssetCaches:
     textures: TextureCache = field(default_factory=TextureCache)
 
 
-@functools.cache
-def process_caches() -> AssetCaches:
-    """Return the caches of this process, created on first use."""
-    return AssetCaches()
+process_caches = functools.cache(AssetCaches)
+"""Function that returns the caches of this process, created on first use."""
 
 
 @dataclass

@@ -236,10 +236,7 @@ class ViewJob:
         image = np.zeros((*mask.shape, 3), np.float32)
         num_samples = self.scene.recipe.auxiliary_samples
         seed, emitters = self.scene.seed(self.index, "lights"), self.scene.tracer.emitters
-        for chosen, num in (
-            (is_inside, num_samples),
-            (is_near & ~is_inside, EDGE_SAMPLES * num_samples),
-        ):
+        for chosen, num in ((is_inside, num_samples), (is_near & ~is_inside, EDGE_SAMPLES * num_samples)):
             pixels = np.flatnonzero(chosen).astype(np.uint32)
             if pixels.size:
                 image[chosen] = render_visible_emission(emitters, self._sensor(), pixels, num, seed)

@@ -32,12 +32,8 @@ class SceneEmitters:
             mi.has_flag(flags, mi.BSDFFlags.Null)
             for flags in (shape.bsdf().flags() for shape in built.scene.shapes() if shape.bsdf() is not None)
         )
-        self._is_hidden_shape = _hidden_table(built) if built.hidden_shapes else None
-
-    @property
-    def has_hidden(self) -> bool:
-        """Whether any emitter is hidden from camera rays."""
-        return self._is_hidden_shape is not None
+        self.has_hidden = bool(built.hidden_shapes)  # whether any emitter is hidden from camera rays
+        self._is_hidden_shape = _hidden_table(built) if self.has_hidden else None
 
     def tables(self) -> list[Any]:
         """Arrays that recorded kernels read in addition to their arguments."""

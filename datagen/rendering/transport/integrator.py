@@ -34,7 +34,7 @@ from datagen.rendering.transport.recording import undisturbed
 from datagen.rendering.transport.sky_guide import SkyGuide, fit_sky_guide
 from datagen.rendering.transport.sky_observation import observe_sky
 from datagen.rendering.transport.sobol import OwenSobol
-from datagen.rendering.transport.vertex import MAX_CROSSINGS, Walk, power_heuristic
+from datagen.rendering.transport.vertex import MAX_CROSSINGS, Walk, facing_normal, power_heuristic
 
 if TYPE_CHECKING:
     from datagen.rendering.scene_builder import BuiltScene
@@ -103,7 +103,8 @@ class PathTracer:
         if self.scene.emitters():
             with dr.suspend_grad():
                 self.irradiance = gather_irradiance(self.emitters, materials, sensors, seed)
-        if self.irradiance is not None and (weights := self.irradiance.light_weights()).size:
+        if self.irradiance is not None and self.irradiance.light_weights.size:
+            weights = self.irradiance.light_weights
             self.emitters.light_sampler = LightSampler(self.scene, self.sky_guide, weights)
 
     def _rays_of(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
@@ -271,7 +272,7 @@ class PathTracer:
                 returns = active_next & is_seen & (walk.depth > 0)
                 spread = spread_of(walk.previous, walk.previous_pdf, si, walk.ray.d)
                 spread_m += dr.select(returns, spread, 0.0)
-                record = cache.record_at(si, walk.ray.d, active_next & is_seen)
+                record = cache.record(si.p, facing_normal(si, walk.ray.d), active_next & is_seen)
                 is_last = walk.depth + 2 >= self.max_depth  # the cache includes light of longer paths
                 cached, is_cached = cache.mean_radiance(
                     si, walk.ray.d, record, dr.select(is_last, np.inf, spread_m), sampler.next_2d(), returns

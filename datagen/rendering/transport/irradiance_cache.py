@@ -88,7 +88,9 @@ def copied(values: NDArray[Any]) -> Any:
 class IrradianceCache:
     """Irradiance by cell, as sums of samples and as means for kernels.
 
-    Each cell with samples has a record, numbered from 1; all other cells share record 0.
+    Each cell with samples has a record, numbered from 1; all other cells share record 0. ``light_weights``
+    (records + 1, T) are the weights of the light sampler's techniques, valid after :meth:`finish`: square
+    roots of the second moments of their contributions.
     """
 
     def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
@@ -97,7 +99,7 @@ class IrradianceCache:
         self.cell_of_record = np.zeros(1, np.int64)
         self._sums = np.zeros((1, 3 + num_techniques))
         self._counts = np.zeros(1)
-        self._squares = np.zeros((1, num_techniques))
+        self.light_weights = np.zeros((1, num_techniques))
         self._upload(np.zeros((1, 3)))
 
     def arrays(self) -> list[Any]:
@@ -142,14 +144,7 @@ class IrradianceCache:
         means[1:] = around
         means[0, 3:] = sums[:, 3:].sum(axis=0)  # cells without a record share the sum over all others
         self._upload(means[:, :3])
-        self._squares = means[:, 3:]
-
-    def light_weights(self) -> NDArray[np.float64]:
-        """Weights (records + 1, T) of the light sampler's techniques, valid after :meth:`finish`.
-
-        A weight is the square root of the second moment of a technique's contribution.
-        """
-        return np.sqrt(self._squares)
+        self.light_weights = np.sqrt(means[:, 3:])
 
     def _upload(self, means: NDArray[np.float64]) -> None:
         is_known = np.arange(len(means)) > 0
@@ -160,10 +155,6 @@ class IrradianceCache:
         """Record number of a surface point and its normal; 0 for none."""
         cell, is_inside = self.cells.index(point, normal)
         return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
-
-    def record_at(self, si: Any, direction: Array, active: Array) -> Array:
-        """Record number at the hit ``si`` of a ray with ``direction``; 0 for none."""
-        return self.record(si.p, facing_normal(si, direction), active)
 
     def irradiance(self, record: Array, active: Array) -> tuple[Any, Any]:
         """Irradiance (Color3f) of a record, and whether it is known."""

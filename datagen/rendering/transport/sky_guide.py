@@ -96,8 +96,7 @@ class SkyGuide:
 
     def sample(self, point: Array, choice: Array, sample: Array) -> Array:
         """Sample a direction from ``point`` in the box by ``choice`` in [0, 1) and ``sample`` in [0, 1)^2."""
-        entry = cell_of(choice * TABLE, TABLE)
-        cell = dr.gather(mi.UInt32, self.table, entry)
+        cell = dr.gather(mi.UInt32, self.table, cell_of(choice * TABLE, TABLE))
         face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
         column = (mi.Float(rest // CELLS) + sample.x) / CELLS
         row = (mi.Float(rest % CELLS) + sample.y) / CELLS
