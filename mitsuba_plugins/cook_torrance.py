@@ -146,7 +146,6 @@ class CookTorrance(mi.BSDF):
         return (*lobes.eval_pdf(wo), *lobes.sample(sample1, sample2))
 
     def to_string(self) -> str:
-        """Human-readable description."""
         return (
             f"CookTorrance[\n  diffuse_albedo = {self.diffuse_albedo},\n"
             f"  specular_albedo = {self.specular_albedo},\n  roughness = {self.roughness},\n"

@@ -122,11 +122,6 @@ class _View:
         ray, _ = self.sensor.sample_ray(shutter, mi.Float(0.5), position, lens)
         return ray
 
-    @property
-    def is_layered(self) -> bool:
-        """Whether rays can pass through surfaces."""
-        return self.materials.has_transparency or self.hide_emitters
-
 
 def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
     """Coordinate, in [0, 1), of point ``index`` of a shifted lattice."""
@@ -181,7 +176,7 @@ def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _Ray
 
 def _trace(view: _View, ray: Any) -> _RayResult:
     """Trace a camera ray from front to back through partly transparent surfaces to the first opaque one."""
-    if not view.is_layered:
+    if not (view.materials.has_transparency or view.hide_emitters):  # rays pass through no surface
         return _trace_surface(view, ray, mi.Bool(True))[2]
 
     def cond(active: Any, *_: Any) -> Any:
@@ -251,6 +246,8 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
 
 def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
     """Buffers by name, as unevaluated Dr.Jit arrays of H x W entries."""
+    if spp < 1:
+        raise input_error("material_buffers", "spp", spp, "at least 1 sample per pixel", "use 16 or more")
     index = dr.arange(mi.UInt32, view.width * view.height)
     row = index // view.width
     sums, weight = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
@@ -288,11 +285,6 @@ def _make_view(
     return _View(scene, chosen, materials, hide_emitters, width, height)
 
 
-def _check_spp(spp: int) -> None:
-    if spp < 1:
-        raise input_error("material_buffers", "spp", spp, "at least 1 sample per pixel", "use 16 or more")
-
-
 def render_material_buffers(
     scene: mi.Scene,
     sensor: mi.Sensor | int = 0,
@@ -309,7 +301,6 @@ def render_material_buffers(
     ``hide_emitters`` must equal that of the beauty integrator. Raises :class:`InputError` if ``spp`` is
     below 1, a shape's material has no D, S and R, or a shape is missing from ``ids``.
     """
-    _check_spp(spp)
     view = _make_view(scene, sensor, ids, hide_emitters)
     with dr.suspend_grad():
         buffers = _render(view, spp, seed)
@@ -354,7 +345,6 @@ class MaterialBuffers(mi.SamplingIntegrator):
             raise ValueError("material_buffers writes no film: develop must be True")
         view = _make_view(scene, sensor, self.ids, bool(self.hide_emitters))
         spp = spp or int(view.sensor.sampler().sample_count())
-        _check_spp(spp)
         with dr.suspend_grad():
             buffers = _render(view, spp, int(np.asarray(seed).ravel()[0]))
             lists = ([value] if dr.depth_v(value) == 1 else value for value in buffers.values())
@@ -370,5 +360,4 @@ class MaterialBuffers(mi.SamplingIntegrator):
         return image
 
     def to_string(self) -> str:
-        """Human-readable description."""
         return f"MaterialBuffers[hide_emitters = {self.hide_emitters}]"
