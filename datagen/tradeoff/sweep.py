@@ -51,8 +51,7 @@ class SweepOptions:
         int, typer.Option(min=16, help="Paths per pixel in each of the reference's two images.")
     ] = 512
     sweeps: Annotated[
-        tuple[str, ...],
-        typer.Option("--sweep", help="Field to vary: NAME or NAME=VALUE,VALUE, repeatable."),
+        tuple[str, ...], typer.Option("--sweep", help="Field to vary: NAME or NAME=VALUE,VALUE, repeatable.")
     ] = tuple(SWEEPS)
     with_factorial: Annotated[
         bool,

@@ -111,13 +111,11 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     gathered = list(_gather(at_size, stored, setting, renderer.built.scene, watch))
     num_bytes = []
     for index, (view, found) in enumerate(zip(rendered, gathered, strict=True)):
+        buffers = {**view.buffers, **found}
         with watch.stage("compress"):
-            data = encode({**view.buffers, **found}, setting)
+            data = encode(buffers, setting)
         num_bytes.append(len(data))
-        if setting.storage == "half":
-            stored[index] = decode_view(data)
-        else:
-            stored[index] = {**view.buffers, **found}
+        stored[index] = decode_view(data) if setting.storage == "half" else buffers
     renderer.close()
     errors = [_errors(reference, index, buffers) for index, buffers in enumerate(stored)]
     seconds = watch.medians()

@@ -21,17 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MEASURES = (
-    "rel_mse",
-    "maps_error",
-    "statistics_error",
-    "bytes_a_view",
-    "path_samples",
-    "cpu_s",
-    "wall_s",
-    "build_cpu_s",
-    "num_views",
-)
+MEASURES = tuple(field.name for field in fields(Trial) if field.type in ("float", "int"))
+"""Numbers of a trial, which are columns of the CSV file."""
 RATIOS = {
     "rel_mse": "relMSE of beauty",
     "maps_error": "error of maps",
