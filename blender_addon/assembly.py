@@ -128,10 +128,11 @@ class _Assembly:
         name = instance.materials[min(slot, len(instance.materials) - 1)]
         assert name is not None
         mesh = self.contents.gathered.meshes[instance.mesh_key]
-        slot_name, baked = self._lookup(instance, slot, name)
-        if baked is None:
+        material_key = self._key(instance, slot, name)
+        if material_key not in self._baked:
             yield Progress(fraction, f"baking {name} for {instance.name}")
-            slot_name, baked = self._bake(instance, slot, name)
+            self._baked[material_key] = self._bake(instance, slot, name)
+        slot_name, baked = self._baked[material_key]
         metres_from_part = np.diag([self.job.metres] * 3 + [1.0]) @ instance.matrix
         key = (instance.mesh_key, slot, instance.is_mirrored, id(baked) if _has_textures(baked) else 0)
         if key not in self._files:
@@ -200,9 +201,6 @@ class _Assembly:
             key = (*key, info, place)
         return key
 
-    def _lookup(self, instance: Instance, slot: int, name: str) -> tuple[str, BakedMaterial | None]:
-        return self._baked.get(self._key(instance, slot, name), ("", None))
-
     def _bake(self, instance: Instance, slot: int, name: str) -> tuple[str, BakedMaterial]:
         job, plan = self.job, self._effective_plan(name)
         material = bpy.data.materials[name]
@@ -238,7 +236,6 @@ class _Assembly:
         if tile_size is not None and baked.uv is None and baked.window == UNIT_WINDOW:
             entry["tile_size_m"] = tile_size
         self.materials[slot_name] = entry
-        self._baked[self._key(instance, slot, name)] = (slot_name, baked)
         return slot_name, baked
 
     def _window_side(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:

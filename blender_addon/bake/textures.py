@@ -145,8 +145,10 @@ class MaterialBaker:
             else:
                 result.channels[name] = self._grow(thing, working, name, plan.name, covered, enough)
         if plan.bakes_normal:
-            result.normal = self._normal(thing, working, plan.name, covered, enough)
-        self._release(thing, working)
+            normal = self._grow(thing, working, NORMAL, plan.name, covered, enough)
+            result.normal = normal if isinstance(normal, BakedTexture) else None  # None: flat
+        for block in (thing, thing.data, working.material):
+            self.session.discard(block)
         return self._finish(result, plan)
 
     def on_mesh(
@@ -176,8 +178,9 @@ class MaterialBaker:
             else:
                 result.channels[name] = self._grow(thing, working, name, plan.name)
         if plan.bakes_normal:
-            result.normal = self._normal(thing, working, plan.name, None)
-        self._release(None, working)
+            normal = self._grow(thing, working, NORMAL, plan.name)
+            result.normal = normal if isinstance(normal, BakedTexture) else None  # None: flat
+        self.session.discard(working.material)
         return self._finish(result, plan)
 
     def _idle_material(self) -> bpy.types.Material:
@@ -188,13 +191,6 @@ class MaterialBaker:
         node.image = self.session.own(bpy.data.images, bpy.data.images.new(".sm_idle", 1, 1, is_data=True))
         material.node_tree.nodes.active = node
         return material
-
-    def _release(self, thing: bpy.types.Object | None, working: WorkingMaterial) -> None:
-        if thing is not None:
-            mesh = thing.data
-            self.session.discard(thing)
-            self.session.discard(mesh)
-        self.session.discard(working.material)
 
     def _grow(
         self,
@@ -242,23 +238,14 @@ class MaterialBaker:
     def _bake(
         self, thing: bpy.types.Object, working: WorkingMaterial, name: str, size: int
     ) -> tuple[Array, NDArray[np.bool_]]:
+        """Bake a channel, clipped to its range, [0, 1] except for emission; scalars keep one component."""
         if name == NORMAL:
             pixels, mask = self.session.bake_normal(thing, working, size)
         else:
             pixels, mask = self.session.bake(thing, working, name, size)
-        return _tidy(name, pixels), mask
-
-    def _normal(
-        self,
-        thing: bpy.types.Object,
-        working: WorkingMaterial,
-        material: str,
-        covered: Callable[[int], NDArray[np.bool_]] | None,
-        enough: int | None = None,
-    ) -> BakedTexture | None:
-        """Bake the normal texture; returns None for a flat surface."""
-        channel = self._grow(thing, working, NORMAL, material, covered, enough)
-        return channel if isinstance(channel, BakedTexture) else None
+        if name in SCALAR_CHANNELS:
+            pixels = pixels[..., :1]
+        return np.clip(pixels, 0, None if name == "emission" else 1), mask
 
     def _is_trusted(
         self,
@@ -292,15 +279,6 @@ class MaterialBaker:
             remedy = "turn on Bake Normals to get a normal texture"
             self.problems.add(NOTE, "bump and normal inputs are left out", remedy, material=plan.name)
         return result
-
-
-def _tidy(name: str, pixels: Array) -> Array:
-    """Clip pixels to the channel's range, [0, 1] except for emission; scalars keep one component."""
-    if name in SCALAR_CHANNELS:
-        pixels = pixels[..., :1]
-    if name == "emission":
-        return np.maximum(pixels, 0)
-    return np.clip(pixels, 0, 1)
 
 
 def _constant(name: str, value: tuple[float, ...]) -> tuple[float, ...]:

@@ -31,10 +31,7 @@ class CameraData:
 
 
 def gather_camera(
-    thing: bpy.types.Object,
-    render: bpy.types.RenderSettings,
-    metres_per_unit: float,
-    problems: ProblemList,
+    thing: bpy.types.Object, render: bpy.types.RenderSettings, metres_per_unit: float, problems: ProblemList
 ) -> CameraData | None:
     """Convert a perspective camera; for any other, add an error to ``problems`` and return None."""
     camera = thing.data
