@@ -25,10 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_report
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_report
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.recipe import RenderRecipe
