@@ -98,7 +98,6 @@ def warned_views(report: CheckReport) -> set[str]:
 
 
 def main() -> None:
-    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("shards", type=Path, nargs="+")
     parser.add_argument("--library", type=Path, action="append", default=[])

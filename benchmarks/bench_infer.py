@@ -140,7 +140,6 @@ def measure(
 
 
 def main() -> None:
-    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])

@@ -102,18 +102,16 @@ def draw_extremes(predict: Predictor, batches: list[dict[str, Tensor]], target: 
     Image.fromarray(pixels.round().byte().numpy()).save(target, quality=88)
 
 
-def metal_errors(
-    path: Path, datasets: list[Path], judge: Path | None = None, num_views: int = 30
-) -> dict[str, float]:
+def metal_errors(path: Path, datasets: list[Path], judge: Path | None) -> dict[str, float]:
     """Errors of a checkpoint's specular albedo on metal (any channel above 0.2) and on other surfaces.
 
-    Over ``num_views`` evenly spaced validation views: the share of metal among surface pixels and in the sum
+    Over 30 evenly spaced validation views: the share of metal among surface pixels and in the sum
     of squared errors, and the mean squared error and mean prediction on metal and on other surfaces.
     """
     network, device = load_checkpoint(path).network, torch.device("cpu")
     data = open_data(datasets, network.config, 16)
     predict = network_predictor(network, ("specular",))
-    views = spread(judged_views(data, judge), num_views)
+    views = spread(judged_views(data, judge), 30)
     pixels, squared, predicted = (dict.fromkeys(("metal", "elsewhere"), 0.0) for _ in range(3))
     for batch in whole_views(views, buffer_names(network.config), device):
         surface, truth = batch["mask"][:, :1] > 0.5, batch["specular_albedo"]

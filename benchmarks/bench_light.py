@@ -29,7 +29,7 @@ from datagen.geometry.views import TracedCapture, trace_capture
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
 from model.evaluation.camera_faults import PRESETS, as_taken
-from model.evaluation.mesh_errors import GeometryError, with_errors
+from model.evaluation.mesh_errors import with_errors
 from model.evaluation.room import prepare_scene
 from model.evaluation.suite import read_suite
 from model.reconstruction.captures.options import CaptureOptions
@@ -56,7 +56,6 @@ ABLATIONS = {
     "a sixth of the points": LightOptions(max_points=4_000),
     "a fourth of the rays": LightOptions(irradiance_rays=36, solve_rays=6, specular_rays=3),
 }
-WORSE_MESH = GeometryError(edge_m=0.1, noise_m=0.01, keep_share=0.3, hole_share=0.05)
 ALONG = 3
 """Stride of the measured pixels along both axes."""
 
@@ -146,7 +145,7 @@ def main() -> None:
     options = parser.parse_args()
     faults = PRESETS[options.camera] if options.camera else None
     of_camera = None if faults is None else faults.geometry
-    error = WORSE_MESH if options.worse_mesh else of_camera
+    error = PRESETS["mesh"].geometry if options.worse_mesh else of_camera
     select_variant()
     print("room | views | method | all D S R | metal | white | glossy")
     for scene in read_suite(options.suite).scenes:

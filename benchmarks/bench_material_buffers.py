@@ -11,7 +11,6 @@ and shape index, the ground-truth pass all 17 channels. Writes JSON with medians
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -114,8 +113,7 @@ def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
     }
 
 
-def main() -> int:
-    """Run the command."""
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", type=Path)
     parser.add_argument("--width", type=int, default=640)
@@ -125,8 +123,7 @@ def main() -> int:
     arguments = parser.parse_args()
     report = run(arguments.scene, arguments.width, arguments.height, arguments.pairs)
     write_report(report, arguments.out)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

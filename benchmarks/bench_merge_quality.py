@@ -84,24 +84,17 @@ class Room:
         fill_unseen(atlas, self.mesh)
         return atlas
 
-    def atlas_errors(self, atlas: Atlas) -> dict[str, float]:
-        """Sums of squared errors of the atlas over all surface pixels of the views, by map."""
+    def errors(self, found: Atlas | Maps) -> dict[str, float]:
+        """Sums of squared errors of an atlas or of maps over all surface pixels of the views, by map."""
         sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
-        for uv, truth in zip(self.uv, self.truth, strict=True):
+        for view, (uv, truth) in enumerate(zip(self.uv, self.truth, strict=True)):
             on_surface = ~np.isnan(uv[..., 0])
             for name in MATERIAL_MAPS:
-                error = looked_up(atlas.maps[name], uv[on_surface]) - truth[name][on_surface]
-                sums[name] += float((error**2).mean(axis=-1).sum())
-        return sums
-
-    def view_errors(self, maps: Maps, reference: Maps) -> dict[str, float]:
-        """Sums of squared differences of ``maps`` and ``reference`` over surface pixels, by map."""
-        sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
-        for uv, found, truth in zip(self.uv, maps, reference, strict=True):
-            on_surface = ~np.isnan(uv[..., 0])
-            for name in MATERIAL_MAPS:
-                error = found[name][on_surface].astype(np.float64) - truth[name][on_surface]
-                sums[name] += float((error**2).mean(axis=-1).sum())
+                if isinstance(found, Atlas):
+                    values = looked_up(found.maps[name], uv[on_surface])
+                else:
+                    values = found[view][name][on_surface].astype(np.float64)
+                sums[name] += float(((values - truth[name][on_surface]) ** 2).mean(axis=-1).sum())
         return sums
 
     @property
@@ -163,16 +156,16 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
     rows: dict[str, dict[str, float]] = {}
     if what == "weights":
         maps = predictions(room, checkpoint)
-        rows["views"] = room.view_errors(maps, room.truth)
+        rows["views"] = room.errors(maps)
         for weights in WEIGHTS:
-            rows[weights] = room.atlas_errors(room.merged(maps, room.auto, None, weights))
+            rows[weights] = room.errors(room.merged(maps, room.auto, None, weights))
     else:
         for size in sizes:
             factor = float(size.removesuffix("x"))
             side = round(factor * room.auto) if size.endswith("x") else int(factor)
             with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
                 atlas = room.merged(room.truth, side, Path(folder) if side > 4096 else None)
-                rows[size] = room.atlas_errors(atlas)
+                rows[size] = room.errors(atlas)
     return rows
 
 
@@ -185,14 +178,11 @@ def print_seams(room: Room, checkpoint: Path) -> None:
         cells = [
             f"{name} {total / max(num, 1):.5f} ({num})" for name, (total, num) in steps(merged, truth).items()
         ]
-        cells += [
-            f"{name} {error / room.num_pixels:.5f}" for name, error in room.atlas_errors(merged).items()
-        ]
+        cells += [f"{name} {error / room.num_pixels:.5f}" for name, error in room.errors(merged).items()]
         print(f"{weights:<12}" + "  ".join(cells), flush=True)
 
 
 def main() -> None:
-    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("what", choices=("weights", "sizes", "seams"))
     parser.add_argument("shards", nargs="+", type=Path)

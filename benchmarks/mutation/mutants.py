@@ -13,29 +13,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 COMPARISONS: dict[type, tuple[str, ...]] = {
-    ast.Lt: (">=", "<="),
-    ast.LtE: (">", "<"),
-    ast.Gt: ("<=", ">="),
-    ast.GtE: ("<", ">"),
-    ast.Eq: ("!=",),
-    ast.NotEq: ("==",),
-    ast.Is: ("is not",),
-    ast.IsNot: ("is",),
-    ast.In: ("not in",),
-    ast.NotIn: ("in",),
+    ast.Lt: ("<", ">=", "<="),
+    ast.LtE: ("<=", ">", "<"),
+    ast.Gt: (">", "<=", ">="),
+    ast.GtE: (">=", "<", ">"),
+    ast.Eq: ("==", "!="),
+    ast.NotEq: ("!=", "=="),
+    ast.Is: ("is", "is not"),
+    ast.IsNot: ("is not", "is"),
+    ast.In: ("in", "not in"),
+    ast.NotIn: ("not in", "in"),
 }
-SYMBOLS: dict[type, str] = {
-    ast.Lt: "<",
-    ast.LtE: "<=",
-    ast.Gt: ">",
-    ast.GtE: ">=",
-    ast.Eq: "==",
-    ast.NotEq: "!=",
-    ast.Is: "is",
-    ast.IsNot: "is not",
-    ast.In: "in",
-    ast.NotIn: "not in",
-}
+"""Symbol of each comparison, and of those that replace it."""
 ARITHMETIC: dict[type, tuple[str, str]] = {
     ast.Add: ("+", "-"),
     ast.Sub: ("-", "+"),
@@ -219,8 +208,9 @@ class _Finder:
         left = node.left
         for operator, right in zip(node.ops, node.comparators, strict=True):
             start, end = self.span(left)[1], self.span(right)[0]
-            for new in COMPARISONS[type(operator)]:
-                self._replaced(start, end, SYMBOLS[type(operator)], new, "comparison", function, of)
+            old, *others = COMPARISONS[type(operator)]
+            for new in others:
+                self._replaced(start, end, old, new, "comparison", function, of)
             left = right
 
     def _operator(self, operator: ast.operator, start: int, end: int, function: str, of: ast.stmt) -> None:

@@ -222,12 +222,9 @@ class _LaneTexture:
         self.value = make()
 
     def eval(self, si: Any, active: Any = True) -> Any:
-        """Colour of each lane."""
         return self.value
 
-    def eval_1(self, si: Any, active: Any = True) -> Any:
-        """Scalar of each lane."""
-        return self.value
+    eval_1 = eval
 
 
 def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:

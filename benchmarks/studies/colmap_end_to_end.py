@@ -374,7 +374,6 @@ def rendered_maps(configuration: Configuration, library: Any) -> list[dict[str, 
 
 
 def main() -> None:
-    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--views", type=int, default=30)

@@ -198,7 +198,6 @@ def render(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     build_command = verbs.add_parser("build")

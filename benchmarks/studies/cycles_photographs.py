@@ -89,7 +89,6 @@ def retopology(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     command = verbs.add_parser("render")

@@ -206,7 +206,6 @@ def write_references(folder: Path, out: Path, views: list[int], samples: int) ->
 
 
 def main() -> None:
-    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     for verb in ("export", "reference"):

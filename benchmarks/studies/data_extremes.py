@@ -195,7 +195,6 @@ def relative(got: NDArray | float, expected: float) -> str:
 
 
 def main() -> None:
-    """Print all tables."""
     select_variant()
     scales = {factor: scale_of_scene(factor) for factor in SCALES}
     names = list(next(iter(scales.values())))
