@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import sha256_file, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
 from datagen.foundation.buffers import MATERIAL_MAPS
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.geometry.views import TracedCapture, TracedView
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
@@ -92,8 +92,7 @@ def maps_files(folder: Path, capture: Capture) -> dict[str, Path]:
             problems += error.problems
             continue
         problems += _map_faults(path, view, maps)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return files
 
 

@@ -108,14 +108,10 @@ _PHONE: dict[str, object] = {
     "pose_mm": 5.0,
     "pose_deg": 0.1,
 }
+_COMBINED = {"raw-camera": _RAW, "phone": _PHONE, "phone-and-mesh": {**_PHONE, "geometry": _MESH}}
 PRESETS = {
     name: CameraFaults.model_validate({"name": name, **fields})
-    for name, fields in {
-        **_SINGLE,
-        "raw-camera": _RAW,
-        "phone": _PHONE,
-        "phone-and-mesh": {**_PHONE, "geometry": _MESH},
-    }.items()
+    for name, fields in {**_SINGLE, **_COMBINED}.items()
 }
 """Camera faults by name: each fault separately, and three combinations."""
 EACH = "each"

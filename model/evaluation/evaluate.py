@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.base import sha256_file
+from datagen.formats.base import canonical_json, sha256_file, write_bytes_atomically
 from datagen.foundation.buffers import MATERIAL_MAPS
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
 from datagen.foundation.peak_memory import forget_peak, peak_mb, processor_s
 from datagen.foundation.versions import LIGHT_REVISION
@@ -39,7 +39,7 @@ from model.evaluation.predictions import light_revision, link_files, mesh_revisi
 from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.rendering import JudgedView
 from model.evaluation.rerendering import figures_of, renderings_of, spread_of
-from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
+from model.evaluation.results import MethodResult, SuiteResult, read_result
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
@@ -131,8 +131,7 @@ def _assert_unknown(suite: Suite, planned: PlannedScene) -> None:
                 assert_not_trained_on(planned, read_card(Path(method.checkpoint)))
             except InputError as error:
                 problems += error.problems
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def _check_maps(suite: Suite, scene: OpenedScene) -> None:
@@ -144,8 +143,7 @@ def _check_maps(suite: Suite, scene: OpenedScene) -> None:
                 maps_files(method.folder / scene.recipe.name, scene.input_capture())
             except InputError as error:
                 problems += error.problems
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 # ---- a method
@@ -204,7 +202,7 @@ def judge(
         "processor_s": round(processor_s() - before_s, 1),
     }
     result = base.model_copy(update=measured)
-    write_result(path, result)
+    write_bytes_atomically(path, canonical_json(result))
     return result
 
 
@@ -255,15 +253,8 @@ def measure(
         spread[light] = spread_of(scene, light, again, images[light], of_light)
         if light == OWN:
             for name in scene.inputs:
-                view = rendered[name]
-                merged.add(
-                    name,
-                    view.maps,
-                    scene.truth[OWN][name],
-                    scene.surfaces(name),
-                    rendered=view,
-                    confidence=confidence.get(name),
-                )
+                view, true, sure = rendered[name], scene.truth[OWN][name], confidence.get(name)
+                merged.add(name, view.maps, true, scene.surfaces(name), rendered=view, confidence=sure)
     seconds["render and compare"] = round(time.perf_counter() - start, 2)
     return {
         **found,

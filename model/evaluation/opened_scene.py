@@ -20,10 +20,10 @@ from datagen.foundation.progress import Advance
 from datagen.rendering.capture_geometry import package_geometry
 from mitsuba_plugins.variant import select_variant
 from model.evaluation.metrics import common_exposure
-from model.evaluation.rendering import JudgedView, Rendering, render_scenery, stored_view
+from model.evaluation.rendering import BUFFERS, JudgedView, Rendering, judged_view, render_scenery
 from model.evaluation.results import MethodResult, SceneResult
 from model.evaluation.room import PreparedScene, TestScene
-from model.evaluation.scenery import Scenery, added_lights, level_place, true_scenery
+from model.evaluation.scenery import Scenery, added_lights, level_place
 from model.evaluation.suite import ModifiedLight, Suite
 from model.evaluation.surface_kinds import SurfaceFinder, ViewSurfaces
 from model.reconstruction.captures.options import CaptureOptions
@@ -73,7 +73,6 @@ class OpenedScene:
         return self.root / "renders"
 
     def view(self, name: str) -> CaptureView:
-        """The view ``name`` of the capture."""
         return next(view for view in self.capture.views if view.name == name)
 
     def surfaces(self, name: str) -> ViewSurfaces:
@@ -114,7 +113,6 @@ class OpenedScene:
         return Rendering(seed, cameras if views is None else views, self.renderings / key)
 
     def result(self, methods: tuple[MethodResult, ...]) -> SceneResult:
-        """Result of the scene with the results of all methods."""
         samples = [record.render.path_samples for record in ShardReader(self.prepared.capture).records()]
         return SceneResult(
             name=self.recipe.name,
@@ -151,7 +149,7 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
     drawn = random.permutation(len(prepared.input_names))[: suite.input_views]
     inputs = tuple(prepared.input_names[k] for k in sorted(drawn))
     novel = prepared.novel_names[: suite.novel_views]
-    truth = true_scenery(prepared)
+    truth = Scenery(ShardReader(prepared.capture).configuration(), prepared.library)
     modified = suite.modified_light.get(recipe.name, ModifiedLight())
     cameras = [view.camera for view in whole.views]
     scene = OpenedScene(
@@ -168,7 +166,9 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
         modified_gain=modified.own_gain,
     )
     if suite.truth is None:
-        scene.truth[OWN] = {name: stored_view(scene.view(name)) for name in (*inputs, *novel)}
+        scene.truth[OWN] = {
+            name: judged_view(scene.view(name).source.read_maps(BUFFERS)) for name in (*inputs, *novel)
+        }
     _choose_figures(suite, scene)
     render = suite.truth or recipe.render
     lights = (MODIFIED, *([INSERTED] if INSERTED in scene.sceneries else []))

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from datagen.foundation.buffers import MATERIAL_MAPS
-
 
 @dataclass(frozen=True)
 class PublishedMaps:
@@ -19,10 +17,6 @@ class PublishedMaps:
     method: str
     is_merged: bool
     mse: tuple[float, float, float]
-
-    def by_map(self) -> dict[str, float]:
-        """Errors by name of map."""
-        return dict(zip(MATERIAL_MAPS, self.mse, strict=True))
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,9 @@ def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emi
     """
     emitted = [part.emission for part in parts if part.emission is not None]
     lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(emitted)}
-    found = {}
-    for slot, material in _environment(asset).materials.items():
+    room, found = open_package(asset).asset, {}
+    assert isinstance(room, EnvironmentAsset)
+    for slot, material in room.materials.items():
         if material.emission is not None:
             red, green, blue = (gain * channel for channel in lamps.get(slot, (0.0, 0.0, 0.0)))
             found[slot] = (red, green, blue)
@@ -52,9 +53,3 @@ def relit_scenery(truth: Scenery, asset: Path) -> Scenery:
     lights = configuration_of(asset, open_package(asset).sha256).lights
     scenery = recovered_scenery(truth, asset, {})
     return Scenery(scenery.configuration.model_copy(update={"lights": lights}), scenery.library)
-
-
-def _environment(asset: Path) -> EnvironmentAsset:
-    package = open_package(asset)
-    assert isinstance(package.asset, EnvironmentAsset)
-    return package.asset

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
-from datagen.formats.capture import CaptureView
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError
@@ -50,11 +49,6 @@ def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
     color, surface = buffers["beauty"].astype(np.float32), surface_pixels(buffers)
     emits = ~surface & (buffers["depth_z_m"][..., 0] > 0) & (color.max(axis=2) > 0)
     return JudgedView(color, maps, surface, emits)
-
-
-def stored_view(view: CaptureView) -> JudgedView:
-    """Read the stored buffers of a rendered capture's view as a judged view."""
-    return judged_view(view.source.read_maps(BUFFERS))
 
 
 @dataclass(frozen=True)
@@ -121,13 +115,8 @@ def render_scenery(
     done, total = 0, sum(len(names) for _, names in missing)
     estimator = None if enough is None else fast_denoiser(render)
     with Library(seen.library) as library:
-        renderer = SceneRenderer(
-            seen.configuration,
-            library,
-            render,
-            estimator=estimator,
-            is_enough=None if enough is None else enough.decides(cameras),
-        )
+        decides = None if enough is None else enough.decides(cameras)
+        renderer = SceneRenderer(seen.configuration, library, render, estimator=estimator, is_enough=decides)
         try:
             for rendering, names in missing:
                 rendering.folder.mkdir(parents=True, exist_ok=True)

@@ -5,14 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from datagen.formats.base import (
-    NonNegative,
-    Slug,
-    StrictModel,
-    canonical_json,
-    read_json,
-    write_bytes_atomically,
-)
+from datagen.formats.base import NonNegative, Slug, StrictModel, read_json
 from datagen.foundation.errors import InputError
 
 ViewSet = str
@@ -116,8 +109,3 @@ def read_result(path: Path) -> MethodResult | None:
         return read_json(MethodResult, path)
     except InputError:
         return None  # written by another version
-
-
-def write_result(path: Path, result: MethodResult) -> None:
-    """Write ``result`` as JSON."""
-    write_bytes_atomically(path, canonical_json(result))

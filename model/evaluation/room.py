@@ -35,7 +35,7 @@ from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.light_changes import moved_light
 from datagen.formats.package import Package, is_package
 from datagen.formats.recipe import CameraRecipe, Recipe, RenderRecipe
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import Problem, input_error, raise_problems
 from datagen.foundation.progress import Progress
 from datagen.foundation.random import digest
 from datagen.foundation.versions import PLAN_REVISION, RESULT_REVISION
@@ -92,7 +92,6 @@ class TestScene(StrictModel):
 
     @property
     def is_drawn(self) -> bool:
-        """Whether the scene is drawn from a recipe."""
         return self.source.suffix in RECIPE_SUFFIXES
 
 
@@ -102,8 +101,7 @@ class PreparedScene:
 
     ``capture`` is a shard for :func:`model.reconstruction.captures.read.read_capture`, with the true maps of
     every view; ``library`` are its asset folders, ``package`` is the room with its true materials and lights.
-    ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: hashes of the packages,
-    by id, and of their files, by ``<id>/<file>``, none of which may occur in a checkpoint's training data.
+    ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: see PlannedScene.
     """
 
     name: str
@@ -192,24 +190,16 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
     ours = {sha: asset for asset, sha in scene.asset_sha256.items()}
     for record in card.data:
         if record.num_views and not record.assets:
+            got, expected = "no hashes of assets", "hashes of its training data"
             remedy = "judge a checkpoint whose data record lists its assets"
-            problems.append(
-                Problem(
-                    "checkpoint",
-                    f"data {record.name}",
-                    "no hashes of assets",
-                    "hashes of its training data",
-                    remedy,
-                )
-            )
+            problems.append(Problem("checkpoint", f"data {record.name}", got, expected, remedy))
         for asset_id, sha in sorted(record.assets.items()):
             if sha in ours:
                 got = f"trained on {asset_id} ({sha[:12]}), which is {ours[sha]} of this scene"
                 expected = "a checkpoint that was not trained on its test scenes"
                 remedy = "judge another checkpoint, or leave this scene out"
                 problems.append(Problem(f"scene {name}", record.name, got, expected, remedy))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def _key(scene: TestScene) -> str:

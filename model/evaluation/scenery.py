@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.assembly.things import pose
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.base import matrix4
 from datagen.formats.capture import CaptureGeometry
@@ -21,12 +22,10 @@ from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.light_changes import scaled
 from datagen.formats.lights import AreaLight, Light
 from datagen.formats.package import open_package
-from datagen.formats.shard import ShardReader
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
 from datagen.library import Library
 from datagen.rendering.capture_geometry import has_surface
-from model.evaluation.room import PreparedScene
 from model.evaluation.suite import InsertedObject, ModifiedLight
 
 CEILING_SIDE_M = 0.6
@@ -75,10 +74,7 @@ class Scenery:
         package = open_package(Path(inserted.package))
         if not isinstance(package.asset, ObjectAsset):
             raise input_error(package.path, "kind", package.asset.kind, "an object package to insert")
-        matrix = np.eye(4)
-        c, s = np.cos(np.radians(inserted.yaw_deg)), np.sin(np.radians(inserted.yaw_deg))
-        matrix[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) * inserted.scale
-        matrix[:3, 3] = position_m
+        matrix = pose(inserted.scale, np.radians(inserted.yaw_deg), position_m)
         thing = PlacedAsset(name=_INSERTED, asset=package.id, world_from_asset=matrix4(matrix))
         configuration = self.configuration
         known = package.id in configuration.assets
@@ -98,11 +94,6 @@ class Scenery:
 
     def _with(self, changes: dict[str, Any]) -> Scenery:
         return Scenery(self.configuration.model_copy(update=changes), self.library)
-
-
-def true_scenery(prepared: PreparedScene) -> Scenery:
-    """Scenery of the scene with its true materials and all cameras of its capture."""
-    return Scenery(ShardReader(prepared.capture).configuration(), prepared.library)
 
 
 def recovered_scenery(

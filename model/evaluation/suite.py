@@ -16,7 +16,7 @@ from datagen.formats.lights import Light
 from datagen.formats.package import is_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.bundled import object_package, resolve_bundled
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from model.checkpoint import bundled_checkpoint
 from model.evaluation.camera_faults import CameraFaults, chosen_cameras
 from model.evaluation.mesh_errors import GeometryError
@@ -177,7 +177,6 @@ class Suite(StrictModel):
 
     @property
     def cameras(self) -> tuple[CameraFaults, ...]:
-        """The camera faults selected by ``camera``."""
         return chosen_cameras(self.camera)
 
 
@@ -231,8 +230,7 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
             methods.append(method.model_copy(update={"folder": maps}))
         else:
             methods.append(method)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     inserted_paths = {
         scene.name: (own := suite.inserted.get(scene.name, InsertedObject())).model_copy(
             update={"package": str(own.path(folder))}

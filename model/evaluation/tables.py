@@ -67,7 +67,6 @@ class Table:
         return stream.getvalue()
 
     def html(self) -> str:
-        """The table as HTML for the page."""
         head = "".join(f"<th>{html.escape(column)}</th>" for column in self.columns)
         body = "".join(
             f"<tr{' class=paper' if row[1].startswith(PAPER) else ''}>"
@@ -105,19 +104,13 @@ def _maps_table(result: SuiteResult) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for scene in result.scenes:
         for method in _measured(scene):
-            rows.append(
-                (
-                    scene.name,
-                    method.label,
-                    *(method.maps_per_view.get(name) for name in MATERIAL_MAPS),
-                    *(method.maps_merged.get(name) for name in MATERIAL_MAPS),
-                    _percent(method.covered_share),
-                    _percent(method.seen_share),
-                )
-            )
+            per_view = [method.maps_per_view.get(name) for name in MATERIAL_MAPS]
+            merged = [method.maps_merged.get(name) for name in MATERIAL_MAPS]
+            shares = _percent(method.covered_share), _percent(method.seen_share)
+            rows.append((scene.name, method.label, *per_view, *merged, *shares))
         for row in PUBLISHED[scene.name].maps if scene.name in PUBLISHED else ():
-            errors, nothing = row.by_map().values(), (None,) * len(MATERIAL_MAPS)
-            cells = (*nothing, *errors) if row.is_merged else (*errors, *nothing)
+            nothing = (None,) * len(MATERIAL_MAPS)
+            cells = (*nothing, *row.mse) if row.is_merged else (*row.mse, *nothing)
             rows.append((scene.name, PAPER + row.method, *cells, None, None))
     columns = (
         "scene",

@@ -6,7 +6,6 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, vertex_normals
+from datagen.foundation.progress import Progress
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.reconstruction.unwrap.uv import unwrapped
 
@@ -24,7 +24,7 @@ def geometry_for(
     true_geometry: CaptureGeometry,
     error: GeometryError | None,
     root: Path,
-    tell: Callable[[str, int, int], None],
+    tell: Progress,
 ) -> tuple[CaptureGeometry, float]:
     """Return ``true_geometry`` with ``error`` and with UVs for an atlas, and the unwrapping time in seconds.
 

@@ -55,7 +55,6 @@ class Ranks:
         return dict(zip(values, stacked.tolist(), strict=True))
 
     def barrier(self) -> None:
-        """Wait for all ranks."""
         if self.count > 1:
             dist.barrier()
 
@@ -104,11 +103,6 @@ class TrainingContext:
         return phase.steps or (phase.epochs or 1) * self.plan(index, 0).steps_per_epoch
 
 
-def default_device(local_index: int = 0) -> torch.device:
-    """The GPU of this rank if there is one, else the CPU."""
-    return torch.device("cuda", local_index) if torch.cuda.is_available() else torch.device("cpu")
-
-
 def make_context(
     config: TrainingConfig,
     data: TrainingData,
@@ -120,7 +114,8 @@ def make_context(
     Raises :class:`InputError` for an unsuitable ``initial_checkpoint``, network or file of VGG16's weights.
     """
     ranks = Ranks(device)
-    device = device or default_device(ranks.local_index)
+    if device is None:
+        device = torch.device("cuda", ranks.local_index) if torch.cuda.is_available() else torch.device("cpu")
     perceptual = None
     if config.loss.perceptual_weight > 0:
         chosen = config.perceptual

@@ -180,13 +180,9 @@ class BatchPlan(Sampler[list[int]]):
         step = batch_size * accumulation * num_ranks
         self.steps_per_epoch = order.epoch_length // step
         if self.steps_per_epoch == 0:
-            raise input_error(
-                "training data",
-                "crops",
-                order.epoch_length,
-                f"at least {step}, those of one step",
-                "use more views, more crops per view, or a smaller batch",
-            )
+            expected = f"at least {step}, those of one step"
+            remedy = "use more views, more crops per view, or a smaller batch"
+            raise input_error("training data", "crops", order.epoch_length, expected, remedy)
 
     def __len__(self) -> int:
         if self.stop is None:

@@ -21,9 +21,9 @@ from model.training.sources import open_data, validation_note
 from model.training.stopwatch import Stopwatch
 
 
-def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) -> dict[str, Tensor]:
+def synthetic_batch(batch: int, size: int, device: torch.device) -> dict[str, Tensor]:
     """Batch of ``batch`` square crops of ``size`` pixels a side, of a plane at a distance of 2 m."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
 
     def smooth(channels: int) -> Tensor:
         small = torch.rand(batch, channels, 8, 8, generator=generator)
@@ -58,12 +58,10 @@ def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatc
     return watch.seconds["step"] - before
 
 
-def predicted_step(
-    phase: Phase, config: TrainingConfig, device: torch.device, budget_s: float = 3.0
-) -> tuple[float, int]:
+def predicted_step(phase: Phase, config: TrainingConfig, device: torch.device) -> tuple[float, int]:
     """Predict the seconds of a step with a whole batch; also return the largest timed number of crops.
 
-    One crop is timed, then as many as fit ``budget_s`` (at most the batch); the difference separates the cost
+    One crop is timed, then as many as fit 3 s (at most the batch); the difference separates the cost
     per crop from the fixed cost of a step.
     """
 
@@ -74,7 +72,7 @@ def predicted_step(
 
     timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch(device))  # warm-up
     one = fastest(1)
-    crops = min(config.batch_size, max(1, int(budget_s / (2 * one))))
+    crops = min(config.batch_size, max(1, int(3.0 / (2 * one))))
     if crops == 1:
         return one * config.batch_size, 1
     several = fastest(crops)

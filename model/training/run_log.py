@@ -76,21 +76,10 @@ class RunLog:
             self._board.flush()
 
     def close(self) -> None:
-        """Flush and close."""
         self.flush()
         self._file.close()
         if self._board is not None:
             self._board.close()
-
-
-def read_log(folder: Path, kind: str, name: str, phase: str | None = None) -> list[tuple[int, float]]:
-    """Pairs (step, value) of the figure ``name`` in a run's CSV, of all phases or of ``phase``."""
-    with (folder / CSV_FILE).open(newline="", encoding="utf-8") as file:
-        return [
-            (int(row["step"]), float(row["value"]))
-            for row in csv.DictReader(file)
-            if row["kind"] == kind and row["name"] == name and phase in (None, row["phase"])
-        ]
 
 
 def view_panel(batch: Mapping[str, Tensor], predicted: Mapping[str, Tensor]) -> Tensor:

@@ -72,13 +72,8 @@ class RunProgress(StrictModel):
 
     def after_step(self, num_skipped: int) -> RunProgress:
         """Return the progress after one more step, which skipped ``num_skipped`` crops of bad views."""
-        return self.model_copy(
-            update={
-                "step": self.step + 1,
-                "total_step": self.total_step + 1,
-                "num_skipped": self.num_skipped + num_skipped,
-            }
-        )
+        step, total_step, skipped = self.step + 1, self.total_step + 1, self.num_skipped + num_skipped
+        return self.model_copy(update={"step": step, "total_step": total_step, "num_skipped": skipped})
 
     def after_phase(self) -> RunProgress:
         """Return the progress at the first step of the next phase."""

@@ -20,7 +20,7 @@ from model.checkpoint import load_checkpoint
 from model.training.config import parse_overrides, resolve_config
 from model.training.context import Ranks
 from model.training.dataset import buffer_names
-from model.training.run_log import RunLog, read_log
+from model.training.run_log import RunLog
 from model.training.run_state import NonFiniteError
 from model.training.train import Trainer
 from model.training.validation import (
@@ -31,7 +31,7 @@ from model.training.validation import (
     whole_views,
 )
 from tests.conftest import REPOSITORY
-from tests.model.training_data import make_dataset
+from tests.model.training_data import make_dataset, read_log
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR tensor support is in beta")
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from datagen.formats.view import RenderRecord, StatisticsRecord, ViewRecord
 from datagen.foundation.buffers import LIGHT_BUFFERS, VIEW_BUFFERS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.exr import encode_view
+from model.training.run_log import CSV_FILE
 from oracles.dataset_index import index_of
 
 Change = Callable[[dict[str, np.ndarray], dict[str, Any]], None]
@@ -173,3 +175,13 @@ def make_dataset(
     index = index_of("tiny", records, buffers)
     (folder / "index.json").write_bytes(canonical_json(index))
     return folder
+
+
+def read_log(folder: Path, kind: str, name: str) -> list[tuple[int, float]]:
+    """Pairs (step, value) of the figure ``name`` in a run's CSV."""
+    with (folder / CSV_FILE).open(newline="", encoding="utf-8") as file:
+        return [
+            (int(row["step"]), float(row["value"]))
+            for row in csv.DictReader(file)
+            if row["kind"] == kind and row["name"] == name
+        ]
