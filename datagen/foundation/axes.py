@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from datagen.foundation.errors import input_error
 
@@ -25,6 +25,13 @@ def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.fl
         raise input_error("unit scale", got=unit_scale, expected="a positive number of metres per unit")
     scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
     matrix: NDArray[np.float64] = scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))
+    return matrix
+
+
+def affine(linear: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+    """Return the (4, 4) transform that multiplies by ``linear`` (3, 3) and then adds ``offset`` (3,)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = linear, offset
     return matrix
 
 

@@ -27,6 +27,7 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import PlacedAsset, ViewCamera
 from datagen.formats.package import Package
 from datagen.formats.recipe import CameraRecipe, LightRecipe
+from datagen.foundation.axes import affine
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
@@ -115,9 +116,8 @@ def _pairs(cameras: list[Camera]) -> NDArray[np.int64]:
 
 def _between(first: Camera, last: Camera, share: float) -> Camera:
     ends = Rotation.from_matrix(np.stack([c.world_from_camera[:3, :3] for c in (first, last)]))
-    pose = np.eye(4)
-    pose[:3, :3] = Slerp([0.0, 1.0], ends)(share).as_matrix()
-    pose[:3, 3] = (1 - share) * first.position_m + share * last.position_m
+    position_m = (1 - share) * first.position_m + share * last.position_m
+    pose = affine(Slerp([0.0, 1.0], ends)(share).as_matrix(), position_m)
     focal = (1 - share) * first.fx_px + share * last.fx_px
     size = first.width_px, first.height_px
     return Camera(*size, focal, focal, first.cx_px, first.cy_px, np.round(pose, 9))

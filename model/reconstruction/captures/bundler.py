@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
@@ -26,7 +27,6 @@ from model.reconstruction.captures.posed import (
     PosedImage,
     head_of,
     polynomial,
-    pose_of,
     read_text,
     rotation_part,
 )
@@ -35,9 +35,7 @@ _LISTS = ("list.txt", "image_list.txt", "bundle.out.list.txt")
 
 
 def find(path: Path) -> Path | None:
-    """Return the Bundler file ``path``, or the only one in the folder ``path``; None if there are none or
-    several.
-    """
+    """Return the Bundler file ``path``, or the only one in the folder ``path``; None for none or several."""
     files = sorted(path.glob("*.out")) if path.is_dir() else [path] if path.suffix == ".out" else []
     found = [file for file in files if head_of(file).startswith("# Bundle file")]
     return found[0] if len(found) == 1 else None
@@ -77,7 +75,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
             problems.extend(error.problems)
             continue
         width, height = photograph_size(image)
-        pose = pose_of(rotation.T @ np.diag([1.0, -1.0, -1.0]), -rotation.T @ translation)
+        pose = affine(rotation.T @ np.diag([1.0, -1.0, -1.0]), -rotation.T @ translation)
         focal = float(lens[0])
         camera = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
         distortion = polynomial((float(lens[1]), float(lens[2]), 0.0, 0.0), (0.0, 0.0))

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from model.reconstruction.captures.posed import Calibration, PosedImage, pose_of, read_text
+from model.reconstruction.captures.posed import Calibration, PosedImage, read_text
 
 MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -124,7 +125,7 @@ def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> 
     if not (np.isfinite(length) and length > 1e-6 and np.isfinite(translation).all()):
         raise input_error(where, name, f"quaternion {quaternion.tolist()}", "a rotation", _REMEDY)
     rotation = rotation_of(quaternion / length)
-    return pose_of(rotation.T, -rotation.T @ translation)
+    return affine(rotation.T, -rotation.T @ translation)
 
 
 def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:

@@ -63,13 +63,6 @@ def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     return np.stack([across, np.cross(up, across), up])
 
 
-def world_from_source(rotation: NDArray[np.float64], unit_m: float) -> NDArray[np.float64]:
-    """Make the transform (4, 4) that rotates by ``rotation`` (3, 3) and scales by ``unit_m`` to metres."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = unit_m * rotation
-    return matrix
-
-
 def up_of(matrix: ArrayLike) -> Axis:
     """Return the axis that a transform world_from_source (4, 4) maps closest to +z."""
     row = np.asarray(matrix, dtype=np.float64)[2, :3]

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
@@ -30,7 +31,6 @@ from model.reconstruction.captures.posed import (
     head_of,
     numbers,
     polynomial,
-    pose_of,
     read_xml,
     rotation_part,
 )
@@ -131,15 +131,8 @@ def _sensor(element: ElementTree.Element, path: Path) -> _Sensor:
         raise input_error(path, f"{field}.f", p["f"], "a positive focal length and size", EXPORT_AGAIN)
     check_skew(p["b2"], p["f"], height, path, f"{field}.b2")
     kind = calibration.get("type") or element.get("type") or "frame"
-    return _Sensor(
-        width,
-        height,
-        p["f"] + p["b1"],
-        p["f"],
-        0.5 * width + p["cx"],
-        0.5 * height + p["cy"],
-        _distortion(kind, p, path, field),
-    )
+    fx, fy, cx, cy = p["f"] + p["b1"], p["f"], 0.5 * width + p["cx"], 0.5 * height + p["cy"]
+    return _Sensor(width, height, fx, fy, cx, cy, _distortion(kind, p, path, field))
 
 
 def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Distortion | None:
@@ -190,7 +183,7 @@ def _posed(
 ) -> PosedImage:
     chunk_from_camera = numbers(transform.text, 16, path, f"{name}.transform").reshape(4, 4)
     total = world_from_chunk @ chunk_from_camera
-    pose = pose_of(rotation_part(total[:3, :3], path, f"{name}.transform"), total[:3, 3])
+    pose = affine(rotation_part(total[:3, :3], path, f"{name}.transform"), total[:3, 3])
     camera = Camera(
         sensor.width_px, sensor.height_px, sensor.fx_px, sensor.fy_px, sensor.cx_px, sensor.cy_px, pose
     )

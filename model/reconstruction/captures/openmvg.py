@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_json
@@ -27,7 +28,6 @@ from model.reconstruction.captures.posed import (
     PosedImage,
     head_of,
     polynomial,
-    pose_of,
     read_text,
     rotation_part,
 )
@@ -119,7 +119,7 @@ def _pose(name: str, pose: dict[str, Any], path: Path) -> NDArray[np.float64]:
     center = np.array([float(v) for v in pose["center"]])
     if center.shape != (3,) or not np.isfinite(center).all():
         raise input_error(path, f"{name}.center", center, "three numbers", EXPORT_AGAIN)
-    return pose_of(camera_from_world.T, center)
+    return affine(camera_from_world.T, center)
 
 
 def _distortion(lens: dict[str, Any], path: Path, field: str) -> Distortion | None:

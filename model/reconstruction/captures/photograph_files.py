@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.exr import check_claim
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX, image_size, read_image, read_ldr
-from model.reconstruction.captures.raw_photographs import read_raw
+from model.reconstruction.captures.raw_photographs import raw_size, read_raw
 
 HEIC_SUFFIXES = (".heic", ".heif", ".hif")
 RAW_SUFFIXES = (
@@ -114,8 +114,6 @@ def photograph_size(path: Path) -> tuple[int, int]:
     """
     _check(path)
     if is_raw(path):
-        from model.reconstruction.captures.raw_photographs import raw_size
-
         return raw_size(path)
     return image_size(path, pillow_formats(path))
 

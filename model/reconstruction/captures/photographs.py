@@ -25,6 +25,7 @@ from model.reconstruction.captures.photograph_files import (
     pillow_formats,
     read_stored,
 )
+from model.reconstruction.captures.raw_photographs import raw_exposure
 
 PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
@@ -84,8 +85,6 @@ def exif_orientation(path: Path) -> int:
 def relative_exposure(path: Path) -> float | None:
     """Read the relative exposure, time in s * ISO / f-number^2, from EXIF; None if a value is missing."""
     if is_raw(path):
-        from model.reconstruction.captures.raw_photographs import raw_exposure
-
         return raw_exposure(path)
     from PIL import Image
 

@@ -71,9 +71,7 @@ class ImageFinder:
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
-        """Find the image ``name`` in the folder, or else the only image below it with that file name; None if
-        there is none.
-        """
+        """Find the image ``name`` in the folder, or the only one below it with its file name; else None."""
         name = name.replace("\\", "/")
         if not name.isprintable():  # paths with a zero byte raise ValueError
             return None
@@ -191,14 +189,6 @@ def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.floa
         raise input_error(where, field, np.array2string(rotation, separator=","), "a rotation", EXPORT_AGAIN)
     u, _, vt = np.linalg.svd(rotation)
     return u @ vt
-
-
-def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray[np.float64]:
-    """Make world_from_camera (4, 4) from a rotation (3, 3) and the camera centre (3,)."""
-    pose = np.eye(4)
-    pose[:3, :3] = world_from_camera_rotation
-    pose[:3, 3] = center
-    return pose
 
 
 def polynomial(

@@ -29,6 +29,7 @@ from datagen.formats.capture import (
     PhotographRecord,
 )
 from datagen.formats.configuration import ViewCamera
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
@@ -46,21 +47,9 @@ from model.reconstruction.captures import (
 )
 from model.reconstruction.captures.brackets import with_brackets
 from model.reconstruction.captures.exposures import exposure_scales
-from model.reconstruction.captures.frames import (
-    judged_unit,
-    judged_up,
-    level_rotation,
-    up_of,
-    world_from_source,
-    z_up_from,
-)
+from model.reconstruction.captures.frames import judged_unit, judged_up, level_rotation, up_of, z_up_from
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
-from model.reconstruction.captures.options import (
-    DEFAULT_MAX_WIDTH_PX,
-    Axis,
-    CaptureOptions,
-    Exposure,
-)
+from model.reconstruction.captures.options import Axis, CaptureOptions, Exposure
 from model.reconstruction.captures.package import is_package, read_package
 from model.reconstruction.captures.photographs import PhotographSource, upright_pose
 from model.reconstruction.captures.posed import Calibration, ImageFinder
@@ -100,9 +89,7 @@ _UNUSED: dict[_Kind, tuple[str, ...]] = {
 
 
 def refuse_unused(path: Path, options: CaptureOptions) -> None:
-    """Raise :class:`InputError` for options that differ from their defaults but do not apply to the capture
-    at ``path``.
-    """
+    """Raise :class:`InputError` for options other than the defaults that do not apply to ``path``."""
     kind = _kind_of(path) or "cameras with photographs"
     defaults = CaptureOptions()
     flags = {name: f"--{name.removesuffix('_m').replace('_', '-')}" for name in _UNUSED[kind]}
@@ -146,12 +133,12 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
             raise input_error(
                 file, "mesh.file", record.mesh.file, expected, "correct it, or leave --mesh out"
             )
-        return open_capture(record, file.parent, options.max_width_px, budget=budget)
+        return open_capture(record, file.parent, options.max_width_px, budget)
     if kind == "an environment package":
         capture = read_package(path, options.images, options.encoding, budget, options.exposure)
         return _shrunk(capture, options.max_width_px)
     record, notes, mesh = _calibrated(path, options, budget)
-    capture = open_capture(record, Path(), options.max_width_px, mesh, budget)
+    capture = open_capture(record, Path(), options.max_width_px, budget, mesh)
     return replace(capture, notes=notes + capture.notes)
 
 
@@ -223,8 +210,10 @@ def _calibrated(
         below = file.relative_to(root) if file.is_relative_to(root) else Path(file.name)
         name = unique(slug(below.with_suffix("").as_posix()), names)
         names.add(name)
+        given = image.camera
+        pose = affine(rotation @ given.world_from_camera[:3, :3], unit_m * rotation @ given.position_m)
         try:
-            camera = ViewCamera.from_camera(name, _in_world(image.camera, rotation, unit_m))
+            camera = ViewCamera.from_camera(name, replace(given, world_from_camera=pose))
         except ValidationError as error:
             problems += problems_of(f"{found}: {image.file}", error)
             continue
@@ -232,7 +221,7 @@ def _calibrated(
     problems += finder.absent(path, missing, "name its folder with --images")
     raise_problems(problems)
     of_mesh = rotation if options.mesh_up == "same" else z_up_from(options.mesh_up)
-    matrix = world_from_source(of_mesh, unit_m)
+    matrix = affine(unit_m * of_mesh)
     rows = tuple(tuple(float(v) for v in row) for row in matrix)
     record = CaptureFile(
         name=slug(path.resolve().name.removesuffix(".json") or "capture"),
@@ -277,11 +266,7 @@ def _form_of(path: Path) -> tuple[Form, Path]:
 
 
 def open_capture(
-    record: CaptureFile,
-    base: Path,
-    max_width_px: int = DEFAULT_MAX_WIDTH_PX,
-    mesh_in_its_frame: Mesh | None = None,
-    budget: Budget | None = None,
+    record: CaptureFile, base: Path, max_width_px: int, budget: Budget, mesh_in_its_frame: Mesh | None = None
 ) -> Capture:
     """Open the capture of ``record``, with paths relative to ``base``; read the mesh unless it is passed.
 
@@ -296,13 +281,8 @@ def open_capture(
     views = []
     for photograph in record.photographs:
         calibrated = photograph.camera.camera()
-        source = PhotographSource(
-            base / photograph.image,
-            calibrated,
-            photograph.distortion,
-            record.encoding,
-            photograph.exposure_scale,
-        )
+        decoding = photograph.distortion, record.encoding, photograph.exposure_scale
+        source = PhotographSource(base / photograph.image, calibrated, *decoding)
         views.append(CaptureView(photograph.camera.name, calibrated, source))
     file = base / record.mesh.file
     raw = load_mesh(file, budget) if mesh_in_its_frame is None else mesh_in_its_frame
@@ -328,13 +308,6 @@ def shrunk_camera(camera: Camera, max_width_px: int) -> Camera:
         max(1, round(side * max_width_px / longer)) for side in (camera.width_px, camera.height_px)
     )
     return camera.scaled(width, height)
-
-
-def _in_world(camera: Camera, rotation: NDArray[np.float64], unit_m: float) -> Camera:
-    rigid = np.eye(4)
-    rigid[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
-    rigid[:3, 3] = unit_m * rotation @ camera.position_m
-    return replace(camera, world_from_camera=rigid)
 
 
 def _with_exposures(photographs: Sequence[PhotographRecord], exposure: Exposure) -> list[PhotographRecord]:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
@@ -37,7 +38,6 @@ from model.reconstruction.captures.posed import (
     head_of,
     numbers,
     polynomial,
-    pose_of,
     read_text,
     read_xml,
     rotation_part,
@@ -119,7 +119,7 @@ def _from_row(row: Mapping[str, str], path: Path, field: str, finder: ImageFinde
     k = tuple(values.get(n, 0.0) for n in ("k1", "k2", "k3", "k4"))
     distortion = _brown(k, (values.get("t1", 0.0), values.get("t2", 0.0)))
     principal = (values.get("px", 0.0), values.get("py", 0.0))
-    camera = _camera(size, values["f"], 1.0, principal, pose_of(rotation, (x, y, z)), path, name)
+    camera = _camera(size, values["f"], 1.0, principal, affine(rotation, (x, y, z)), path, name)
     return PosedImage(name, camera, distortion)
 
 
@@ -197,7 +197,7 @@ def _from_sidecar(path: Path, finder: ImageFinder, budget: Budget) -> PosedImage
     camera_from_world = rotation_part(
         numbers(values["Rotation"], 9, path, "Rotation").reshape(3, 3), path, "Rotation"
     )
-    pose = pose_of(camera_from_world.T, numbers(values["Position"], 3, path, "Position"))
+    pose = affine(camera_from_world.T, numbers(values["Position"], 3, path, "Position"))
 
     def scalar(name: str, default: str | None = None) -> float:
         return float(numbers(values.get(name, default), 1, path, name)[0])

@@ -52,9 +52,7 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """Open a shard's library: ``paths`` with the dataset's rooms, or the library of the dataset or, without
-    one, the bundled library.
-    """
+    """Open ``paths`` with the dataset's rooms, or the dataset's own or, without one, the bundled library."""
     folder = DatasetFolder(shard.parent.parent)
     if paths:
         return Library([*paths, *rooms_of(folder.root)])

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_json
@@ -25,7 +26,6 @@ from model.reconstruction.captures.posed import (
     ImageFinder,
     ImageMissing,
     PosedImage,
-    pose_of,
     read_text,
     rotation_part,
 )
@@ -85,7 +85,7 @@ def _posed(values: dict[str, Any], path: Path, field: str, finders: Sequence[Ima
     matrix = np.asarray(values.get("transform_matrix"), dtype=np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise input_error(path, f"{field}.transform_matrix", matrix.shape, "a 4x4 matrix", "export it again")
-    pose = pose_of(rotation_part(matrix[:3, :3], path, f"{field}.transform_matrix"), matrix[:3, 3])
+    pose = affine(rotation_part(matrix[:3, :3], path, f"{field}.transform_matrix"), matrix[:3, 3])
     return PosedImage(
         str(image), _camera(values, image, path, field, pose @ _OURS_FROM_OPENGL), _distortion(values, path)
     )

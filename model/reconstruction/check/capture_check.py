@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
+from datagen.foundation.axes import affine
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Advance, Progress, no_advance
 from datagen.geometry.traced import TracedGeometry, seen_sides
@@ -54,11 +55,7 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
     return check_looks(capture, looks, out)
 
 
-def check_traced(
-    traced: TracedCapture,
-    out: Path | None = None,
-    progress: Advance = no_advance,
-) -> CheckReport:
+def check_traced(traced: TracedCapture, out: Path, progress: Advance) -> CheckReport:
     """Check a capture that is already read and traced, as :func:`check_capture` does."""
 
     def look(view: TracedView) -> Look:
@@ -71,10 +68,7 @@ def check_traced(
 
 
 def check_looks(
-    capture: Capture,
-    looks: Sequence[Look],
-    out: Path | None = None,
-    progress: Advance = no_advance,
+    capture: Capture, looks: Sequence[Look], out: Path | None, progress: Advance = no_advance
 ) -> CheckReport:
     """Check views, read and traced with the selected Mitsuba variant, as :func:`check_capture` does."""
     if not any((look.geometry.face >= 0).any() for look in looks):
@@ -128,9 +122,7 @@ def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]
     """Compute the fit of the mesh transformed by ``linear`` (3, 3): the median over views of
     ``EdgeMatch.at_zero`` times the share of pixels that show the mesh.
     """
-    matrix = np.eye(4)
-    matrix[:3, :3] = linear
-    mesh = replace(capture.geometry.mesh.transformed(matrix), normals=None)
+    mesh = replace(capture.geometry.mesh.transformed(affine(linear)), normals=None)
     traced = TracedGeometry(CaptureGeometry(mesh, capture.geometry.parts))
     scores = []
     for look in looks:

@@ -30,6 +30,7 @@ from datagen.formats.lights import (
     PointLight,
     SphereLight,
 )
+from datagen.foundation.axes import affine
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png
@@ -246,14 +247,8 @@ class _Stage:
             radiance = np.asarray(light.radiance)
             self._sphere(light.name, light.position_m, light.radius_m, radiance, is_point=False)
         elif isinstance(light, AreaLight):
-            self.flat(
-                light.name,
-                light.origin_m,
-                light.edge_u_m,
-                light.edge_v_m,
-                light.radiance,
-                is_disk=light.shape == "disk",
-            )
+            place = light.origin_m, light.edge_u_m, light.edge_v_m
+            self.flat(light.name, *place, light.radiance, is_disk=light.shape == "disk")
         elif isinstance(light, DirectionalLight):
             away = np.array(light.direction)
             self.distant(light.name, away, light.irradiance, light.angular_diameter_rad)
@@ -327,9 +322,7 @@ class _Stage:
         light = UsdLux.SphereLight.Define(self.stage, self._path(name))
         light.CreateRadiusAttr(float(radius))
         light.CreateTreatAsPointAttr(is_point)
-        placed = np.eye(4)
-        placed[:3, 3] = position
-        self._place(light, placed)
+        self._place(light, affine(np.eye(3), position))
         _shine(UsdLux.LightAPI(light.GetPrim()), tuple(radiance))
 
     def _path(self, name: str) -> str:
@@ -346,9 +339,7 @@ class _Stage:
 
 
 def _shine(light: Any, radiance: Color) -> None:
-    """Set the radiance of a light, or the irradiance of a distant one, as a colour of at most 1 times an
-    intensity.
-    """
+    """Set the radiance (irradiance of a distant light) as a colour of at most 1 times an intensity."""
     from pxr import Gf
 
     peak = float(max(radiance))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from datagen.foundation.axes import affine
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
 from datagen.geometry.views import TracedView
@@ -103,10 +104,7 @@ def _center(camera_from_world: NDArray) -> NDArray[np.float64]:
 
 def _transform(step: NDArray) -> NDArray[np.float64]:
     """Make the rigid transform (4, 4) of ``step`` (6,), a rotation vector (radians) and a translation (m)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
-    matrix[:3, 3] = step[3:]
-    return matrix
+    return affine(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])
 
 
 def _look(view: TracedView, number: int) -> _Look:

@@ -25,6 +25,7 @@ from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import FileSource, Package, open_package, write_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.standalone import configuration_of
+from datagen.foundation.axes import affine
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance, photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import input_error
@@ -85,12 +86,11 @@ class RenderedImage:
     color: NDArray[np.float32]
 
 
-def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[RenderedImage]:
+def render_asset(path: Path, options: RelightOptions) -> Iterator[RenderedImage]:
     """Render the views of an environment package one by one.
 
     Raises :class:`InputError` for unknown views, missing lights and invalid packages.
     """
-    options = options or RelightOptions()
     with ExitStack() as opened:
         package, *inserted = (
             opened.enter_context(open_package(given))
@@ -153,10 +153,8 @@ def _configuration(
         if not isinstance(item.asset, ObjectAsset):
             raise input_error(insertion.package, "kind", item.asset.kind, "an object package")
         assets[item.id] = item.sha256
-        matrix = np.eye(4)
         c, s = np.cos(insertion.yaw_rad), np.sin(insertion.yaw_rad)
-        matrix[:2, :2] = [[c, -s], [s, c]]
-        matrix[:3, 3] = insertion.position_m
+        matrix = affine([[c, -s, 0], [s, c, 0], [0, 0, 1]], insertion.position_m)
         objects.append(
             PlacedAsset(name=f"inserted-{number}", asset=item.id, world_from_asset=matrix4(matrix))
         )
