@@ -212,15 +212,10 @@ class Comparison:
     def cycles_error(self, name: str, pairs: dict[int, Any]) -> float:
         """Mean error of Cycles' images in ``folder/name`` over the error views among them."""
         found = {v: self.folder / name / f"view_{v:03}.exr" for v in self.error_views}
-        return float(
-            np.mean(
-                [
-                    relative_mse(read_cycles(p), *pairs[v], exposed=True)
-                    for v, p in found.items()
-                    if p.is_file()
-                ]
-            )
-        )
+        errors = [
+            relative_mse(read_cycles(p), *pairs[v], exposed=True) for v, p in found.items() if p.is_file()
+        ]
+        return float(np.mean(errors))
 
     def cycles_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
         """Time and error of Cycles at the sample count for error ``target``; ``kind`` is one of ``KINDS``."""
@@ -269,18 +264,8 @@ class Comparison:
             shutil.copytree(self.folder / "plan", root)
             with tempfile.TemporaryDirectory() as home:
                 environment = {"HOME": home} if is_cold else {}  # Dr.Jit keeps kernels in ~/.drjit
-                log = self.folder / f"{name}.log"
-                return timed(
-                    "datagen",
-                    "run",
-                    str(root),
-                    "--unit",
-                    "0",
-                    "--attempts",
-                    "0",
-                    log=log,
-                    environment=environment,
-                )
+                command = ("datagen", "run", str(root), "--unit", "0", "--attempts", "0")
+                return timed(*command, log=self.folder / f"{name}.log", environment=environment)
 
         return step(self.folder / f"{name}.json", make)
 

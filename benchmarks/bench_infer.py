@@ -88,15 +88,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
         pose = near.world_from_camera.copy()
         pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(np.radians(rng.uniform(-20, 20, 3))).as_matrix()
         pose[:3, 3] += rng.uniform(-0.3, 0.3, 3) * [1, 1, 0.5]
-        scale = np.array([size[0] / near.width_px, size[1] / near.height_px])
-        camera = Camera(
-            *size,
-            near.fx_px * scale[0],
-            near.fy_px * scale[1],
-            near.cx_px * scale[0],
-            near.cy_px * scale[1],
-            pose,
-        )
+        camera = replace(near.scaled(*size), world_from_camera=pose)
         seen = room.traced.geometry.trace_view(camera)
         if (seen.depth_z_m < 0.3).mean() > 0.1:
             continue  # inside an object

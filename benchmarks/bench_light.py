@@ -95,13 +95,8 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
     diffuse, _, roughness = MATERIAL_MAPS
     lines = []
     for k in (len(truth) // 4, len(truth) // 2, 3 * len(truth) // 4):
-        shown = [
-            (network, diffuse),
-            (light, diffuse),
-            (truth, diffuse),
-            (light, roughness),
-            (truth, roughness),
-        ]
+        shown = [(maps, diffuse) for maps in (network, light, truth)]
+        shown += [(maps, roughness) for maps in (light, truth)]
         lines.append(np.hstack([tile(maps[k], name) for maps, name in shown]))
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack(lines)).save(path, quality=88)

@@ -30,14 +30,7 @@ class DenseSystem:
         return self.splat.T @ y
 
 
-def build(
-    guide: NDArray,
-    sigma_xy: float,
-    sigma_luma: float,
-    sigma_chroma: float,
-    lam: float,
-    num_bistochastize: int = 10,
-) -> DenseSystem:
+def build(guide: NDArray, sigma_xy: float, sigma_luma: float, sigma_chroma: float, lam: float) -> DenseSystem:
     """Build the system of a linear RGB ``guide`` (H, W, 3) with the weight ``lam`` of smoothness.
 
     Sides of a cell: ``sigma_xy`` in pixels; ``sigma_luma``, ``sigma_chroma`` in 1/255 of the guide's maximum.
@@ -72,7 +65,7 @@ def build(
                 blur[i, j] = 1.0
     counts = splat.sum(axis=1)
     n = np.ones(len(cells))
-    for _ in range(num_bistochastize):
+    for _ in range(10):  # the default of model.bilateral_solver
         n = np.sqrt(n * counts / (blur @ n))
     m = n * (blur @ n)
     return DenseSystem(splat, lam * (np.diag(m) - n[:, None] * blur * n[None, :]))

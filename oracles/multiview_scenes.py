@@ -37,15 +37,12 @@ POSES = (  # position, target
 )
 
 
-def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> tuple[NDArray, NDArray]:
-    """Ray parameters (N,), Inf without a hit, and outward normals (N, 3) at the first hits of rays (N, 3).
-
-    ``boxes`` (B, 2, 3): lower and upper corners.
-    """
+def hit_boxes(origins: NDArray, directions: NDArray) -> tuple[NDArray, NDArray]:
+    """Ray parameters (N,), Inf without a hit, and outward normals (N, 3) at the first hits of rays (N, 3)."""
     nearest = np.full(len(origins), np.inf)
     normals = np.zeros((len(origins), 3))
     with np.errstate(divide="ignore", invalid="ignore"):
-        for low, high in boxes:
+        for low, high in BOXES:
             a, b = (low - origins) / directions, (high - origins) / directions
             enter, leave = np.minimum(a, b), np.maximum(a, b)
             axis = enter.argmax(axis=1)
@@ -67,14 +64,13 @@ def is_occluded(centres: NDArray, points: NDArray) -> NDArray:
 def make_views(
     sizes: tuple[tuple[int, int], ...] = ((33, 22),),
     num_views: int = len(POSES),
-    seed: int = 5,
     is_noise: bool = True,
 ) -> list[StatisticsView]:
     """Views of the scene at the first ``num_views`` poses, with ``sizes`` (width, height) in a cycle.
 
     Colours are white noise if ``is_noise``, else normals. 3 % of the pixels count as emitters.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(5)
     views = []
     for index, (position, target) in enumerate(POSES[:num_views]):
         width, height = sizes[index % len(sizes)]

@@ -99,15 +99,8 @@ class Copy:
         return int(self._warm.stdout.readline()), output.read_text(errors="replace")
 
     def _arguments(self, tests: Sequence[str]) -> list[str]:
-        return [
-            "-q",
-            "-x",
-            "--no-header",
-            "-p",
-            "no:cacheprovider",
-            f"--basetemp={self.work / 'tests'}",
-            *tests,
-        ]
+        quiet = ["-q", "-x", "--no-header", "-p", "no:cacheprovider"]
+        return [*quiet, f"--basetemp={self.work / 'tests'}", *tests]
 
 
 def trace(copy: Copy, target: Target) -> dict[str, Any]:

@@ -80,7 +80,6 @@ class Mutant:
     statement: str
 
     def apply(self, source: str) -> str:
-        """Return the mutated ``source``."""
         return source[: self.start] + self.new + source[self.end :]
 
 

@@ -59,7 +59,7 @@ from model.evaluation.camera_faults import PRESETS, photographed
 from model.reconstruction.captures.colmap import read_sights
 from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.read import read_capture
-from model.reconstruction.photos.colmap_run import MAX_POINT_ERROR_PX
+from model.reconstruction.photos.colmap_run import MAX_POINT_ERROR_PX, camera_steps
 from model.reconstruction.photos.sparse_mesh import sparse_surface
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -173,20 +173,13 @@ class EndToEnd:
             shutil.rmtree(self.out / "export", ignore_errors=True)
             export(configuration, Library([bundled_library()]), self.out / "export")
             run("benchmarks.studies.cycles_baseline", "build", str(self.out / "export"), str(blend), log=log)
-        mesh = self.out / "retopology.ply"
+        mesh, study = self.out / "retopology.ply", "benchmarks.studies.cycles_photographs"
         if not mesh.is_file():
             options = ("--triangles", str(self.triangles))
-            run(
-                "benchmarks.studies.cycles_photographs",
-                "retopology",
-                str(blend),
-                str(mesh),
-                *options,
-                log=log,
-            )
+            run(study, "retopology", str(blend), str(mesh), *options, log=log)
         rendered, images = self.out / "cycles", self.images
         options = ("--samples", str(self.samples))
-        run("benchmarks.studies.cycles_photographs", "render", str(blend), str(rendered), *options, log=log)
+        run(study, "render", str(blend), str(rendered), *options, log=log)
         images.mkdir(exist_ok=True)
         linear = {
             view.name: read_image(rendered / f"{view.name}.exr")[..., :3].astype(np.float32)
@@ -235,22 +228,12 @@ class EndToEnd:
 
     def _run_colmap(self, folder: Path) -> None:
         """Run COLMAP: features and matches on the CPU, incremental mapping, alignment by camera centres."""
-        log, database = self.out / "colmap.log", folder / "database.db"
-        found, aligned = folder / "found", folder / "sparse"
+        log, found, aligned = self.out / "colmap.log", folder / "found", folder / "sparse"
         found.mkdir()
         aligned.mkdir()
-        base = ("--database_path", str(database))
-        images = ("--image_path", str(folder / "images"))
-        commands = [
-            ("feature_extractor", *base, *images, "--ImageReader.single_camera", "1",
-             "--ImageReader.camera_model", "SIMPLE_RADIAL", "--SiftExtraction.use_gpu", "0",
-             "--SiftExtraction.peak_threshold", "0.003"),
-            ("exhaustive_matcher", *base, "--SiftMatching.use_gpu", "0",
-             "--SiftMatching.guided_matching", "1"),
-            ("mapper", *base, *images, "--output_path", str(found)),
-        ]  # fmt: skip
-        for command in commands:
-            run("colmap", *command, log=log, is_module=False)
+        for step in camera_steps("colmap", folder / "images", folder, lists=()):
+            for command in step.commands:
+                run(*command, log=log, is_module=False)
         models = sorted(found.iterdir(), key=lambda m: (m / "images.bin").stat().st_size)
         if not models:
             raise RuntimeError(f"COLMAP found no model; see {log}")
@@ -265,7 +248,7 @@ class EndToEnd:
             "--ref_images_path", str(references), "--ref_is_gps", "0", "--alignment_type", "custom",
             "--robust_alignment", "1", "--robust_alignment_max_error", str(6 * CENTER_ERROR_M),
             log=log, is_module=False)  # fmt: skip
-        database.unlink()
+        (folder / "database.db").unlink()
 
     # ---------------------------------------------------------------- inference and comparison
 

@@ -146,14 +146,8 @@ def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[n
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi
     flat = np.cos(elevation)[:, None]
-    directions = np.stack(
-        [
-            flat * np.cos(azimuth),
-            flat * np.sin(azimuth),
-            np.broadcast_to(np.sin(elevation)[:, None], SKY_SIZE),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
+    up = np.broadcast_to(np.sin(elevation)[:, None], SKY_SIZE)
+    directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=-1).reshape(-1, 3)
     if isinstance(light, SkyLight):
         values = light.sky_scale * sunsky(
             light.sun_direction, light.turbidity, light.ground_albedo, 1.0, 0.0, directions
