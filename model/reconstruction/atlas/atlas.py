@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import mmap
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,11 @@ from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
 """Number of channels of each merged map, in the order in which maps are packed."""
+MAP_COLUMNS = {
+    name: slice(end - MAP_CHANNELS[name], end)
+    for name, end in zip(MAP_CHANNELS, accumulate(MAP_CHANNELS.values()), strict=True)
+}
+"""Columns of each map where the maps are packed."""
 ATLAS_DTYPE = np.float16
 
 

@@ -24,7 +24,7 @@ from datagen.foundation.errors import Problem, raise_problems
 from datagen.geometry.views import TracedView
 from datagen.multiview.compiled import num_threads
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
-from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
+from model.reconstruction.atlas.atlas import MAP_CHANNELS, MAP_COLUMNS, Atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.merge.lane_sort import networks
 from model.reconstruction.merge.medians import (
@@ -165,14 +165,8 @@ class MapMerger:
     ) -> None:
         """Merge into ``atlas`` tile by tile; ``progress(done, total)`` is called after each tile."""
         regions = np.zeros(surface.num_faces) if self._regions is None else self._regions
-        loop_surface = Surface(
-            surface.size,
-            surface.uv,
-            surface.vertices,
-            surface.positions,
-            surface.normals,
-            regions.astype(np.float32),
-        )
+        arrays = surface.uv, surface.vertices, surface.positions, surface.normals
+        loop_surface = Surface(surface.size, *arrays, regions.astype(np.float32))
         starts = range(0, atlas.size, self.options.tile)
         total, done = len(starts) ** 2, 0
         # Mitsuba's rays already use all processors
@@ -210,10 +204,8 @@ class MapMerger:
         )
         window = (slice(top, top + height), slice(left, left + width))
         atlas.face[window], atlas.count[window] = face, count
-        first = 0
-        for name, channels in MAP_CHANNELS.items():
-            atlas.maps[name][window] = medians[..., first : first + channels]
-            first += channels
+        for name, columns in MAP_COLUMNS.items():
+            atlas.maps[name][window] = medians[..., columns]
 
     def _trace(self, points: NDArray, normals: NDArray, is_covered: NDArray) -> NDArray[np.bool_]:
         """Compute the visibility (V, H, W) of a tile's covered texels in the views by shadow rays."""
@@ -269,13 +261,11 @@ def _view_arrays(
         cameras[index, 16:18] = camera.width_px, camera.height_px
         cameras[index, 18] = view.depth_z_m.max(initial=0.0) * 1.1 + 1e-3
         depth[span] = view.depth_z_m.ravel()
-        first = 0
-        for name, channels in MAP_CHANNELS.items():
-            packets[span, first : first + channels] = view.maps[name].reshape(num, channels)
-            first += channels
+        for name, columns in MAP_COLUMNS.items():
+            packets[span, columns] = view.maps[name].reshape(num, -1)
         if region_of_face is not None and view.face is not None:
             face = view.face.reshape(num)
-            packets[span, first] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
+            packets[span, NUM_CHANNELS] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
         if weights == "none":
             continue
         image = view.depth_z_m.reshape(camera.height_px, camera.width_px)
