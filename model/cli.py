@@ -112,7 +112,6 @@ for command in (check, infer, photos, render, view, evaluate):
 
 
 def main() -> None:
-    """Run the command ``materials``."""
     run_command(app)
 
 

@@ -36,7 +36,6 @@ class Rectangle:
 
     @property
     def area_m2(self) -> float:
-        """Area in m^2."""
         return float(np.linalg.norm(np.cross(self.edge_u_m, self.edge_v_m)))
 
     def corners(self) -> NDArray[np.float64]:

@@ -17,7 +17,6 @@ the atlas is filled.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -157,7 +156,6 @@ def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
 def _claim(traced: TracedCapture, source: MapSource, run: Run) -> None:
     """Assign ``run.out`` to this work. Raises :class:`InputError` if the folder contains other work."""
     mesh, options = traced.capture.geometry.mesh, run.options
-    geometry = hashlib.sha256(mesh.positions.tobytes() + mesh.faces.tobytes()).hexdigest()
     views = [
         [v.name, v.camera.width_px, v.camera.height_px, v.camera.fx_px, v.camera.fy_px, v.camera.cx_px,
          v.camera.cy_px, v.camera.world_from_camera.tolist(), sha256_hex(v.color.tobytes())]
@@ -165,7 +163,7 @@ def _claim(traced: TracedCapture, source: MapSource, run: Run) -> None:
     ]  # fmt: skip
     work = {
         "name": traced.capture.name,
-        "geometry": geometry,
+        "geometry": sha256_hex(mesh.positions.tobytes() + mesh.faces.tobytes()),
         "views": views,
         "weights": source.identity,
         "precision": options.precision,

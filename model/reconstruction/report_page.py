@@ -42,17 +42,11 @@ def report_html(report: InferReport, pictures: Sequence[ViewPicture]) -> str:
         f"{report.num_views} views, {report.num_triangles} triangles, an atlas of {report.atlas_size} x "
         f"{report.atlas_size} texels; {report.seen_of_visible:.0%} of the visible surface was observed."
     )
-    parts = [
-        f"<h1>{title}</h1><p>{done}</p>",
-        _remarks(report),
-        _lights(report.light),
-        _confidence(report.light, pictures),
-        _costs(report),
-    ]
+    parts = _remarks(report), _lights(report.light), _confidence(report.light, pictures), _costs(report)
     return (
         f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{title}</title>"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
+        f"<style>{_STYLE}</style></head><body><h1>{title}</h1><p>{done}</p>{''.join(parts)}</body></html>\n"
     )
 
 

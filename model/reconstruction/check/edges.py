@@ -81,14 +81,8 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
     hit = geometry.face >= 0
     normal = geometry.normal_world.astype(np.float64) @ camera.world_from_camera[:3, :3]
     centers = camera.pixel_centers()
-    rays = np.stack(
-        [
-            (centers[..., 0] - camera.cx_px) / camera.fx_px,
-            (centers[..., 1] - camera.cy_px) / camera.fy_px,
-            np.ones(z.shape),
-        ],
-        axis=-1,
-    )
+    x, y = (centers[..., 0] - camera.cx_px) / camera.fx_px, (centers[..., 1] - camera.cy_px) / camera.fy_px
+    rays = np.stack([x, y, np.ones(z.shape)], axis=-1)
     edges = np.zeros(z.shape, dtype=bool)
     for axis in (0, 1):
         a = tuple(slice(None, -1) if k == axis else slice(None) for k in (0, 1))

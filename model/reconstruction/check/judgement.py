@@ -13,6 +13,7 @@ from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look
 _LOST = 0.6  # score relative to SURE below which a view does not match if others do
 _SURE_GAIN = 1.2  # minimum gain by roll or zoom in standard deviations; it is lower in correct views
 _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
+_MAX_LISTED = 6  # views in a warning
 _MIN_VIEWS, _MAX_SPREAD = 4, 0.3  # minimum number and maximum relative spread of common magnifications
 
 
@@ -43,7 +44,9 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
     )
     report.offset_m = None if mistake is None else mistake.offset_m
     report.scale = 1.0 if mistake is None else mistake.scale
-    names = _listed([view.name for view, _ in pairs])
+    names = ", ".join(view.name for view, _ in pairs[:_MAX_LISTED])
+    if len(pairs) > _MAX_LISTED:
+        names += f" and {len(pairs) - _MAX_LISTED} more views"
     if report.offset_m is not None:
         offset = ", ".join(f"{100 * v:+.1f}" for v in report.offset_m)
         report.warnings.append(
@@ -128,8 +131,3 @@ def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | Non
             f"{view.name}: its edges do not match the mesh's; it shows another scene or its pose is wrong; "
             "correct its pose or leave it out"
         )
-
-
-def _listed(names: Sequence[str], limit: int = 6) -> str:
-    shown = ", ".join(names[:limit])
-    return shown if len(names) <= limit else f"{shown} and {len(names) - limit} more views"

@@ -33,9 +33,7 @@ from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, SUN, FoundL
 _REGION_MARGIN_M = 0.05  # prevents an empty region for a single camera
 
 
-def write_asset(
-    path: Path, reconstruction: Reconstruction, asset_id: str, *, license_id: str = "LicenseRef-unstated"
-) -> Package:
+def write_asset(path: Path, reconstruction: Reconstruction, asset_id: str) -> Package:
     """Write the reconstruction as an environment package, with the capture's cameras and recovered lights.
 
     Without recovered lights, the package contains the capture's lights, except those with an image in another
@@ -53,10 +51,11 @@ def write_asset(
     found = reconstruction.shining_lights
     if found is not None and found.environment is not None:
         files[ENVIRONMENT_FILE] = environment_exr(found.environment)
+    source = f"materials infer, {len(capture.views)} views"
     asset = EnvironmentAsset(
         id=asset_id,
         title=f"Reconstruction of {capture.name}",
-        provenance=Provenance(license=license_id, source=f"materials infer, {len(capture.views)} views"),
+        provenance=Provenance(license="LicenseRef-unstated", source=source),
         materials=materials,
         parts=tuple(parts),
         lights=_found_lights(found)

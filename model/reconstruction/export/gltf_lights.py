@@ -61,13 +61,8 @@ def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]
     if found is not None and found.sun is not None and max(found.sun.irradiance) > 0:
         peak = max(found.sun.irradiance)
         color = [c / peak for c in found.sun.irradiance]
-        nodes.append(
-            {
-                "name": SUN,
-                "rotation": _rotation(found.sun.direction),
-                "extensions": {PUNCTUAL: {"light": len(lights)}},
-            }
-        )
+        link = {PUNCTUAL: {"light": len(lights)}}
+        nodes.append({"name": SUN, "rotation": _rotation(found.sun.direction), "extensions": link})
         lights.append({"type": "directional", "name": SUN, "color": color, "intensity": LUMENS_A_WATT * peak})
     return lights, nodes
 

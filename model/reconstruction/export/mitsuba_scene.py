@@ -52,13 +52,9 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
     bsdf = _add(scene, "bsdf", "cook_torrance")
     bsdf.set("id", _MATERIAL)
     for name in MAP_CHANNELS:
-        texture = _add(
-            bsdf,
-            "texture",
-            "bitmap",
-            ("string", "filename", f"textures/{name}.png"),
-            ("boolean", "raw", "true" if name == "roughness" else "false"),
-        )
+        file = ("string", "filename", f"textures/{name}.png")
+        raw = ("boolean", "raw", "true" if name == "roughness" else "false")
+        texture = _add(bsdf, "texture", "bitmap", file, raw)
         texture.set("name", name)
     for name, slot in slots.items():
         shape = _add_mesh(scene, folder, name, slot.mesh)

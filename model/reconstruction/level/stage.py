@@ -16,15 +16,11 @@ from model.reconstruction.stages import Estimate, Run
 def leveled(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
     """Correct the albedo scale of the maps, unless evidence is weak; files on disk keep the prediction."""
     with run.stage("level"):
-        region_of_face = smooth_regions(traced.geometry.mesh)
+        views, geometry = traced.views, traced.geometry
+        is_lamp, region_of_face = traced.capture.geometry.emitter_mask(), smooth_regions(geometry.mesh)
+        clipped = clipped_share(views)
         level = find_level(
-            traced.views,
-            estimate.maps,
-            traced.geometry,
-            traced.capture.geometry.emitter_mask(),
-            region_of_face,
-            clipped_share(traced.views),
-            estimate.doubt_at,
+            views, estimate.maps, geometry, is_lamp, region_of_face, clipped, estimate.doubt_at
         )
         run.report.albedo_level = asdict(level.report)
         if level.report.reason:

@@ -197,17 +197,13 @@ def _is_surface(
         spreads = np.nan_to_num(spread).reshape(shape).sum(axis=2) / seen.sum(axis=2)
         is_continued = np.abs(levels[:, 0] - levels[:, 1]) <= MAX_CHANGE
         agrees = spreads[:, 0] <= np.maximum(MAX_SPREAD, MAX_SPREADS * spreads[:, 1])
-    is_small = _extents(positions, holes) <= MAX_UNSEEN_SIZE * _diagonal(positions)
+    sides = np.array([np.ptp(positions[hole.loop], axis=0).max() for hole in holes])  # of bounding boxes
+    is_small = sides <= MAX_UNSEEN_SIZE * _diagonal(positions)
     return np.asarray((is_continued & agrees) | (is_small & ~seen[:, 0].any(axis=1)))
 
 
 def _diagonal(positions: NDArray) -> float:
     return float(np.linalg.norm(np.ptp(positions, axis=0)))
-
-
-def _extents(positions: NDArray, holes: Sequence[Hole]) -> Floats:
-    """Largest sides (H,) of the holes' bounding boxes."""
-    return np.array([np.ptp(positions[hole.loop], axis=0).max() for hole in holes])
 
 
 def _medians(values: Floats) -> Floats:

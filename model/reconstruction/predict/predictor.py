@@ -93,9 +93,8 @@ class Predictor:
     Raises :class:`InputError` if confidence is requested from a checkpoint without confidence networks.
     """
 
-    def __init__(self, checkpoint: Checkpoint, exposure: float, options: PredictOptions | None = None):
-        self.options = options or PredictOptions()
-        self.exposure = exposure
+    def __init__(self, checkpoint: Checkpoint, exposure: float, options: PredictOptions):
+        self.options, self.exposure = options, exposure
         device = self.options.device
         wants_bfloat16 = self.options.precision == "bfloat16" or (
             self.options.precision == "auto" and has_fast_bfloat16(device)

@@ -62,7 +62,6 @@ class GivenMaps:
         """Do nothing, since given maps need no preparation."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Read the given maps."""
         with run.stage("read maps"):
             return self.read(traced)
 

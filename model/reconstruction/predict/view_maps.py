@@ -32,13 +32,8 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
         report.exposure = capture_exposure(views)
-        predict_options = PredictOptions(
-            options.precision,
-            options.batch,
-            options.is_filtered,
-            options.device,
-            has_confidence=options.weights == "confidence",
-        )
+        shared = options.precision, options.batch, options.is_filtered, options.device
+        predict_options = PredictOptions(*shared, has_confidence=options.weights == "confidence")
         predictor = Predictor(checkpoint, report.exposure, predict_options)
     report.precision = str(predictor.dtype).removeprefix("torch.")
     report.is_filtered = predictor.is_filtered

@@ -50,9 +50,7 @@ class LightWords:
     ] = 0.0
 
     def parse(self) -> RelightOptions:
-        """Parse the options. Raises ``typer.BadParameter`` for an invalid light, position, colour or number
-        of stops.
-        """
+        """Parse options. Raises ``typer.BadParameter`` for an invalid light, position, colour or stops."""
         from model.reconstruction.render.relight import RelightOptions
 
         if not abs(self.stops) <= MAX_STOPS:

@@ -117,9 +117,7 @@ def _grow_charts(
     chart: Ints,
     num: int,
 ) -> int:
-    """Grow charts from ``num`` on over the triangles whose ``chart`` is -1, which it overwrites; returns the
-    number of charts.
-    """
+    """Grow charts from ``num`` on over triangles of ``chart`` -1, in place; return the number of charts."""
     queue = np.empty(len(order), np.int64)
     for seed in order:
         if chart[seed] >= 0:
