@@ -195,7 +195,8 @@ def _solved_surfels(
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
     of_segment = np.column_stack([segments.confidence[:, :2], sure_of_r])[segment]
-    trust = impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit * sure
+    # photographs record the light that metals reflect, whatever arrives from unphotographed sources
+    trust = sure * np.where(is_metal, 1, impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit)
     confidence *= trust[:, None] * of_segment
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
